@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A digital twin of a soft-layer throwing rig: numbers first, ROS 2 at the edge.
+
+Nothing is imported here, so that the physics needs no ROS.
+
+"""
+
+__version__ = '0.1.0'
