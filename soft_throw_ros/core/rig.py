@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The throwing rig: an engine's plate, a soft layer glued on it, a projectile lying on the layer.
+
+SI units throughout. Every part refuses values that are not physical when it is made, so that
+whatever holds a `Rig` can compute with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+import math
+
+from soft_throw_ros.core import checks
+
+STANDARD_GRAVITY = 9.81
+"""Gravity of a rig on Earth. [m/s2]"""
+
+
+def _check(part: object, **kinds: str) -> None:
+    """Check every field of a frozen dataclass in place: positive unless `kinds` names another."""
+    for item in fields(part):  # type: ignore[arg-type]
+        kind = kinds.get(item.name, 'positive')
+        if kind != 'part':
+            name = f'{type(part).__name__.lower()}.{item.name}'
+            value = getattr(checks, kind)(name, getattr(part, item.name))
+            object.__setattr__(part, item.name, value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """
+    The ejection engine, whose plate jumps up once and settles at `amplitude`.
+
+    Parameters
+    ----------
+    frequency : float
+        Natural frequency :math:`f` of the plate. [Hz]
+    amplitude : float
+        Height :math:`A` at which the plate settles. [m]
+    damping_ratio : float
+        Damping ratio :math:`\\zeta`, 0 for the harmonic motion of Eq. (1). [-]
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite and positive, or `damping_ratio` is not in [0, 1).
+
+    """
+
+    frequency: float = 63.2
+    amplitude: float = 2e-3
+    damping_ratio: float = 0.064
+
+    def __post_init__(self) -> None:
+        _check(self, damping_ratio='below_one')
+
+    @property
+    def angular_frequency(self) -> float:
+        """:math:`\\omega = 2 \\pi f`. [rad/s]"""
+        return 2.0 * math.pi * self.frequency
+
+    @property
+    def speed_scale(self) -> float:
+        """:math:`A \\omega`, the largest plate speed without damping. [m/s]"""
+        return self.amplitude * self.angular_frequency
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layer:
+    """
+    The soft layer, a cylinder.
+
+    Parameters
+    ----------
+    thickness : float
+        :math:`L_s`. [m]
+    wave_speed : float
+        Speed of longitudinal waves :math:`c_s = \\sqrt{E_s / \\rho_s}`. [m/s]
+    density : float
+        :math:`\\rho_s`. [kg/m3]
+    diameter : float
+        Of the section :math:`S`. [m]
+    loss_tangent : float
+        Of the material at the engine's frequency; 0 is lossless. [-]
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite and positive, or `loss_tangent` is negative.
+
+    """
+
+    thickness: float = 16.8e-3
+    wave_speed: float = 7.8
+    density: float = 1000.0
+    diameter: float = 12e-3
+    loss_tangent: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, loss_tangent='not_negative')
+
+    @property
+    def section(self) -> float:
+        """:math:`S`. [m2]"""
+        return 0.25 * math.pi * self.diameter**2
+
+    @property
+    def mass(self) -> float:
+        """:math:`\\rho_s S L_s`. [kg]"""
+        return self.density * self.section * self.thickness
+
+    @property
+    def youngs_modulus(self) -> float:
+        """:math:`E_s = \\rho_s c_s^2`. [Pa]"""
+        return self.density * self.wave_speed**2
+
+    @property
+    def impedance(self) -> float:
+        """:math:`E_s S / c_s`, force over speed of a travelling wave. [kg/s]"""
+        return self.density * self.wave_speed * self.section
+
+    @property
+    def crossing_time(self) -> float:
+        """:math:`t_s = L_s / c_s`, what a wave needs from plate to top. [s]"""
+        return self.thickness / self.wave_speed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projectile:
+    """
+    The rigid projectile.
+
+    Parameters
+    ----------
+    mass : float
+        :math:`m`; the default is the paper's, 8.2 mm of 1300 kg/m3 and 12 mm diameter. [kg]
+    length : float
+        :math:`L_r`; shown, and used by the elastic models only. [m]
+    youngs_modulus : float
+        :math:`E_r`; used by the elastic models only. [Pa]
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite and positive.
+
+    """
+
+    mass: float = 1300.0 * 8.2e-3 * math.pi * 6e-3**2
+    length: float = 8.2e-3
+    youngs_modulus: float = 3.6e9
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """
+    Engine, layer and projectile together, and the numbers that decide a throw.
+
+    Without gravity and loss a throw depends on `mass_ratio`, `speed_ratio` and the engine's
+    damping ratio alone; all else is a unit of time, length or force.
+
+    Parameters
+    ----------
+    engine, layer, projectile
+        The parts; the defaults are those of [1]_.
+    gravity : float
+        Towards the plate; 0 for the figures of [1]_. [m/s2]
+
+    Raises
+    ------
+    ValueError
+        If `gravity` is negative or not finite.
+
+    References
+    ----------
+    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+    Examples
+    --------
+    >>> rig = Rig(layer=Layer(thickness=16.8e-3, wave_speed=7.8))
+    >>> round(rig.mass_ratio, 4), round(rig.speed_ratio, 4)
+    (0.6345, 7.3463)
+
+    """
+
+    engine: Engine = field(default_factory=Engine)
+    layer: Layer = field(default_factory=Layer)
+    projectile: Projectile = field(default_factory=Projectile)
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self) -> None:
+        _check(
+            self, engine='part', layer='part', projectile='part', gravity='not_negative'
+        )
+
+    @property
+    def mass_ratio(self) -> float:
+        """:math:`\\mu = m / (\\rho_s S L_s)`, projectile over layer. [-]"""
+        return self.projectile.mass / self.layer.mass
+
+    @property
+    def speed_ratio(self) -> float:
+        """:math:`\\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
+        return 1.0 / (self.layer.crossing_time * self.engine.frequency)
+
+    @property
+    def crossing_time(self) -> float:
+        """:math:`t_s = L_s / c_s`. [s]"""
+        return self.layer.crossing_time
+
+    @property
+    def relaxation_time(self) -> float:
+        """:math:`\\tau = m c_s / (E_s S) = \\mu t_s`, of the mass against the layer. [s]"""
+        return self.projectile.mass / self.layer.impedance
+
+    @property
+    def natural_frequency(self) -> float:
+        """:math:`f_0` of the projectile on the layer as a massless spring (App. A). [Hz]"""
+        stiffness = self.layer.youngs_modulus * self.layer.section / self.layer.thickness
+        return math.sqrt(stiffness / self.projectile.mass) / (2.0 * math.pi)
+
+    @property
+    def static_sag(self) -> float:
+        """How far gravity lowers the resting projectile: its weight over the stiffness. [m]"""
+        return self.gravity * self.relaxation_time * self.crossing_time
+
+    @property
+    def gravity_ratio(self) -> float:
+        """:math:`g / (A \\omega^2)`. [-]"""
+        return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
