@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Install the package by pip or by colcon.
+
+The version stands here, in package.xml, CHANGELOG.rst and ``soft_throw_ros.__version__``; a test
+compares them. The metadata is here and not in pyproject.toml, because
+``colcon build --symlink-install`` hands setuptools this file and setup.cfg only.
+
+"""
+from glob import glob
+import runpy
+import sys
+
+from setuptools import find_packages, setup
+
+NAME = 'soft_throw_ros'
+EXECUTABLES = runpy.run_path(f'{NAME}/__main__.py')['EXECUTABLES']
+
+# colcon (and a ROS build farm) runs `setup.py install` or `develop`, pip never does.
+if {'install', 'develop'}.intersection(sys.argv):
+    scripts = [f'{name} = {module}:main' for name, (module, _) in EXECUTABLES.items()]
+else:
+    scripts = [f'soft-throw = {NAME}.__main__:main']
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='A digital twin of a soft-layer throwing rig, as ROS 2 nodes',
+    author='soft_throw_ros developers',
+    author_email='soft-throw-ros@example.org',
+    maintainer='soft_throw_ros developers',
+    maintainer_email='soft-throw-ros@example.org',
+    license='Apache-2.0',
+    packages=find_packages(include=[f'{NAME}*']),
+    # soft_throw_ros/config is a link to config: the code reads it there however it is installed.
+    package_data={NAME: ['config/*.yaml']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', sorted(glob('config/*.yaml'))),
+    ],
+    entry_points={'console_scripts': scripts},
+    python_requires='>=3.10',
+    # ROS is not named: a ROS machine brings its own, and requirements/ has it from PyPI.
+    install_requires=['numba', 'numpy', 'pyyaml', 'scipy'],
+    extras_require={
+        'plot': ['matplotlib'],
+        'test': [
+            'colcon-common-extensions',
+            'hypothesis',
+            'import-linter>=2.1',
+            'mypy==2.4.1',  # these two have opinions that change with the version
+            'ruff==0.17.5',
+            'pytest>=7.4',
+            'pytest-timeout',
+            'setuptools>=70.1,<80',  # 80 took away what colcon needs; before 70.1 wheels need wheel
+            'types-PyYAML',
+        ],
+    },
+)
