@@ -7,7 +7,8 @@ compares them. The metadata is here and not in pyproject.toml, because
 ``colcon build --symlink-install`` hands setuptools this file and setup.cfg only.
 
 """
-from glob import glob
+
+from pathlib import Path
 import runpy
 import sys
 
@@ -37,7 +38,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{NAME}/config', sorted(map(str, Path('config').glob('*.yaml')))),
     ],
     entry_points={'console_scripts': scripts},
     python_requires='>=3.10',
@@ -53,7 +54,7 @@ setup(
             'ruff==0.17.5',
             'pytest>=7.4',
             'pytest-timeout',
-            'setuptools>=70.1,<80',  # 80 took away what colcon needs; before 70.1 wheels need wheel
+            'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
         ],
     },

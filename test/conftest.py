@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds for every test; nothing of ROS."""
+
+from collections.abc import Iterator
+
+import hypothesis
+import numpy as np
+import pytest
+
+# The same examples in every run, and no deadline, for a first call compiles.
+hypothesis.settings.register_profile('repeatable', deadline=None, derandomize=True)
+hypothesis.settings.load_profile('repeatable')
+
+
+@pytest.fixture(autouse=True)
+def floating_point_errors_raise() -> Iterator[None]:
+    """Let no NaN or infinity arise unnoticed; what decays may underflow to zero."""
+    with np.errstate(divide='raise', over='raise', invalid='raise'):
+        yield

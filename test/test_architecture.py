@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may import whom, and what the core may know."""
+
+import ast
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CORE = sorted((ROOT / 'soft_throw_ros/core').rglob('*.py'))
+
+# Libraries of numbers, and the part of the standard library without a clock, a file or a process.
+KNOWN_TO_CORE = {
+    '__future__', 'abc', 'bisect', 'collections', 'concurrent', 'dataclasses', 'enum', 'fractions',
+    'functools', 'itertools', 'math', 'numba', 'numpy', 'operator', 'scipy', 'soft_throw_ros',
+    'types', 'typing',
+}  # fmt: skip
+
+
+def lint_imports(root):
+    """Check the contracts of pyproject.toml on the package in a folder."""
+    pytest.importorskip('importlinter', reason='comes with the extra [test]')
+    check = 'from importlinter.cli import lint_imports_command as check; check()'
+    return subprocess.run(
+        [sys.executable, '-c', check, '--no-cache', '--no-logo'],
+        cwd=root,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=60,
+    )
+
+
+def test_contracts_of_import_are_kept():
+    checked = lint_imports(ROOT)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+@pytest.mark.parametrize(
+    ('importer', 'line'),
+    [
+        ('core/wrong.py', 'import soft_throw_ros.configuration'),
+        ('design/wrong.py', 'from rclpy.node import Node'),
+        ('twin/wrong.py', 'from sensor_msgs.msg import JointState'),
+        ('commands/wrong.py', 'import soft_throw_ros.nodes'),
+        ('unknown_room/__init__.py', ''),
+    ],
+)
+def test_contracts_of_import_notice_what_breaks_them(tmp_path, importer, line):
+    shutil.copytree(ROOT / 'soft_throw_ros', tmp_path / 'soft_throw_ros')
+    shutil.copy(ROOT / 'pyproject.toml', tmp_path)
+    wrong = tmp_path / 'soft_throw_ros' / importer
+    wrong.parent.mkdir(exist_ok=True)
+    (wrong.parent / '__init__.py').touch()
+    wrong.write_text(f'{line}\n')
+    assert lint_imports(tmp_path).returncode == 1
+
+
+@pytest.mark.parametrize('path', CORE, ids=lambda path: path.stem)
+def test_core_knows_numbers_only(path):
+    tree = list(ast.walk(ast.parse(path.read_text())))
+    imported = {
+        alias.name for node in tree if isinstance(node, ast.Import) for alias in node.names
+    }
+    imported |= {node.module for node in tree if isinstance(node, ast.ImportFrom)}
+    assert {name.split('.')[0] for name in imported} <= KNOWN_TO_CORE
+    assert {'input', 'open', 'print'}.isdisjoint(
+        node.id for node in tree if isinstance(node, ast.Name)
+    )
+
+
+def test_core_is_found():
+    assert {'rig', 'plate', 'stepper'} <= {path.stem for path in CORE}

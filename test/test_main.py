@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `soft-throw NAME ...`."""
+
+import subprocess
+import sys
+import types
+
+import pytest
+from soft_throw_ros import __main__ as umbrella
+
+
+@pytest.fixture
+def echo(monkeypatch):
+    """Offer an executable `echo`, whose exit code is 5; give what it was called with."""
+    calls = []
+
+    def main(args):
+        calls.append((list(sys.argv), args))
+        return 5
+
+    monkeypatch.setitem(sys.modules, 'echo_executable', types.SimpleNamespace(main=main))
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'echo', ('echo_executable', 'say it again'))
+    monkeypatch.setattr(sys, 'argv', ['soft-throw', 'echo', 'from', 'process'])
+    return calls
+
+
+@pytest.mark.parametrize('args', [[], ['-h'], ['--help']])
+def test_umbrella_lists_every_executable_on_one_line(capsys, args):
+    assert umbrella.main(args) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, (_, purpose) in umbrella.EXECUTABLES.items():
+        assert [line.split(maxsplit=1) for line in lines].count([name, purpose]) == 1
+
+
+def test_umbrella_refuses_an_unknown_name_in_one_line(capsys):
+    assert umbrella.main(['trow', '--json']) == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.count('\n') == 1
+    assert "'trow'" in err
+    assert all(name in err for name in umbrella.EXECUTABLES)
+
+
+def test_umbrella_hands_on_arguments_and_exit_code(echo):
+    assert umbrella.main(['echo', '--json', '-h']) == 5
+    assert echo == [(['soft-throw echo', '--json', '-h'], ['--json', '-h'])]
+
+
+def test_umbrella_takes_the_arguments_of_the_process(echo):
+    assert umbrella.main() == 5
+    assert echo == [(['soft-throw echo', 'from', 'process'], ['from', 'process'])]
+
+
+def test_umbrella_names_the_module_that_is_not_installed(capsys, monkeypatch):
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_module', ''))
+    assert umbrella.main(['lost']) == 1
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert 'lost' in err
+    assert "'no_such_module'" in err
+
+
+def test_throw_needs_no_ros():
+    without_ros = (
+        "import sys; sys.modules['rclpy'] = None; from soft_throw_ros.__main__ import main; "
+        "main(['throw', '--help'])"
+    )
+    shown = subprocess.run(
+        [sys.executable, '-c', without_ros], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert shown.stdout.startswith('usage: soft-throw throw')

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The package as it is installed: by pip, editable, by colcon, or not at all."""
+
+import ast
+from email.parser import Parser
+import os
+from pathlib import Path
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+from xml.etree import ElementTree
+import zipfile
+
+import pytest
+import soft_throw_ros
+from soft_throw_ros.__main__ import EXECUTABLES
+
+ROOT = Path(__file__).parents[1]
+CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.yaml')}
+MANIFEST = ElementTree.parse(ROOT / 'package.xml')
+PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
+# Nothing is downloaded: what the build needs and what the package needs are there already.
+OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
+
+PRINT_PLACE_AND_CONFIG = """
+from importlib.resources import files
+import soft_throw_ros
+print(soft_throw_ros.__file__)
+for path in sorted(files('soft_throw_ros').joinpath('config').iterdir(), key=lambda path: path.name):
+    print(path.name, path.read_bytes().hex())
+"""
+
+
+def run(*command, cwd, **environment):
+    """Run a command to its end, as from a shell that knows nothing of this checkout."""
+    inherited = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
+    done = subprocess.run(
+        list(map(str, command)),
+        cwd=cwd,
+        env=inherited | environment,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=110,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def assert_finds_config(printed, below):
+    """Check what PRINT_PLACE_AND_CONFIG printed: the package is in a folder, config in it."""
+    place, *found = printed.splitlines()
+    assert Path(place).is_relative_to(below)
+    assert dict(line.split() for line in found) == {
+        name: content.hex() for name, content in CONFIG.items()
+    }
+
+
+@pytest.fixture(scope='module')
+def source(tmp_path_factory):
+    """Copy the sources, since a build leaves things behind."""
+    copy = tmp_path_factory.mktemp('source') / 'soft_throw_ros'
+    made = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
+    return shutil.copytree(ROOT, copy, symlinks=True, ignore=made)
+
+
+@pytest.fixture(scope='module')
+def wheel(source, tmp_path_factory):
+    """Build the wheel of the package."""
+    folder = tmp_path_factory.mktemp('wheel')
+    run(*PIP, 'wheel', *OFFLINE, '--wheel-dir', folder, source, cwd=folder)
+    (built,) = folder.glob('*.whl')
+    return built
+
+
+@pytest.fixture
+def environment(tmp_path):
+    """Make an environment without the package that shares all else with this one."""
+    folder = tmp_path / 'environment'
+    run(sys.executable, '-m', 'venv', '--without-pip', folder, cwd=tmp_path)
+    (site_packages,) = folder.glob('lib/python*/site-packages')
+    (site_packages / 'shared.pth').write_text(sysconfig.get_path('purelib'))
+    return folder
+
+
+@pytest.fixture(scope='module', params=[(), ('--symlink-install',)], ids=['copies', 'links'])
+def colcon_prefix(request, source, tmp_path_factory):
+    """Build a colcon workspace; give the prefix of the package in it."""
+    colcon = shutil.which('colcon', path=Path(sys.executable).parent) or shutil.which('colcon')
+    if colcon is None:
+        pytest.skip('colcon comes with the extra [test]')
+    workspace = tmp_path_factory.mktemp('workspace')
+    (workspace / 'src').mkdir()
+    shutil.copytree(source, workspace / 'src/soft_throw_ros', symlinks=True)
+    run(
+        *(colcon, 'build', '--packages-select', 'soft_throw_ros', *request.param),
+        cwd=workspace,
+        COLCON_HOME=str(workspace / 'home'),
+    )
+    return workspace / 'install/soft_throw_ros'
+
+
+def in_workspace(prefix, *command):
+    """Write a command so that it runs in a shell that has sourced the workspace of a prefix."""
+    return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
+
+
+def test_versions_agree(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
+        setup_version = Parser().parsestr(archive.read(metadata).decode())['Version']
+    (released, *_) = re.findall(r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
+    assert setup_version == soft_throw_ros.__version__
+    assert MANIFEST.findtext('version') == soft_throw_ros.__version__
+    assert released == soft_throw_ros.__version__
+
+
+def test_manifest_names_exactly_what_the_code_imports():
+    keys = {'numba': 'python3-numba', 'numpy': 'python3-numpy', 'scipy': 'python3-scipy',
+            'yaml': 'python3-yaml'}  # fmt: skip
+    trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
+    roots = {name.split('.')[0] for name in names}
+    imported = roots - set(sys.stdlib_module_names) - {'soft_throw_ros'}
+    declared = {element.text for element in MANIFEST.findall('exec_depend')}
+    assert {keys.get(name, name) for name in imported} == declared
+
+
+def test_wheel_has_config_and_one_command(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        content = {Path(name).name: archive.read(name) for name in names if '/config/' in name}
+        (scripts,) = [name for name in names if name.endswith('/entry_points.txt')]
+        declared = archive.read(scripts).decode().split('\n')
+    assert content == CONFIG
+    assert {f'soft_throw_ros/config/{name}' for name in CONFIG} <= set(names)
+    assert [line for line in declared if '=' in line] == [
+        'soft-throw = soft_throw_ros.__main__:main'
+    ]
+    assert not [name for name in names if name.startswith(('test', 'bench', 'docs'))]
+
+
+def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
+    build = 'from setuptools import build_meta; build_meta.build_sdist("{}")'
+    run(sys.executable, '-c', build.format(tmp_path), cwd=source)
+    (archive,) = tmp_path.glob('*.tar.gz')
+    run(*PIP, 'wheel', *OFFLINE, '--wheel-dir', tmp_path, archive, cwd=tmp_path)
+    with zipfile.ZipFile(wheel) as first, zipfile.ZipFile(next(tmp_path.glob('*.whl'))) as second:
+        assert sorted(first.namelist()) == sorted(second.namelist())
+
+
+def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
+    python = environment / 'bin/python'
+    before = set((environment / 'bin').iterdir())
+    run(*PIP, '--python', python, 'install', *OFFLINE, wheel, cwd=tmp_path)
+    assert set((environment / 'bin').iterdir()) - before == {environment / 'bin/soft-throw'}
+    assert_finds_config(run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path), environment)
+    listed = run(environment / 'bin/soft-throw', cwd=tmp_path)
+    assert all(name in listed for name in EXECUTABLES)
+
+
+def test_editable_install_finds_config(source, environment, tmp_path):
+    python = environment / 'bin/python'
+    run(*PIP, '--python', python, 'install', *OFFLINE, '--editable', source, cwd=tmp_path)
+    assert_finds_config(run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path), source)
+    assert run(environment / 'bin/soft-throw', cwd=tmp_path)
+
+
+def test_checkout_finds_config_without_being_installed(environment, tmp_path):
+    python = environment / 'bin/python'
+    printed = run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
+    assert_finds_config(printed, ROOT)
+
+
+def test_colcon_lays_things_where_ros_looks(colcon_prefix):
+    share = colcon_prefix / 'share/soft_throw_ros'
+    assert {path.name for path in (colcon_prefix / 'lib/soft_throw_ros').iterdir()} == set(
+        EXECUTABLES
+    )
+    assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
+    assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
+    assert {path.name: path.read_bytes() for path in (share / 'config').iterdir()} == CONFIG
+
+
+def test_colcon_build_finds_config(colcon_prefix, tmp_path):
+    command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PLACE_AND_CONFIG)
+    assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
