@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+ROS parameter files and arguments, read without ROS but as ROS reads them.
+
+Offline commands need the values. The node, which gets its values from ROS, needs to know where
+each came from: to name file and line of a bad one, and to let what is given later win.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+import re
+import textwrap
+from typing import Any
+
+from soft_throw_ros.configuration.settings import change, defaults, Settings
+from soft_throw_ros.configuration.table import BY_NAME, ParameterError, TABLE, Value
+import yaml
+
+_KEY = 'ros__parameters'
+_TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
+_FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """
+    A value somebody gave.
+
+    Parameters
+    ----------
+    value : object
+        As ROS would type it.
+    where : str
+        `FILE:LINE` or `-p NAME:=VALUE`.
+    order : int
+        Of the file, or row of arguments, among all; later ones win.
+    in_file : bool
+        Whether it stands in a file.
+
+    """
+
+    value: Any
+    where: str
+    order: int = 0
+    in_file: bool = True
+
+
+Sections = dict[str, dict[str, Given]]
+"""What is given to whom, by the pattern of the node's name."""
+
+
+def default_file() -> Path:
+    """Return the path of `twin.yaml`, which is installed with the package."""
+    return Path(str(resources.files('soft_throw_ros') / 'config' / 'twin.yaml'))
+
+
+def read(path: str | Path, *, node: str = '/twin') -> dict[str, Value]:
+    """
+    Read complete settings for a node from a ROS parameter file.
+
+    What the file does not mention keeps its default. Results are left out, so that what
+    `ros2 param dump` writes can be read again; so are parameters that every node has.
+
+    Parameters
+    ----------
+    path : path_like
+        A YAML file.
+    node : str
+        Full name of the node; the file's wildcards are matched as ROS does.
+
+    Raises
+    ------
+    ParameterError
+        Naming file and line, if the file cannot be read, has nothing for the node, or has a
+        value that is refused.
+
+    """
+    sections: Sections = {}
+    _add_file(sections, Path(path), order=0)
+    given = select(sections, node)
+    if not given:
+        raise ParameterError(
+            f'{path}: nothing for node {node}; it has {", ".join(sections) or "no parameters"}'
+        )
+    return start({name: item.value for name, item in given.items() if not is_foreign(name)}, given)
+
+
+def start(values: Settings, given: dict[str, Given]) -> dict[str, Value]:
+    """
+    Make the settings to start with from what files and arguments give.
+
+    Each file is one request, and so is each row of `-p`; they are taken one after another. So
+    `-p layer.thickness:=...` turns a layer that a file names into a custom one, and contradicts
+    nothing.
+
+    Parameters
+    ----------
+    values : mapping of str to value
+        What is given, over the defaults.
+    given : dict of str to Given
+        Where it was given; not all need be known.
+
+    Raises
+    ------
+    ParameterError
+        Saying where, if a value is refused, or two contradict each other.
+
+    """
+    unknown_place = Given(value=None, where='')
+    requests: dict[int, dict[str, Any]] = {}
+    for name, value in values.items():
+        place = given.get(name, unknown_place)
+        entry = BY_NAME.get(name)
+        if not (place.in_file and entry is not None and entry.is_result):
+            requests.setdefault(place.order, {})[name] = value
+    settings = defaults()
+    try:
+        for _, request in sorted(requests.items()):
+            settings.update(change(settings, request))
+    except ParameterError as error:
+        where = next((f'{given[name].where}: ' for name in error.names if name in given), '')
+        raise ParameterError(f'{where}{error}', *error.names) from None
+    return settings
+
+
+def is_foreign(name: str) -> bool:
+    """Tell whether a parameter is one that rclpy gives to every node."""
+    return name in ('use_sim_time', 'start_type_description_service') or name.startswith(
+        'qos_overrides.'
+    )
+
+
+def read_arguments(arguments: Sequence[str]) -> Sections:
+    """
+    Collect what ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`) give to any node.
+
+    Raises
+    ------
+    ParameterError
+        Naming file and line, if a file cannot be read.
+
+    """
+    sections: Sections = {}
+    order, in_file = 0, True
+    for flag, argument in _ros_flags(arguments):
+        order += in_file or flag == '--params-file'
+        in_file = flag == '--params-file'
+        if in_file:
+            _add_file(sections, Path(argument), order=order)
+        else:
+            target, separator, text = argument.partition(':=')
+            node, _, name = target.rpartition(':')
+            if separator and text:  # what is no rule is refused by ROS
+                where = f'-p {argument}'
+                value = _value(_compose(text, where))
+                given = Given(value=value, where=where, order=order, in_file=False)
+                sections.setdefault(_pattern(node or '/**'), {})[name] = given
+    return sections
+
+
+def select(sections: Sections, node: str) -> dict[str, Given]:
+    """
+    Pick what is given to one node, by parameter name.
+
+    Notes
+    -----
+    As in ROS, a pattern keeps the place where it first appeared, and the last match wins. So
+    `-p` (whose pattern is `/**`) does not override a file that has `/**` and then `/twin`.
+
+    """
+    chosen: dict[str, Given] = {}
+    for pattern, given in sections.items():
+        tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
+        regex = ''.join(tokens.get(token, f'/{re.escape(token)}') for token in pattern.split('/'))
+        if re.fullmatch(regex, node):
+            chosen.update(given)
+    return chosen
+
+
+def render(settings: Settings, *, node: str = '/**/twin', title: str = '') -> str:
+    """Write settings as the text of a ROS parameter file, commented from the table."""
+    lines = [f'# {line}'.rstrip() for line in title.splitlines()]
+    lines += [f'{node}:', f'  {_KEY}:']
+    group = ''
+    for entry in TABLE:
+        if entry.name in settings:
+            head, _, tail = entry.name.rpartition('.')
+            if head and head != group:
+                lines.append(f'    {head}:')
+            group = head
+            indent = ' ' * (6 if head else 4)
+            comment = f'# {entry.meaning.replace("`", "")}. Must be {entry.rule}.'
+            lines += textwrap.wrap(
+                comment, 99, initial_indent=indent, subsequent_indent=f'{indent}# '
+            )
+            lines.append(f'{indent}{tail}: {_text(settings[entry.name])}')
+    return '\n'.join(lines) + '\n'
+
+
+def write(path: str | Path, settings: Settings, *, title: str = '') -> None:
+    """Write settings (all, or some) into a ROS parameter file that `read` and ROS read."""
+    Path(path).write_text(render(settings, title=title), encoding='utf-8')
+
+
+def _text(value: Value) -> str:
+    text = str(value)
+    # YAML 1.1 takes 1e-05 for a text; with a point everybody takes it for a number
+    return text.replace('e', '.0e') if re.fullmatch(r'-?\de[-+]\d+', text) else text
+
+
+def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the parameter flags among ROS arguments, each with what follows it."""
+    inside = False
+    for flag, argument in pairwise(arguments):
+        inside = (inside or flag == '--ros-args') and flag != '--'
+        if inside and flag in ('-p', '--param', '--params-file'):
+            yield flag, argument
+
+
+def _add_file(sections: Sections, path: Path, *, order: int) -> None:
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else 'is no UTF-8 text'
+        raise ParameterError(f'{path}: {reason}') from None
+    root = _compose(text, str(path))
+    if root is not None:
+        for pattern, parameters in _nodes(root, path):
+            for name, node in _parameters(parameters):
+                where = f'{path}:{node.start_mark.line + 1}'
+                given = Given(value=_value(node), where=where, order=order)
+                sections.setdefault(_pattern(pattern), {})[name] = given
+
+
+def _compose(text: str, where: str) -> yaml.Node | None:
+    """Parse YAML into nodes, which know their lines; ROS has no aliases, so no node recurs."""
+    try:
+        for token in yaml.scan(text, Loader=yaml.SafeLoader):
+            if isinstance(token, yaml.AliasToken):
+                problem = f'ROS takes no alias, got *{token.value}'
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=token.start_mark)
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        mark = getattr(error, 'problem_mark', None)
+        line = f':{mark.line + 1}' if mark and not where.startswith('-p') else ''
+        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        raise ParameterError(f'{where}{line}: {problem}') from None
+
+
+def _nodes(tree: yaml.Node, path: Path, parent: str = '') -> Iterator[tuple[str, yaml.Node]]:
+    """Yield every `ros__parameters` with the pattern above it."""
+    if not isinstance(tree, yaml.MappingNode):
+        raise ParameterError(
+            f'{path}:{tree.start_mark.line + 1}: expected NODE: {_KEY}: NAME: VALUE, '
+            f'got {getattr(tree, "value", "")!r} before any {_KEY}'
+        )
+    for key, value in tree.value:
+        if str(key.value) == _KEY:
+            yield parent, value
+        else:
+            yield from _nodes(value, path, f'{parent}/{key.value}')
+
+
+def _parameters(tree: yaml.Node, parent: str = '') -> Iterator[tuple[str, yaml.Node]]:
+    if isinstance(tree, yaml.MappingNode):
+        for key, value in tree.value:
+            yield from _parameters(value, f'{parent}.{key.value}' if parent else str(key.value))
+    elif parent:
+        yield parent, tree
+
+
+def _pattern(name: str) -> str:
+    return '/' + '/'.join(part for part in name.split('/') if part)
+
+
+def _value(node: yaml.Node | None) -> Any:
+    """Type a value as ROS does, which takes 2e-3 for a number and 1_000 for a text."""
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    text = str(node.value) if node is not None else ''
+    plain = isinstance(node, yaml.ScalarNode) and not node.style
+    if not plain or '_' in text:
+        return text
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if re.fullmatch(r'[-+]?0[0-7]+', text):
+        return int(text, 8)
+    if re.fullmatch(r'[-+]?(0|[1-9]\d*|0[xX][0-9a-fA-F]+)', text):
+        return int(text, 16 if 'x' in text.lower() else 10)
+    if re.fullmatch(r'[-+]?\.(inf|nan)', text, re.IGNORECASE):
+        return float(text.replace('.', ''))
+    try:
+        return float(text)
+    except ValueError:
+        return text

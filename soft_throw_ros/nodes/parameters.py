@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of parameters as parameters of a node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+import math
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from soft_throw_ros.configuration import (
+    BY_NAME,
+    change,
+    Entry,
+    files,
+    ParameterError,
+    Settings,
+    TABLE,
+)
+
+
+class _Refusal(Parameter):
+    """A parameter at its present value, which carries through rclpy why a request is refused."""
+
+    reason: str
+
+
+class _Result(Parameter):
+    """A result, which the node itself sets."""
+
+
+class NodeParameters:
+    """
+    Declare every parameter of the table on a node, and watch over them.
+
+    Parameters
+    ----------
+    node : Node
+        Made without `automatically_declare_parameters_from_overrides`.
+    on_changed : callable
+        Called with what has really changed, by name, after `settings` has been replaced.
+    check : callable, optional
+        Called with complete settings before they are accepted; refuses them by ValueError.
+    arguments : sequence of str
+        The command line, to say in which file and line a bad value stands, and to know what
+        was given last.
+
+    Attributes
+    ----------
+    settings : mapping of str to value
+        All present settings. Replaced at every change and never modified, so that a thread may
+        take it at any time.
+
+    Raises
+    ------
+    ParameterError
+        In one line, if a file or an argument gives a value that is refused, or a name that is
+        no parameter.
+
+    Notes
+    -----
+    rclpy looks at a request in this order: pre-set callbacks, names, types and ranges of the
+    descriptors, on-set callbacks, post-set callbacks. Its own words for a wrong type name
+    neither parameter nor value, and for an unknown name nothing at all. So requests are judged in
+    the pre-set callback; what is refused is replaced there by a `_Refusal`, which rclpy lets
+    pass, and refused with our words in the on-set callback. Nobody else's callback gets to see
+    a part of a refused request, and the descriptors can still tell tools types and ranges.
+
+    Requests arrive in the executor's thread. `apply` and `set_results` belong there too.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        on_changed: Callable[[dict[str, Any]], None],
+        *,
+        check: Callable[[Settings], None] | None = None,
+        arguments: Sequence[str] = (),
+    ) -> None:
+        self._node = node
+        self._on_changed = on_changed
+        self._check = check
+        # rclpy has no public way to see values for names that are not declared: the typos
+        overrides = node._parameter_overrides.values()
+        values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
+        given = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
+        self.settings: Settings = files.start(values, given)
+        self._check_complete(self.settings)
+        for entry in TABLE:
+            value = self.settings.get(entry.name, entry.default)
+            node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
+        node.add_pre_set_parameters_callback(self._on_pre_set)
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_post_set)
+
+    def apply(self, changes: Settings) -> None:
+        """
+        Change several settings at once, as a request from outside would.
+
+        Raises
+        ------
+        ParameterError
+            If they are refused; then nothing has changed.
+
+        """
+        self._set([Parameter(name, value=value) for name, value in changes.items()])
+
+    def set_results(self, results: Mapping[str, float]) -> None:
+        """
+        Set parameters `recommended.*`, which are refused to everybody else.
+
+        Parameters
+        ----------
+        results : mapping of str to float
+            By the name without `recommended.`; results that are missing become nan.
+
+        Raises
+        ------
+        ParameterError
+            If one is no result.
+
+        """
+        values = {entry.name: math.nan for entry in TABLE if entry.is_result}
+        for name, value in results.items():
+            if f'recommended.{name}' not in values:
+                raise ParameterError(f'no result is named {name!r}, got {value!r} for it', name)
+            values[f'recommended.{name}'] = float(value)
+        self._set([_Result(name, value=value) for name, value in values.items()])
+
+    def _set(self, parameters: list[Parameter]) -> None:
+        result = self._node.set_parameters_atomically(parameters)
+        if not result.successful:
+            raise ParameterError(result.reason)
+
+    def _is_foreign(self, name: str) -> bool:
+        """Tell whether somebody else answers for a parameter."""
+        declared = name not in BY_NAME and self._node.has_parameter(name)
+        return declared or files.is_foreign(name)
+
+    def _check_complete(self, settings: Settings) -> None:
+        try:
+            if self._check is not None:
+                self._check(settings)
+        except ValueError as error:
+            raise ParameterError(str(error)) from error
+
+    def _on_pre_set(self, parameters: list[Parameter]) -> list[Parameter]:
+        try:
+            return self._accepted(parameters)
+        except ParameterError as error:
+            refusal = _Refusal('model', value=self.settings['model'])
+            refusal.reason = str(error)
+            return [refusal]
+
+    def _accepted(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Return the parameters to be set instead, or raise ParameterError."""
+        passed: list[Parameter] = []
+        request: dict[str, Any] = {}
+        for parameter in parameters:
+            name, value = parameter.name, parameter.value
+            if isinstance(parameter, _Result) or self._is_foreign(name):
+                passed.append(parameter)
+            elif name in request:
+                raise ParameterError(f'{name} is given twice, {request[name]!r} and {value!r}')
+            else:
+                request[name] = value
+        changes = change(self.settings, request)
+        if changes:
+            self._check_complete({**self.settings, **changes})
+        return passed + [Parameter(name, value=value) for name, value in changes.items()]
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if isinstance(parameter, _Refusal):
+                return SetParametersResult(successful=False, reason=parameter.reason)
+        return SetParametersResult(successful=True)
+
+    def _on_post_set(self, parameters: list[Parameter]) -> None:
+        changes = {
+            parameter.name: parameter.value
+            for parameter in parameters
+            if parameter.name in self.settings and parameter.value != self.settings[parameter.name]
+        }
+        if changes:
+            self.settings = {**self.settings, **changes}
+            self._on_changed(changes)
+
+
+def _descriptor(entry: Entry) -> ParameterDescriptor:
+    unit = f' [{entry.unit}]' if entry.unit else ''
+    descriptor = ParameterDescriptor(
+        description=f'{entry.meaning}{unit}', additional_constraints=entry.rule
+    )
+    low = 0 if entry.or_zero else entry.low
+    if isinstance(entry.default, int):
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
+    elif math.isfinite(low):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(entry.high))
+        ]
+    return descriptor

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+from pathlib import Path
+import re
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+from soft_throw_ros.configuration import change, defaults, files, LAYERS, ParameterError
+import yaml
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Any:
+    """Write a file into a new folder, and return its path."""
+
+    def write(text: str, name: str = 'twin.yaml') -> Path:
+        path = tmp_path / name
+        path.write_text(text, 'utf-8')
+        return path
+
+    return write
+
+
+def read_one(path: Path, name: str = 'layer.thickness', node: str = '/twin') -> Any:
+    return files.read(path, node=node)[name]
+
+
+def start(arguments: list[str]) -> dict[str, Any]:
+    """Start from arguments as the node does."""
+    chosen = files.select(files.read_arguments(arguments), '/twin')
+    return files.start({name: item.value for name, item in chosen.items()}, chosen)
+
+
+def test_read_of_the_installed_file_gives_the_defaults() -> None:
+    assert files.read(files.default_file()) == defaults()
+    assert files.read(files.default_file(), node='/rig1/twin') == defaults()
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'twin: {ros__parameters: {layer: {thickness: 0.01}}}',
+        '/twin: {ros__parameters: {layer.thickness: 10e-3}}',
+        '/**: {ros__parameters: {layer: {thickness: 1e-2}}}',
+        '/**/twin: {ros__parameters: {layer: {thickness: 0.01}}}',
+        '/*: {ros__parameters: {layer: {thickness: 0.01}}}',
+        '/**: {ros__parameters: {layer.thickness: 0.02}}\n'
+        'twin: {ros__parameters: {layer.thickness: 0.01}}',
+        'other: {ros__parameters: {what: [1, 2], who: ~}}\n'
+        'twin: {ros__parameters: {layer.thickness: 0.01, use_sim_time: true, '
+        'qos_overrides./x.publisher.depth: 7, recommended: {thickness: .nan}}}',
+    ],
+)
+def test_read_finds_the_node_however_it_is_written(write: Any, text: str) -> None:
+    expected = {**defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom'}
+    assert files.read(write(text)) == expected
+
+
+@pytest.mark.parametrize(
+    ('pattern', 'node', 'matches'),
+    [
+        ('/*/twin', '/rig1/twin', True),
+        ('/*/twin', '/twin', False),
+        ('/rig1/*', '/rig1/twin', True),
+        ('/rig1/*', '/rig1/sub/twin', False),
+        ('/rig1/**', '/rig1/sub/twin', True),
+        ('twin', '/rig1/twin', False),
+        ('/rig1/twin', '/rig1/twin', True),
+        ('/twin', '/twin2', False),
+        ('/a(b', '/twin', False),
+    ],
+)
+def test_read_matches_names_as_ros_does(
+    write: Any, pattern: str, node: str, matches: bool
+) -> None:
+    path = write(f'{pattern}: {{ros__parameters: {{layer.thickness: 0.01}}}}')
+    if matches:
+        assert read_one(path, node=node) == 0.01
+    else:
+        with pytest.raises(ParameterError, match=re.escape(f'nothing for node {node}')):
+            files.read(path, node=node)
+
+
+@pytest.mark.parametrize(
+    ('text', 'line', 'message'),
+    [
+        ('twin:\n  ros__parameters:\n    layer:\n      thickness: 16.8\n', 4, 'got 16.8'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: -1\n', 3, 'got -1'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: 0\n', 3, 'got 0'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: .nan\n', 3, 'got nan'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: -.inf\n', 3, 'got -inf'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: soft\n', 3, "got 'soft'"),
+        ('twin:\n  ros__parameters:\n    layer.thickness: [1, 2]\n', 3, r'got \[1, 2\]'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: yes\n', 3, 'got True'),
+        ('twin:\n  ros__parameters:\n    layer.thickness:\n', 3, "got ''"),
+        ('twin:\n  ros__parameters:\n    gravity: 0\n    layr.name: custom\n', 4,
+         "'layr.name'; did you mean layer.name"),
+        ('twin:\n  ros__parameters:\n    layer.name: gelatin_2.0mm\n    layer.density: 900\n', 4,
+         'layer.density of gelatin_2.0mm is 1000, got 900'),
+        ('twin:\n  layer.thickness: 0.01\n', 2, "got '0.01' before any ros__parameters"),
+        ('- 1\n', 1, 'before any ros__parameters'),
+        ('twin:\n  ros__parameters: {a: [\n', 3, 'expected the node content'),
+        ('twin:\n\tros__parameters: 1\n', 2, 'cannot start any token'),
+        ('twin: &a\n  ros__parameters: *a\n', 2, r'ROS takes no alias, got \*a'),
+    ],
+)  # fmt: skip
+def test_read_names_file_and_line(write: Any, text: str, line: int, message: str) -> None:
+    path = write(text)
+    with pytest.raises(ParameterError, match=message) as refused:
+        files.read(path)
+    assert str(refused.value).startswith(f'{path}:{line}: ')
+    assert '\n' not in str(refused.value)
+
+
+@pytest.mark.parametrize('content', [None, b'\xff\xfe', b'\x00', b'', b'# nothing\n', b'[' * 9999])
+def test_read_refuses_a_file_with_nothing_to_read(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / 'twin.yaml'
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ParameterError, match=f'^{re.escape(str(path))}: '):
+        files.read(path)
+
+
+@given(data=st.data())
+def test_write_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) -> None:
+    path = tmp_path_factory.getbasetemp() / 'written.yaml'
+    thickness = data.draw(st.floats(5e-4, 0.1))
+    amplitude = data.draw(st.floats(1e-5, 0.1))
+    request = {'layer.thickness': thickness, 'engine.amplitude': amplitude, 'throw.max_events': 3}
+    settings = {**defaults(), **change(defaults(), request)}
+    files.write(path, settings, title='Two\n\nlines')
+    assert files.read(path) == settings
+    everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
+    assert everybody['engine']['amplitude'] == amplitude  # and not its text
+    assert everybody['layer']['thickness'] == thickness
+
+
+def test_write_of_some_settings_leaves_the_others_out(tmp_path: Path) -> None:
+    path = tmp_path / 'some.yaml'
+    files.write(path, {'gravity': 0.0, 'engine.frequency': 31.2})
+    expected = {'engine': {'frequency': 31.2}, 'gravity': 0.0}
+    assert yaml.safe_load(path.read_text())['/**/twin']['ros__parameters'] == expected
+
+
+def test_arguments_are_one_request_after_the_file(write: Any) -> None:
+    path = str(files.default_file())
+    named = start(['twin', '--ros-args', '--params-file', path, '-p', 'layer.name:=gelatin_2.0mm'])
+    assert named == {**defaults(), 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm']}
+    thick = start(['--ros-args', '--params-file', path, '--param', 'twin:layer.thickness:=1e-2'])
+    assert thick == {**defaults(), 'layer.name': 'custom', 'layer.thickness': 0.01}
+    later = write('twin: {ros__parameters: {layer.name: gelatin_2.0mm}}')
+    assert named == start(['--ros-args', '--params-file', path, '--params-file', str(later)])
+
+
+def test_arguments_that_contradict_each_other_are_refused() -> None:
+    arguments = ['--ros-args', '-p', 'layer.name:=gelatin_2.0mm', '-p', 'layer.thickness:=0.01']
+    with pytest.raises(ParameterError, match=r'^-p layer.thickness:=0.01: .* is 0.002, got 0.01;'):
+        start(arguments)
+
+
+def test_arguments_outside_ros_args_are_not_ours() -> None:
+    assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == defaults()
+
+
+@pytest.mark.parametrize(
+    ('rule', 'message'),
+    [
+        ('layer.thickness:=nan', 'got nan'),
+        ('layer.thicknes:=0.01', 'did you mean layer.thickness'),
+        ('recommended.thickness:=0.01', 'is a result'),
+        ('layer.thickness:=[', 'expected the node content'),
+    ],
+)
+def test_bad_argument_is_quoted(rule: str, message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as refused:
+        start(['--ros-args', '-p', rule])
+    assert str(refused.value).startswith(f'-p {rule}: ')
+
+
+def test_select_lets_the_later_pattern_win(write: Any) -> None:
+    """A known surprise of ROS: `-p` counts where the file has its `/**`."""
+    path = write('/**: {ros__parameters: {gravity: 1}}\ntwin: {ros__parameters: {gravity: 2}}\n')
+    file = ['--ros-args', '--params-file', str(path)]
+    assert start([*file, '-p', 'gravity:=3'])['gravity'] == 2.0
+    assert start([*file, '-p', 'twin:gravity:=3'])['gravity'] == 3.0
+
+
+def test_start_takes_values_from_nowhere() -> None:
+    assert start([]) == defaults()
+    assert files.start({'gravity': 0}, {})['gravity'] == 0.0
+    with pytest.raises(ParameterError, match=r'^gravity must be .* got nan'):
+        files.start({'gravity': math.nan}, {})
