@@ -11,7 +11,8 @@ import signal
 import subprocess
 import sys
 import sysconfig
-from xml.etree import ElementTree
+import threading
+from xml.etree import ElementTree as ET
 import zipfile
 
 import pytest
@@ -20,27 +21,28 @@ from soft_throw_ros.__main__ import EXECUTABLES
 
 ROOT = Path(__file__).parents[1]
 CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.yaml')}
-MANIFEST = ElementTree.parse(ROOT / 'package.xml')
+MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
+ON_PYPI = {'numba': 'numba', 'numpy': 'numpy', 'scipy': 'scipy', 'yaml': 'pyyaml'}
 # Nothing is downloaded: what the build needs and what the package needs are there already.
 OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
 
 PRINT_PLACE_AND_CONFIG = """
 from importlib.resources import files
 import soft_throw_ros
 print(soft_throw_ros.__file__)
-for path in sorted(files('soft_throw_ros').joinpath('config').iterdir(), key=lambda path: path.name):
+for path in files('soft_throw_ros').joinpath('config').iterdir():
     print(path.name, path.read_bytes().hex())
 """
 
 
 def run(*command, cwd, **environment):
     """Run a command to its end, as from a shell that knows nothing of this checkout."""
-    inherited = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
     done = subprocess.run(
         list(map(str, command)),
         cwd=cwd,
-        env=inherited | environment,
+        env=ENVIRONMENT | environment,
         capture_output=True,
         check=False,
         text=True,
@@ -76,6 +78,14 @@ def wheel(source, tmp_path_factory):
     return built
 
 
+@pytest.fixture(scope='module')
+def metadata(wheel):
+    """Read what the wheel says of itself."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
+        return Parser().parsestr(archive.read(name).decode())
+
+
 @pytest.fixture
 def environment(tmp_path):
     """Make an environment without the package that shares all else with this one."""
@@ -108,27 +118,29 @@ def in_workspace(prefix, *command):
     return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
 
 
-def test_versions_agree(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        (metadata,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
-        setup_version = Parser().parsestr(archive.read(metadata).decode())['Version']
-    (released, *_) = re.findall(r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
-    assert setup_version == soft_throw_ros.__version__
+def test_versions_agree(metadata):
+    (released, *_) = re.findall(
+        r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE
+    )
+    assert metadata['Version'] == soft_throw_ros.__version__
     assert MANIFEST.findtext('version') == soft_throw_ros.__version__
     assert released == soft_throw_ros.__version__
 
 
-def test_manifest_names_exactly_what_the_code_imports():
-    keys = {'numba': 'python3-numba', 'numpy': 'python3-numpy', 'scipy': 'python3-scipy',
-            'yaml': 'python3-yaml'}  # fmt: skip
+def test_dependencies_are_exactly_what_the_code_imports(metadata):
     trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
-    roots = {name.split('.')[0] for name in names}
-    imported = roots - set(sys.stdlib_module_names) - {'soft_throw_ros'}
+    imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
+    of_ros = imported - ON_PYPI.keys() - {'soft_throw_ros'}
+
     declared = {element.text for element in MANIFEST.findall('exec_depend')}
-    assert {keys.get(name, name) for name in imported} == declared
+    required = metadata.get_all('Requires-Dist')
+    assert declared == of_ros | {f'python3-{name}' for name in imported & ON_PYPI.keys()}
+    assert {line for line in required if 'extra' not in line} == {
+        ON_PYPI[name] for name in imported & ON_PYPI.keys()
+    }
 
 
 def test_wheel_has_config_and_one_command(wheel):
@@ -190,3 +202,27 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
 def test_colcon_build_finds_config(colcon_prefix, tmp_path):
     command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PLACE_AND_CONFIG)
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize('colcon_prefix', [()], ids=['copies'], indirect=True)
+def test_colcon_twin_throws_until_it_is_interrupted(colcon_prefix, tmp_path):
+    lines = []
+    with subprocess.Popen(
+        in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin'),
+        cwd=tmp_path,
+        env=ENVIRONMENT | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as twin:
+        watchdog = threading.Timer(250, twin.kill)  # the first start compiles
+        watchdog.start()
+        for line in twin.stdout:
+            lines.append(line)
+            if 't_e' in line:
+                twin.send_signal(signal.SIGINT)
+        watchdog.cancel()
+    assert any('t_e' in line for line in lines), ''.join(lines)
+    assert twin.returncode == 0, ''.join(lines)
+    assert not any('Traceback' in line for line in lines), ''.join(lines)
