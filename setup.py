@@ -52,6 +52,7 @@ setup(
             'import-linter>=2.1',
             'mypy==2.4.1',  # these two have opinions that change with the version
             'ruff==0.17.5',
+            'pip>=22.3',
             'pytest>=7.4',
             'pytest-timeout',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
