@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+When and how fast a projectile leaves a massless spring (App. A of the paper).
+
+What is left of the layer when no time is given to waves: good for light, stiff layers, and a
+yardstick elsewhere. It knows one number, the natural frequency of the projectile on the layer
+over the engine's, :math:`q = f_0 / f`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.travelling_wave import FirstRelease
+
+
+def frequency_ratio(
+    *, mass_ratio: ArrayLike, speed_ratio: ArrayLike
+) -> float | NDArray[np.float64]:
+    r"""
+    Natural frequency of the projectile on the layer over the engine's, :math:`f_0 / f`.
+
+    Parameters
+    ----------
+    mass_ratio : array_like
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : array_like
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+
+    Returns
+    -------
+    float or ndarray
+        :math:`\kappa / (2 \pi \sqrt{\mu})`, of the shape that the arguments broadcast to. [-]
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not finite and positive.
+
+    """
+    mu = checks.positive_array('mass_ratio', mass_ratio)
+    kappa = checks.positive_array('speed_ratio', speed_ratio)
+    return _as_float_if_scalar(kappa / (2.0 * math.pi * np.sqrt(mu)))
+
+
+def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
+    r"""
+    Find when a projectile first leaves a massless spring, and how fast.
+
+    The plate is harmonic, and there is no gravity.
+
+    Parameters
+    ----------
+    frequency_ratio : array_like
+        :math:`q = f_0 / f`, see `frequency_ratio`. [-]
+
+    Returns
+    -------
+    FirstRelease
+        Of floats or arrays, as `frequency_ratio` is.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not finite and positive.
+
+    Notes
+    -----
+    Eqs. (A2)-(A4) of [1]_,
+
+    .. math::
+
+        t_e f = \frac{1}{1 + q}, \qquad
+        \frac{V_e}{V_p^*} = \frac{q}{q - 1} \sin \frac{2 \pi}{q + 1},
+
+    the latter as :math:`\pi q / (q + 1)\, \mathrm{sinc}\, \pi (q - 1) / (q + 1)`, which is
+    the same, and :math:`\pi / 2` at :math:`q = 1` instead of 0/0.
+
+    Left out, beside the mass of the layer: the plate's damping. [1]_ gives this model for a
+    harmonic plate only, so :math:`V_p^* = A \omega`; next to a damped throw it errs by the few
+    percent that damping makes, too.
+
+    References
+    ----------
+    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+    Examples
+    --------
+    >>> release = first_release(frequency_ratio=[0.5, 1.0, 2.0])
+    >>> release.ejection_phase.round(4), release.energy_transfer.round(4)
+    (array([0.6667, 0.5   , 0.3333]), array([0.75  , 2.4674, 3.    ]))
+
+    """
+    q = checks.positive_array('frequency_ratio', frequency_ratio)
+    speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
+    return FirstRelease(*map(_as_float_if_scalar, (1.0 / (1.0 + q), speed, speed**2)))
+
+
+@functools.cache
+def best_frequency_ratio() -> float:
+    """
+    Find the :math:`f_0 / f` that transfers the most energy.
+
+    Returns
+    -------
+    float
+        To a few roundings. [-]
+
+    Notes
+    -----
+    Root of the logarithmic derivative of (A4). [1]_ gives 1.62, and 3.13 for the energy transfer.
+
+    References
+    ----------
+    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+    Examples
+    --------
+    >>> best = best_frequency_ratio()
+    >>> round(best, 6), round(first_release(frequency_ratio=best).energy_transfer, 6)
+    (1.619874, 3.127442)
+
+    """
+
+    def slope(q: float) -> float:
+        angle = 2.0 * math.pi / (q + 1.0)
+        return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
+
+    return float(brentq(slope, 1.1, 2.9, xtol=1e-15))
+
+
+def _as_float_if_scalar(values: NDArray[np.float64]) -> float | NDArray[np.float64]:
+    return values if np.ndim(values) else float(values)
