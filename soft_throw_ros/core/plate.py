@@ -16,7 +16,6 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
-
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
 
@@ -43,7 +42,7 @@ class PlateMotion(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Underdamped:
-    """
+    r"""
     A step answered by a damped oscillator: up, over, and down to the new height.
 
     Parameters
@@ -53,7 +52,7 @@ class Underdamped:
     amplitude : float
         Height :math:`A` at which the plate settles. [m]
     damping_ratio : float
-        :math:`\\zeta`; 0 gives the harmonic motion :math:`A (1 - \\cos \\omega t)` of Eq. (1). [-]
+        :math:`\zeta`; 0 gives the harmonic motion :math:`A (1 - \cos \omega t)` of Eq. (1). [-]
 
     Raises
     ------
@@ -62,9 +61,9 @@ class Underdamped:
 
     Notes
     -----
-    Eqs. (D2)-(D4) of [1]_, with :math:`\\omega_d = \\omega \\sqrt{1 - \\zeta^2}`:
+    Eqs. (D2)-(D4) of [1]_, with :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
 
-    .. math:: V_p = \\frac{A \\omega}{\\sqrt{1 - \\zeta^2}} e^{-\\zeta \\omega t} \\sin \\omega_d t
+    .. math:: V_p = \frac{A \omega}{\sqrt{1 - \zeta^2}} e^{-\zeta \omega t} \sin \omega_d t
 
     References
     ----------
@@ -101,13 +100,13 @@ class Underdamped:
 
     @property
     def exponent(self) -> complex:
-        """:math:`\\lambda = -\\zeta \\omega + i \\omega_d`. [1/s]"""
+        r""":math:`\lambda = -\zeta \omega + i \omega_d`. [1/s]"""
         omega = 2.0 * math.pi * self.frequency
         return omega * complex(-self.damping_ratio, math.sqrt(1.0 - self.damping_ratio**2))
 
     @property
     def velocity_factor(self) -> float:
-        """:math:`V_p(t)` is the imaginary part of this times :math:`e^{\\lambda t}`. [m/s]"""
+        r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}`. [m/s]"""
         omega = 2.0 * math.pi * self.frequency
         return self.amplitude * omega / math.sqrt(1.0 - self.damping_ratio**2)
 
@@ -145,7 +144,7 @@ class Underdamped:
 
 
 def peak_velocity_ratio(damping_ratio: float) -> float:
-    """Largest plate speed over :math:`A \\omega`, Eq. (D4). [-]"""
+    r"""Largest plate speed over :math:`A \omega`, Eq. (D4). [-]"""
     angle = math.acos(damping_ratio)
     return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
 
@@ -200,9 +199,7 @@ class Sampled:
 
         """
         times, positions = _checked_samples(times, positions, 'positions')
-        spline = CubicSpline(
-            times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot')
-        )
+        spline = CubicSpline(times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot'))
         return cls(path=spline, after=after)
 
     @classmethod
@@ -230,7 +227,7 @@ class Sampled:
     @property
     def knots(self) -> Floats:
         """The times of the samples. [s]"""
-        return self.path.x
+        return np.asarray(self.path.x)
 
     @property
     def peak_velocity(self) -> float:
@@ -272,7 +269,7 @@ class Sampled:
             raise ValueError(
                 f'time {time.max():g} s is after the last plate sample at {self.end_time:g} s'
             )
-        return np.clip(time, self.start_time, self.end_time)
+        return np.asarray(np.clip(time, self.start_time, self.end_time))
 
 
 def _checked_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:

@@ -29,7 +29,7 @@ def _check(part: object, **kinds: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
-    """
+    r"""
     The ejection engine, whose plate jumps up once and settles at `amplitude`.
 
     Parameters
@@ -39,7 +39,7 @@ class Engine:
     amplitude : float
         Height :math:`A` at which the plate settles. [m]
     damping_ratio : float
-        Damping ratio :math:`\\zeta`, 0 for the harmonic motion of Eq. (1). [-]
+        Damping ratio :math:`\zeta`, 0 for the harmonic motion of Eq. (1). [-]
 
     Raises
     ------
@@ -57,18 +57,18 @@ class Engine:
 
     @property
     def angular_frequency(self) -> float:
-        """:math:`\\omega = 2 \\pi f`. [rad/s]"""
+        r""":math:`\omega = 2 \pi f`. [rad/s]"""
         return 2.0 * math.pi * self.frequency
 
     @property
     def speed_scale(self) -> float:
-        """:math:`A \\omega`, the largest plate speed without damping. [m/s]"""
+        r""":math:`A \omega`, the largest plate speed without damping. [m/s]"""
         return self.amplitude * self.angular_frequency
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layer:
-    """
+    r"""
     The soft layer, a cylinder.
 
     Parameters
@@ -76,9 +76,9 @@ class Layer:
     thickness : float
         :math:`L_s`. [m]
     wave_speed : float
-        Speed of longitudinal waves :math:`c_s = \\sqrt{E_s / \\rho_s}`. [m/s]
+        Speed of longitudinal waves :math:`c_s = \sqrt{E_s / \rho_s}`. [m/s]
     density : float
-        :math:`\\rho_s`. [kg/m3]
+        :math:`\rho_s`. [kg/m3]
     diameter : float
         Of the section :math:`S`. [m]
     loss_tangent : float
@@ -107,12 +107,12 @@ class Layer:
 
     @property
     def mass(self) -> float:
-        """:math:`\\rho_s S L_s`. [kg]"""
+        r""":math:`\rho_s S L_s`. [kg]"""
         return self.density * self.section * self.thickness
 
     @property
     def youngs_modulus(self) -> float:
-        """:math:`E_s = \\rho_s c_s^2`. [Pa]"""
+        r""":math:`E_s = \rho_s c_s^2`. [Pa]"""
         return self.density * self.wave_speed**2
 
     @property
@@ -193,18 +193,16 @@ class Rig:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        _check(
-            self, engine='part', layer='part', projectile='part', gravity='not_negative'
-        )
+        _check(self, engine='part', layer='part', projectile='part', gravity='not_negative')
 
     @property
     def mass_ratio(self) -> float:
-        """:math:`\\mu = m / (\\rho_s S L_s)`, projectile over layer. [-]"""
+        r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer. [-]"""
         return self.projectile.mass / self.layer.mass
 
     @property
     def speed_ratio(self) -> float:
-        """:math:`\\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
+        r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
         return 1.0 / (self.layer.crossing_time * self.engine.frequency)
 
     @property
@@ -214,7 +212,7 @@ class Rig:
 
     @property
     def relaxation_time(self) -> float:
-        """:math:`\\tau = m c_s / (E_s S) = \\mu t_s`, of the mass against the layer. [s]"""
+        r""":math:`\tau = m c_s / (E_s S) = \mu t_s`, of the mass against the layer. [s]"""
         return self.projectile.mass / self.layer.impedance
 
     @property
@@ -230,5 +228,5 @@ class Rig:
 
     @property
     def gravity_ratio(self) -> float:
-        """:math:`g / (A \\omega^2)`. [-]"""
+        r""":math:`g / (A \omega^2)`. [-]"""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)

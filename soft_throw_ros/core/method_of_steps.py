@@ -1,0 +1,535 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+The travelling-wave model for any plate motion, through every release and landing.
+
+Notes
+-----
+At the top of the layer the upward wave :math:`p` and the downward wave :math:`q` obey
+
+.. math::
+
+    p(t) = V_p(t - t_s) - q(t - 2 t_s), \qquad
+    q = V_m - p \ \text{(contact)}, \qquad q = p + g \tau \ \text{(flight)}
+
+(about the static equilibrium), and in contact :math:`\tau \dot V_m + V_m = 2 p`. Since p only
+needs q of two crossings ago, time is cut into pieces within which all is smooth: at the kinks
+that the start, the samples of the plate and every event send up and down the layer, and wherever
+24 Chebyshev coefficients would not reach rounding. On a piece the equation of the mass is one
+small linear system, and events are roots of polynomials. The result is exact to about 1e-12 of
+the plate's speed, without a step size.
+
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass
+import heapq
+from itertools import pairwise
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.plate import PlateMotion, Sampled, Underdamped
+from soft_throw_ros.core.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_SIZE = 24  # coefficients of a piece
+_TOLERANCE = 1e-13  # of the plate's speed, for the last coefficients
+_MAX_PIECES = 100_000
+
+
+def _transform() -> tuple[Floats, Floats]:
+    """Chebyshev points of the first kind (never at an end), and values -> coefficients."""
+    nodes: Floats = np.cos(np.pi * (np.arange(_SIZE) + 0.5) / _SIZE)
+    return nodes, np.asarray(np.linalg.inv(chebyshev.chebvander(nodes, _SIZE - 1)), np.float64)
+
+
+def _integration() -> Floats:
+    """Coefficients of a function -> those of its integral from -1, cut off at the same size."""
+    columns = [chebyshev.chebint(row, lbnd=-1)[:_SIZE] for row in np.eye(_SIZE)]
+    return np.stack(columns, axis=1)
+
+
+_NODES, _TO_COEFFICIENTS = _transform()
+_INTEGRAL = _integration()
+_IDENTITY = np.eye(_SIZE)
+_AT_END = np.ones(_SIZE)
+_AT_START = (-1.0) ** np.arange(_SIZE)
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(_SIZE)
+
+
+class ThrowTooLongError(RuntimeError):
+    """More pieces would be needed than memory and patience allow."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """
+    The projectile leaves the layer, or touches it again.
+
+    Attributes
+    ----------
+    kind : {'release', 'landing'}
+    time : float
+        Since the plate's clock began. [s]
+    velocity : float
+        Of the projectile. [m/s]
+    position : float
+        Of the projectile's lower face above the plate's rest position. [m]
+
+    """
+
+    kind: Literal['release', 'landing']
+    time: float
+    velocity: float
+    position: float
+
+
+class _Series:
+    """A function of time as Chebyshev pieces laid end to end, constant 0 before the first."""
+
+    def __init__(self, start: float) -> None:
+        self.edges = [start]
+        self.pieces: list[Floats] = []
+        self._stack: Floats | None = None
+
+    def append(self, end: float, coefficients: Floats) -> None:
+        self.edges.append(end)
+        self.pieces.append(coefficients)
+        self._stack = None
+
+    def __call__(self, times: Floats) -> Floats:
+        """Evaluate; times after the last piece are taken as at its end."""
+        if not self.pieces:
+            return np.zeros_like(times)
+        first = bisect.bisect_right(self.edges, float(times.min())) - 1
+        last = bisect.bisect_right(self.edges, float(times.max())) - 1
+        if first == last and 0 <= first < len(self.pieces):
+            left, right = self.edges[first], self.edges[first + 1]
+            x = (2.0 * times - (left + right)) / (right - left)
+            return np.asarray(chebyshev.chebval(x, self.pieces[first]))
+        if self._stack is None:
+            self._stack = np.array(self.pieces)
+        edges = np.asarray(self.edges)
+        index = np.searchsorted(edges, times, side='right') - 1
+        inside = np.clip(index, 0, len(self.pieces) - 1)
+        lefts, rights = edges[inside], edges[inside + 1]
+        x = np.clip((2.0 * times - (lefts + rights)) / (rights - lefts), -1.0, 1.0)
+        values = chebyshev.chebval(x, np.moveaxis(self._stack[inside], -1, 0), tensor=False)
+        return np.where(index < 0, 0.0, values)
+
+
+class WaveHistory:
+    """
+    All that happens in one throw, from rest to the last event asked for.
+
+    Made by `follow`. Times are those of the plate's motion.
+
+    Attributes
+    ----------
+    rig : Rig
+    motion : PlateMotion
+    events : tuple of Event
+        In order; the first is a release. Empty if the projectile never left in the time given.
+    end_time : float
+        Until when everything is known. [s]
+
+    """
+
+    def __init__(self, rig: Rig, motion: PlateMotion) -> None:
+        self.rig = rig
+        self.motion = motion
+        self._crossing = rig.crossing_time
+        start = float(motion.knots[0]) + self._crossing
+        self._down = _Series(start)  # q at the top
+        self._mass_velocity = _Series(start)
+        self._mass_rise = _Series(start)
+        self._top_rise = _Series(start)
+        self.events: tuple[Event, ...] = ()
+
+    @property
+    def end_time(self) -> float:
+        """Until when everything is known. [s]"""
+        return self._down.edges[-1]
+
+    def upward(self, times: Floats) -> Floats:
+        """Upward wave at the top, p; known for one crossing more than the rest. [m/s]"""
+        return self.motion.velocity(times - self._crossing) - self._down(
+            times - 2.0 * self._crossing
+        )
+
+    def projectile_velocity(self, time: ArrayLike) -> Floats:
+        """Velocity of the projectile, upwards. [m/s]"""
+        return self._mass_velocity(self._known(time))
+
+    def projectile_position(self, time: ArrayLike) -> Floats:
+        """Height of the projectile's lower face above the plate's rest position. [m]"""
+        return self._rest_height() + self._mass_rise(self._known(time))
+
+    def top_position(self, time: ArrayLike) -> Floats:
+        """Height of the top of the layer above the plate's rest position. [m]"""
+        return self._rest_height() + self._top_rise(self._known(time))
+
+    def velocity(self, depth: ArrayLike, time: ArrayLike) -> Floats:
+        """
+        Velocity of the layer's material, upwards. [m/s]
+
+        Parameters
+        ----------
+        depth : array_like
+            Coordinate y in the layer, 0 at the plate, the thickness at the top. [m]
+        time : array_like
+            Broadcast against `depth`. [s]
+
+        Returns
+        -------
+        ndarray
+            Of the broadcast shape.
+
+        Raises
+        ------
+        ValueError
+            Outside the layer, or after `end_time`.
+
+        """
+        up, down = self._waves(depth, time)
+        return up + down
+
+    def strain(self, depth: ArrayLike, time: ArrayLike) -> Floats:
+        """
+        Strain of the layer, negative in compression, with the weight's static part. [-]
+
+        Parameters and errors as for `velocity`.
+        """
+        up, down = self._waves(depth, time)
+        static = self.rig.gravity * self.rig.relaxation_time
+        return (down - up - static) / self.rig.layer.wave_speed
+
+    def contact_force(self, time: ArrayLike) -> Floats:
+        """Force of the layer on the projectile, upwards: 0 in flight. [N]"""
+        time = self._known(time)
+        pushed = self.rig.layer.impedance * (self.upward(time) - self._down(time))
+        force = pushed + self.rig.projectile.mass * self.rig.gravity
+        return np.where(self._touching(time), force, 0.0)
+
+    def plate_force(self, time: ArrayLike) -> Floats:
+        """Force of the layer on the plate, upwards: negative when the plate pushes. [N]"""
+        time = self._known(time)
+        wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
+        weight = self.rig.projectile.mass * self.rig.gravity
+        return self.rig.layer.impedance * wave - weight
+
+    def plate_work(self, time: float) -> float:
+        """Work that the plate has done on layer and projectile until `time`. [J]"""
+        start = float(self.motion.knots[0])
+        edges = self._edges(start, time, (self._down.edges, self._crossing))
+        nodes, weights = _quadrature(edges)
+        return -float(np.sum(weights * self.plate_force(nodes) * self.motion.velocity(nodes)))
+
+    def layer_energy(self, time: float) -> float:
+        """Kinetic and elastic energy of the layer, more than at rest under the weight. [J]"""
+        layer = self.rig.layer
+        past, past_weights = _quadrature(
+            self._edges(time - self._crossing, time, (self._down.edges, 0.0))
+        )
+        coming, coming_weights = _quadrature(
+            self._edges(time, time + self._crossing, (self._down.edges, 2.0 * self._crossing))
+        )
+        waves = np.sum(past_weights * self._down(past) ** 2)
+        waves += np.sum(coming_weights * self.upward(coming) ** 2)
+        stretch = self._top_rise(np.array([time]))[0] - self.motion.position(time)
+        weight = self.rig.projectile.mass * self.rig.gravity
+        return float(layer.impedance * waves - weight * stretch)
+
+    def projectile_energy(self, time: float) -> float:
+        """Kinetic and potential energy of the projectile, more than at rest. [J]"""
+        mass = self.rig.projectile.mass
+        speed = self._mass_velocity(np.array([time]))[0]
+        rise = self._mass_rise(np.array([time]))[0]
+        return float(mass * (0.5 * speed**2 + self.rig.gravity * rise))
+
+    def _rest_height(self) -> float:
+        return self.rig.layer.thickness - self.rig.static_sag
+
+    def _known(self, time: ArrayLike) -> Floats:
+        time = np.asarray(time, dtype=np.float64)
+        if time.size and not time.max() <= self.end_time:
+            raise ValueError(
+                f'time {time.max():g} s is after {self.end_time:g} s, where this history ends; '
+                'follow the throw for longer (until, max_events)'
+            )
+        return time
+
+    def _waves(self, depth: ArrayLike, time: ArrayLike) -> tuple[Floats, Floats]:
+        """Upward and downward wave at (depth, time)."""
+        depth = np.asarray(depth, dtype=np.float64)
+        thickness = self.rig.layer.thickness
+        if depth.size and not (depth.min() >= 0.0 and depth.max() <= thickness):
+            outside = depth[~((depth >= 0.0) & (depth <= thickness))].flat[0]
+            raise ValueError(f'depth must be in [0, {thickness:g}] m, got {outside:g}')
+        from_top = (thickness - depth) / self.rig.layer.wave_speed
+        time = self._known(time)
+        return self.upward(time + from_top), self._down(time - from_top)
+
+    def _touching(self, time: Floats) -> NDArray[np.bool_]:
+        """Tell where the projectile lies on the layer; at a release it still does."""
+        passed = np.searchsorted([event.time for event in self.events], time, side='left')
+        return np.asarray(passed % 2 == 0)
+
+    def _edges(self, start: float, end: float, shifted: tuple[list[float], float]) -> Floats:
+        """Where to cut [start, end]: at shifted edges of pieces and at the plate's knots."""
+        edges, shift = shifted
+        all_edges = np.concatenate(
+            (np.asarray(edges) + shift, self.motion.knots, self.motion.knots + self._crossing)
+        )
+        inner = all_edges[(all_edges > start) & (all_edges < end)]
+        swings = math.ceil(4.0 * (end - start) * self.rig.engine.frequency)
+        return np.unique(np.concatenate((np.linspace(start, end, swings + 1), inner)))
+
+
+def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
+    """Gauss nodes and weights on consecutive intervals."""
+    half = 0.5 * np.diff(edges)[:, None]
+    middle = 0.5 * (edges[1:] + edges[:-1])[:, None]
+    return (middle + half * _GAUSS_NODES).ravel(), (half * _GAUSS_WEIGHTS).ravel()
+
+
+def follow(
+    rig: Rig,
+    motion: PlateMotion | None = None,
+    *,
+    until: float | None = None,
+    max_events: int | None = None,
+) -> WaveHistory:
+    """
+    Follow a throw from rest through releases and landings.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its layer must be lossless.
+    motion : PlateMotion, optional
+        How the plate moves; that of the rig's engine if not given.
+    until : float, optional
+        Stop at this time. A sampled motion that does not hold ends one crossing after its last
+        sample in any case. [s]
+    max_events : int, optional
+        Stop after so many releases and landings. If not given, and neither is `until`, stop when
+        the projectile falls back on the layer, or, without gravity, when it is far above all
+        that the free top did in two of its own and two of the plate's periods; a lossless bounce
+        would have no end. Without `until`, the first release is waited for during 100 crossings
+        and 50 plate periods.
+
+    Returns
+    -------
+    WaveHistory
+
+    Raises
+    ------
+    ValueError
+        If the layer has loss, `until` is not positive, or `max_events` is below 1.
+    ThrowTooLongError
+        If no end is reached within 100 000 pieces.
+
+    Examples
+    --------
+    >>> from soft_throw_ros.core.rig import Layer, Rig
+    >>> history = follow(Rig(layer=Layer(thickness=9.5e-3)), max_events=1)
+    >>> round(history.events[0].time * 1e3, 3)
+    6.442
+
+    """
+    if rig.layer.loss_tangent > 0.0:
+        raise ValueError(
+            f'layer.loss_tangent must be 0 for the travelling-wave model, '
+            f'got {rig.layer.loss_tangent:g}'
+        )
+    if until is not None:
+        checks.positive('until', until)
+    if max_events is not None and max_events < 1:
+        raise ValueError(f'max_events must be at least 1, got {max_events}')
+    if motion is None:
+        motion = Underdamped.of(rig.engine)
+    return _Follower(rig, motion, until, max_events).run()
+
+
+class _Follower:
+    """The march through the pieces."""
+
+    def __init__(
+        self, rig: Rig, motion: PlateMotion, until: float | None, max_events: int | None
+    ) -> None:
+        self.history = WaveHistory(rig, motion)
+        self.tau: float = rig.relaxation_time
+        self.crossing: float = rig.crossing_time
+        self.gravity = rig.gravity
+        self.lift = rig.gravity * rig.relaxation_time
+        self.scale = motion.peak_velocity
+        self.max_events = max_events
+        self.open_ended = until is None and max_events is None
+        self.until = math.inf if until is None else until
+        if isinstance(motion, Sampled) and motion.after == 'error':
+            self.until = min(self.until, motion.end_time + self.crossing)
+        self.kinks: list[float] = (motion.knots + self.crossing).tolist()
+        heapq.heapify(self.kinks)
+        self.time = float(heapq.heappop(self.kinks))
+        heapq.heappush(self.kinks, self.time + 2.0 * self.crossing)
+        self.patience = self.time + 100.0 * self.crossing + 50.0 / rig.engine.frequency
+        self.flying = False
+        self.velocity = 0.0
+        self.rise = 0.0
+        self.top = 0.0
+        self.top_high = self.top_low = 0.0
+        self.events: list[Event] = []
+
+    def run(self) -> WaveHistory:
+        """March until an end condition holds."""
+        length = self.crossing
+        for _ in range(_MAX_PIECES):
+            if self.time >= self.until or self._is_over():
+                self.history.events = tuple(self.events)
+                return self.history
+            end = min(self._next_kink(), self.until)
+            length = self._advance(min(end, self.time + length), end)
+        raise ThrowTooLongError(
+            f'more than {_MAX_PIECES} pieces until {self.time:g} s; give until or max_events'
+        )
+
+    def _next_kink(self) -> float:
+        """First kink clearly after now; those reached are sent round the layer again."""
+        while self.kinks[0] <= self.time * (1.0 + 4e-16) + 1e-13 * self.crossing:
+            kink = heapq.heappop(self.kinks)
+            heapq.heappush(self.kinks, kink + 2.0 * self.crossing)
+        return self.kinks[0]
+
+    def _is_over(self) -> bool:
+        if not self.events:  # heavy projectiles on slow plates are never thrown
+            return self.until == math.inf and self.time > self.patience
+        if self.max_events is not None and len(self.events) >= self.max_events:
+            return True
+        if not self.open_ended:
+            return False
+        if self.gravity > 0.0:
+            return self.events[-1].kind == 'landing' and self.events[-1].velocity <= 0.0
+        # Out of reach: far above all that the free top did while it was watched for long
+        swings = 8.0 * self.crossing + 2.0 / self.history.rig.engine.frequency
+        watched = self.time - self.events[-1].time > swings
+        beyond = self.rise - self.top_high > self.top_high - self.top_low
+        return self.flying and watched and beyond and self.velocity > 0.0
+
+    def _advance(self, end: float, limit: float) -> float:
+        """Do one piece, shorter than asked if it must be; return the next length to try."""
+        start = self.time
+        while True:
+            half = 0.5 * (end - start)
+            upward = _TO_COEFFICIENTS @ self.history.upward(start + half * (_NODES + 1.0))
+            rate = half / self.tau
+            if self.flying:
+                velocity: Floats = np.zeros(_SIZE)
+                velocity[0] = self.velocity - self.gravity * half
+                velocity[1] = -self.gravity * half
+                tail = upward[-3:]
+            else:
+                source = 2.0 * rate * (_INTEGRAL @ upward)
+                source[0] += self.velocity
+                velocity = np.linalg.solve(_IDENTITY + rate * _INTEGRAL, source)
+                tail = np.concatenate((upward[-3:], velocity[-3:]))
+            if np.abs(tail).max() <= _TOLERANCE * self.scale or half < 1e-12 * self.crossing:
+                break
+            end = 0.5 * (start + end)
+        event = self._first_event(half, upward, velocity)
+        if event is not None:
+            end = float(start + half * (event + 1.0))
+            if event > -1.0:
+                upward, velocity = _cut(upward, event), _cut(velocity, event)
+                half = 0.5 * (end - start)
+        if event is None or event > -1.0:
+            self._store(end, half, upward, velocity)
+        if event is not None:
+            self._happen(end)
+            return max(self.crossing * 1e-3, min(self.tau, self.crossing))
+        return limit - start if end == limit else 2.0 * (end - start)
+
+    def _first_event(self, half: float, upward: Floats, velocity: Floats) -> float | None:
+        """Where in [-1, 1] the force turns to pull, or the gap closes; None if it does not."""
+        if self.flying:
+            opening = velocity - 2.0 * upward
+            opening[0] -= self.lift
+            gap = half * (_INTEGRAL @ opening)
+            gap[0] += self.rise - self.top
+            return _first_negative(gap, 1e-14 * self.scale * half)
+        force = 2.0 * upward - velocity
+        force[0] += self.lift
+        return _first_negative(force, 1e-14 * self.scale)
+
+    def _store(self, end: float, half: float, upward: Floats, velocity: Floats) -> None:
+        """Lay the piece down and move on."""
+        history = self.history
+        rise = half * (_INTEGRAL @ velocity)
+        rise[0] += self.rise
+        if self.flying:
+            down = upward.copy()
+            down[0] += self.lift
+            top = half * (_INTEGRAL @ (upward + down))
+            top[0] += self.top
+        else:
+            down = velocity - upward
+            top = rise
+        history._down.append(end, down)
+        history._mass_velocity.append(end, velocity)
+        history._mass_rise.append(end, rise)
+        history._top_rise.append(end, top)
+        self.time = end
+        self.velocity = float(velocity @ _AT_END)
+        self.rise = float(rise @ _AT_END)
+        self.top = float(top @ _AT_END)
+        self.top_high = max(self.top_high, self.top)
+        self.top_low = min(self.top_low, self.top)
+
+    def _happen(self, time: float) -> None:
+        """Change between contact and flight."""
+        kind: Literal['release', 'landing'] = 'landing' if self.flying else 'release'
+        height = self.history._rest_height() + self.rise
+        self.events.append(Event(kind, time, self.velocity, height))
+        self.flying = not self.flying
+        self.top_high = self.top_low = self.rise = self.top
+        heapq.heappush(self.kinks, time + 2.0 * self.crossing)
+
+
+def _cut(coefficients: Floats, x: float) -> Floats:
+    """Coefficients of the same polynomial on [-1, x], stretched to [-1, 1]."""
+    return _TO_COEFFICIENTS @ chebyshev.chebval(
+        0.5 * (x + 1.0) * (_NODES + 1.0) - 1.0, coefficients
+    )
+
+
+def _first_negative(coefficients: Floats, noise: float) -> float | None:
+    """Left end of the first stretch of [-1, 1] on which a polynomial is below -noise."""
+    if coefficients[0] > np.abs(coefficients[1:]).sum():
+        return None
+    trimmed = chebyshev.chebtrim(coefficients, tol=1e-3 * noise)
+    if trimmed.size < 2:
+        return -1.0 if trimmed[0] < -noise else None
+    roots = chebyshev.chebroots(trimmed)
+    real = np.sort(roots[np.abs(roots.imag) < 1e-7].real)
+    edges = np.concatenate(([-1.0], real[(real > -1.0) & (real < 1.0)], [1.0]))
+    for left, right in pairwise(edges):
+        middle = chebyshev.chebval(0.5 * (left + right), coefficients)
+        if middle < -noise:
+            return _polished(coefficients, left) if left > -1.0 else -1.0
+    return None
+
+
+def _polished(coefficients: Floats, root: float) -> float:
+    """Improve a simple root by two Newton steps."""
+    slope = chebyshev.chebder(coefficients)
+    for _ in range(2):
+        change = chebyshev.chebval(root, coefficients) / chebyshev.chebval(root, slope)
+        if abs(change) < 1e-4:
+            root -= change
+    return float(min(max(root, -1.0), 1.0))

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One throw with all that a user asks of it: ejections, loads, energies, trajectories, fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.method_of_steps import Event, follow, WaveHistory
+from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.rig import Rig
+
+Floats = NDArray[np.float64]
+
+MODELS = ('travelling_wave',)
+"""Models that `simulate` knows."""
+
+
+class Peak(NamedTuple):
+    """A largest magnitude, and where and when it occurs."""
+
+    value: float
+    depth: float
+    time: float
+
+
+class Energies(NamedTuple):
+    """What the plate has done, and where it went; the first is the sum of the others. [J]"""
+
+    plate_work: float
+    layer: float
+    projectile: float
+
+
+class Trajectory(NamedTuple):
+    """Positions [m] and velocities [m/s] over `time` [s], each of its shape; z up."""
+
+    time: Floats
+    plate_position: Floats
+    top_position: Floats
+    projectile_position: Floats
+    plate_velocity: Floats
+    projectile_velocity: Floats
+
+
+class Fields(NamedTuple):
+    """Strain [-] and velocity [m/s] of shape (time, depth), with their axes [s], [m]."""
+
+    time: Floats
+    depth: Floats
+    strain: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throw:
+    """
+    What became of one throw. Made by `simulate`.
+
+    Times count from the start of the plate's clock, heights from the plate's rest position.
+    """
+
+    rig: Rig
+    model: str
+    max_strain: float
+    peak_plate_speed: float
+    """:math:`V_p^*`. [m/s]"""
+    peak_strain: Peak
+    """Largest strain magnitude in the layer up to the first release. [-]"""
+    peak_contact_strain: float
+    """Largest strain magnitude at the projectile up to the first release. [-]"""
+    peak_acceleration: float
+    """Largest magnitude of the projectile's acceleration up to the first release. [m/s2]"""
+    peak_plate_force: float
+    """Largest magnitude of the layer's force on the plate up to the first release. [N]"""
+    energies: Energies
+    """At the first release, more than at rest. [J]"""
+    history: WaveHistory = field(repr=False)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Releases and landings in order; the first is a release."""
+        return self.history.events
+
+    @property
+    def ejections(self) -> tuple[Event, ...]:
+        """Releases before the projectile falls back (a landing on its way down) for good."""
+        found: list[Event] = []
+        for event in self.events:
+            if event.kind == 'release':
+                found.append(event)
+            elif event.velocity <= 0.0 and self.rig.gravity > 0.0:
+                break
+        return tuple(found)
+
+    @property
+    def first_release(self) -> Event:
+        """When the projectile first leaves the layer."""
+        return self.ejections[0]
+
+    @property
+    def last_release(self) -> Event:
+        """When it leaves for the last time, after all re-contacts that were followed."""
+        return self.ejections[-1]
+
+    @property
+    def recontacts(self) -> int:
+        """How often the layer caught up with the projectile between the two."""
+        return len(self.ejections) - 1
+
+    @property
+    def ejection_time(self) -> float:
+        """:math:`t_e` of the first release, since the plate began to move. [s]"""
+        return self.first_release.time - float(self.history.motion.knots[0])
+
+    @property
+    def ejection_speed(self) -> float:
+        """:math:`V_e` of the first release. [m/s]"""
+        return self.first_release.velocity
+
+    @property
+    def energy_transfer(self) -> float:
+        r""":math:`\alpha = (V_e / V_p^*)^2` of the first release. [-]"""
+        return (self.ejection_speed / self.peak_plate_speed) ** 2
+
+    @property
+    def last_energy_transfer(self) -> float:
+        r""":math:`\alpha` of the last release. [-]"""
+        return (self.last_release.velocity / self.peak_plate_speed) ** 2
+
+    @property
+    def leaves_linear_range(self) -> bool:
+        """Whether the peak strain is above `max_strain`, so that the result is doubtful."""
+        return self.peak_strain.value > self.max_strain
+
+    @property
+    def apex_height(self) -> float:
+        """
+        Height that the projectile's lower face reaches in free flight. [m]
+
+        Infinite without gravity.
+        """
+        last = self.last_release
+        if self.rig.gravity == 0.0:
+            return float('inf')
+        return last.position + max(last.velocity, 0.0) ** 2 / (2.0 * self.rig.gravity)
+
+    def trajectory(self, time: ArrayLike) -> Trajectory:
+        """
+        Give positions and velocities at any times up to the end of the history.
+
+        Parameters
+        ----------
+        time : array_like
+            [s]
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ValueError
+            For times after `history.end_time`.
+
+        """
+        time = np.asarray(time, dtype=np.float64)
+        past = self.history
+        return Trajectory(
+            time,
+            past.motion.position(time),
+            past.top_position(time),
+            past.projectile_position(time),
+            past.motion.velocity(time),
+            past.projectile_velocity(time),
+        )
+
+    def fields(self, time: ArrayLike, *, points: int = 64) -> Fields:
+        """
+        Give strain and velocity over the layer at given times.
+
+        Parameters
+        ----------
+        time : array_like, shape (n,)
+            [s]
+        points : int
+            Depths from plate to top, both included.
+
+        Returns
+        -------
+        Fields
+            Of shape (n, points).
+
+        Raises
+        ------
+        ValueError
+            For times after `history.end_time`, or less than 2 points.
+
+        """
+        if points < 2:
+            raise ValueError(f'points must be at least 2, got {points}')
+        time = np.asarray(time, dtype=np.float64)
+        depth = np.linspace(0.0, self.rig.layer.thickness, points)
+        at = (depth[None, :], time[:, None])
+        return Fields(time, depth, self.history.strain(*at), self.history.velocity(*at))
+
+
+def simulate(
+    rig: Rig,
+    motion: PlateMotion | None = None,
+    *,
+    model: str = 'travelling_wave',
+    until: float | None = None,
+    max_events: int | None = None,
+    max_strain: float = 0.1,
+) -> Throw:
+    """
+    Throw once.
+
+    Parameters
+    ----------
+    rig : Rig
+        The throwing rig.
+    motion : PlateMotion, optional
+        How the plate moves; that of the rig's engine if not given.
+    model : str
+        One of `MODELS`.
+    until, max_events
+        When to stop, as for `method_of_steps.follow`.
+    max_strain : float
+        Strain magnitude up to which the layer is taken to be linear. [-]
+
+    Returns
+    -------
+    Throw
+
+    Raises
+    ------
+    ValueError
+        For an unknown model, or a rig or a bound that the model refuses.
+    ThrowUnfinishedError
+        If the projectile is not released by the time that `until` or the plate's samples set.
+
+    Examples
+    --------
+    >>> from soft_throw_ros.core.rig import Layer, Rig
+    >>> throw = simulate(Rig(layer=Layer(thickness=16.8e-3)))
+    >>> round(throw.ejection_time * 1e3, 3), round(throw.energy_transfer, 3)
+    (7.647, 3.637)
+
+    """
+    if model not in MODELS:
+        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    checks.positive('max_strain', max_strain)
+    history = follow(rig, motion, until=until, max_events=max_events)
+    if not history.events:
+        raise ThrowUnfinishedError(
+            f'the projectile is not released by {history.end_time:g} s; follow it for longer'
+        )
+    start = float(history.motion.knots[0])
+    end = history.events[0].time
+    thickness = rig.layer.thickness
+    span = (0.0, thickness, start, end)
+    strain = _largest(history.strain, span)
+    mass = rig.projectile.mass
+    return Throw(
+        rig=rig,
+        model=model,
+        max_strain=max_strain,
+        peak_plate_speed=history.motion.peak_velocity,
+        peak_strain=strain,
+        peak_contact_strain=_largest(
+            lambda _, time: history.strain(thickness, time), (0.0, 0.0, start, end)
+        ).value,
+        peak_acceleration=_largest(
+            lambda _, time: history.contact_force(time) / mass - rig.gravity,
+            (0.0, 0.0, start, end),
+        ).value,
+        peak_plate_force=_largest(
+            lambda _, time: history.plate_force(time), (0.0, 0.0, start, end)
+        ).value,
+        energies=Energies(
+            history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
+        ),
+        history=history,
+    )
+
+
+class ThrowUnfinishedError(RuntimeError):
+    """The time given ended before the projectile was released."""
+
+
+def _largest(
+    function: Callable[[Floats, Floats], Floats], span: tuple[float, float, float, float]
+) -> Peak:
+    """
+    Find the largest magnitude over depths and times by a grid and zooming into its best places.
+
+    Kinks do no harm: nothing is differentiated.
+    """
+    shallow, deep, start, end = span
+    depths = np.linspace(shallow, deep, 49 if deep > shallow else 1)
+    times = np.linspace(start, end, 401)
+    values = np.abs(function(*np.meshgrid(depths, times)))
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    rows, columns = values.shape
+    neighbours = np.max(
+        [
+            padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+        ],
+        axis=0,
+    )
+    is_top = values >= neighbours
+    best_first = np.argsort(values[is_top])[::-1][:6]
+    found = []
+    for row, column in np.argwhere(is_top)[best_first]:
+        depth, time = depths[column], times[row]
+        reach = np.array([(deep - shallow) / 48.0, (end - start) / 400.0])
+        best = values[row, column]
+        while reach[1] > 1e-10 * (end - start):
+            near = np.clip(depth + reach[0] * np.linspace(-1.0, 1.0, 7), shallow, deep)
+            then = np.clip(time + reach[1] * np.linspace(-1.0, 1.0, 7), start, end)
+            grid = np.meshgrid(near if deep > shallow else near[:1], then)
+            local = np.abs(function(*grid))
+            at = np.unravel_index(np.argmax(local), local.shape)
+            if local[at] >= best:
+                best, depth, time = local[at], grid[0][at], grid[1][at]
+            reach *= 0.4
+        found.append(Peak(float(best), float(depth), float(time)))
+    return max(found)

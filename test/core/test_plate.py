@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the plate moves."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from soft_throw_ros.core.plate import peak_velocity_ratio, Sampled, Underdamped
+
+PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+TIMES = np.linspace(0.0, 0.05, 251)
+
+
+def test_harmonic_motion_is_equation_1():
+    plate = Underdamped(frequency=63.2, amplitude=2e-3)
+    omega = 2.0 * math.pi * 63.2
+    np.testing.assert_allclose(
+        plate.position(TIMES), 2e-3 * (1.0 - np.cos(omega * TIMES)), atol=1e-17
+    )
+    np.testing.assert_allclose(
+        plate.velocity(TIMES), 2e-3 * omega * np.sin(omega * TIMES), atol=1e-14
+    )
+
+
+@given(st.floats(0.0, 0.95))
+def test_underdamped_velocity_is_the_slope_of_its_position(damping_ratio):
+    plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=damping_ratio)
+    step = 1e-6
+    slope = (plate.position(TIMES + step) - plate.position(TIMES - step)) / (2.0 * step)
+    np.testing.assert_allclose(slope[1:], plate.velocity(TIMES)[1:], atol=1e-6)
+
+
+@given(st.floats(0.0, 0.95))
+def test_peak_velocity_is_reached_at_its_time_and_never_exceeded(damping_ratio):
+    plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=damping_ratio)
+    assert plate.velocity(plate.peak_velocity_time) == pytest.approx(plate.peak_velocity)
+    assert plate.velocity(TIMES).max() <= plate.peak_velocity * (1.0 + 1e-12)
+
+
+def test_peak_velocity_ratio_without_damping_is_one():
+    assert peak_velocity_ratio(0.0) == 1.0
+
+
+def test_motion_rests_before_its_start():
+    before = np.array([-1.0, -1e-9])
+    sampled = Sampled.from_positions(TIMES, PLATE.position(TIMES))
+    for plate in (PLATE, sampled):
+        assert not plate.position(before).any()
+        assert not plate.velocity(before).any()
+
+
+@pytest.mark.parametrize(
+    ('make', 'order'),
+    [
+        (lambda t: Sampled.from_positions(t, PLATE.position(t)), 4),
+        (lambda t: Sampled.from_velocities(t, PLATE.velocity(t)), 3),
+    ],
+)
+def test_sampled_positions_converge_with_the_promised_order(make, order):
+    fine = np.linspace(0.0, 0.05, 4001)
+    errors = []
+    for count in (65, 129, 257, 513):
+        sampled = make(np.linspace(0.0, 0.05, count))
+        errors.append(np.sqrt(np.mean((sampled.position(fine) - PLATE.position(fine)) ** 2)))
+    slope = np.polyfit(np.log([65, 129, 257, 513]), np.log(errors), 1)[0]
+    assert -slope > order - 0.35
+
+
+def test_sampled_peak_velocity_is_that_of_the_path():
+    sampled = Sampled.from_positions(TIMES, PLATE.position(TIMES))
+    assert sampled.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-5)
+    assert sampled.velocity(np.linspace(0.0, 0.05, 9999)).max() <= sampled.peak_velocity
+
+
+def test_sampled_motion_is_twice_differentiable_from_positions():
+    sampled = Sampled.from_positions(TIMES, PLATE.position(TIMES))
+    acceleration = sampled.path.derivative(2)
+    inner = TIMES[1:-1]
+    np.testing.assert_allclose(
+        acceleration(inner - 1e-9), acceleration(inner + 1e-9), rtol=1e-3, atol=0.1
+    )
+
+
+def test_sampled_motion_ends_as_told():
+    positions = PLATE.position(TIMES)
+    with pytest.raises(ValueError, match=r'time 0\.06 s is after the last plate sample at 0\.05'):
+        Sampled.from_positions(TIMES, positions).position(0.06)
+    held = Sampled.from_positions(TIMES, positions, after='hold')
+    assert held.position(0.06) == pytest.approx(positions[-1])
+    assert held.velocity(0.06) == 0.0
+
+
+@pytest.mark.parametrize(
+    ('times', 'values', 'message'),
+    [
+        ([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], r'at least 4, got shapes \(3,\)'),
+        ([0.0, 1.0, 1.0, 2.0], [0.0] * 4, r'times must increase, got 1\.0 after 1\.0 at index 2'),
+        ([0.0, 1.0, 2.0, 3.0], [0.0, math.nan, 0.0, 0.0], r'must be finite, got nan at index 1'),
+        ([0.0, math.inf, 2.0, 3.0], [0.0] * 4, r'times must be finite, got inf at index 1'),
+    ],
+)
+@pytest.mark.parametrize('make', [Sampled.from_positions, Sampled.from_velocities])
+def test_samples_that_make_no_motion_are_refused_with_the_value(make, times, values, message):
+    with pytest.raises(ValueError, match=message):
+        make(times, values)
+
+
+def test_unknown_ending_is_refused():
+    with pytest.raises(ValueError, match="after must be 'error' or 'hold', got 'loop'"):
+        Sampled.from_positions(TIMES, PLATE.position(TIMES), after='loop')
+
+
+@pytest.mark.parametrize(
+    ('name', 'bad'),
+    [('frequency', 0.0), ('amplitude', -1.0), ('damping_ratio', 1.0), ('frequency', math.nan)],
+)
+def test_underdamped_refuses_bad_numbers_and_quotes_them(name, bad):
+    values = {'frequency': 63.2, 'amplitude': 2e-3, 'damping_ratio': 0.064, name: bad}
+    with pytest.raises(ValueError, match=f'{name}.*got {bad}'):
+        Underdamped(**values)
