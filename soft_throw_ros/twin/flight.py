@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One throw under way: what it has given so far, and when it is over."""
+
+from __future__ import annotations
+
+import math
+
+from soft_throw_ros.core.stepper import (
+    EventLimitError,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    Stepper,
+)
+from soft_throw_ros.twin.plan import FIELD_POINTS, Plan
+from soft_throw_ros.twin.results import Event, Release, State, ThrowField, ThrowResult
+
+LONGEST = 10.0
+"""After this a throw is over in any case: without gravity nothing comes down. [s]"""
+
+QUIET = 1e-3
+"""What is slower than this part of the plate's largest speed is at rest. [-]"""
+
+
+class Flight:
+    """
+    A throw, from its start until it is over.
+
+    Parameters
+    ----------
+    plan : Plan
+        What throws.
+    stepper : Stepper
+        Of that plan's rig; it is reset.
+    number : int
+        Of the throw.
+
+    Attributes
+    ----------
+    ended_by : str
+        Why it is over: 'rest', 'max_events' or 'duration'; empty while it goes on.
+
+    Notes
+    -----
+    At rest means: in contact, and both plate and projectile below `QUIET` for as long as the
+    slower of the two takes to swing once.
+
+    """
+
+    def __init__(self, plan: Plan, stepper: Stepper, *, number: int = 0) -> None:
+        stepper.reset()
+        self.plan = plan
+        self.number = number
+        self.ended_by = ''
+        self._stepper = stepper
+        self._events: list[Event] = []
+        self._time = 0.0
+        self._has_shown_field = False
+        self._restless = 0.0  # when plate or projectile was last too fast to be at rest
+        self._quiet_speed = QUIET * plan.peak_plate_speed
+        rig = plan.rig
+        self._quiet_time = 1.0 / min(rig.engine.frequency, rig.natural_frequency)
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the projectile has left at least once."""
+        return bool(self._events)
+
+    def advance(self, time: float, *, max_events: int) -> tuple[State, tuple[Event, ...]]:
+        """Go on to `time` after the start; return the state, and what happened on the way."""
+        self._time = time
+        seen = len(self._events)
+        try:
+            count = self._stepper.advance_to(time)
+        except EventLimitError:
+            count = seen
+            self.ended_by = 'max_events'
+        state = State._make(self._stepper.state.tolist()[1:])
+        if max(abs(state.plate_velocity), abs(state.projectile_velocity)) > self._quiet_speed:
+            self._restless = time
+        if count > seen:
+            self._events = [Event._make(event) for event in self._stepper.events()]
+            if self._landings >= max_events:
+                self.ended_by = 'max_events'
+        if time > LONGEST:
+            self.ended_by = 'duration'
+        elif time - self._restless > self._quiet_time and self._stepper.in_contact:
+            self.ended_by = 'rest'
+        return state, tuple(self._events[seen:])
+
+    @property
+    def _landings(self) -> int:
+        return sum(event.kind == 'landing' for event in self._events)
+
+    def result(self, stage: str, step: int, max_strain: float) -> ThrowResult:
+        """Sum up what there is so far; before the throw is over, loads are those up to release."""
+        stepper, plan = self._stepper, self.plan
+        peaks = stepper.first_peaks if stage == 'release' else stepper.peaks
+        ejections = self._ejections()
+        return ThrowResult(
+            throw=self.number,
+            step=step,
+            stage=stage,
+            ended_by=self.ended_by,
+            rig=plan.rig,
+            first=ejections[0] if ejections else None,
+            last=ejections[-1] if ejections else None,
+            peak_plate_speed=plan.peak_plate_speed,
+            peak_strain=max(
+                plan.peak_strain if ejections else 0.0, peaks.plate_strain, peaks.contact_strain
+            ),
+            max_strain=max_strain,
+            peak_acceleration=peaks.acceleration,
+            peak_force=peaks.plate_force,
+            energy=stepper.peak_work,
+            apex_height=self._apex_height(),
+            recontacts=max(len(ejections) - 1, 0),
+            landings=self._landings,
+            models=plan.models,
+        )
+
+    def _ejections(self) -> list[Release]:
+        """Return the releases before the projectile falls back on the layer."""
+        found = []
+        for event in self._events:
+            if event.kind == 'release':
+                found.append(
+                    Release.of(
+                        time=event.time,
+                        speed=event.velocity,
+                        peak_plate_speed=self.plan.peak_plate_speed,
+                    )
+                )
+            elif event.velocity <= 0.0 and self.plan.rig.gravity > 0.0:
+                break
+        return found
+
+    def _apex_height(self) -> float:
+        """Return the highest point of the projectile, the rest of its way up included."""
+        stepper, gravity = self._stepper, self.plan.rig.gravity
+        highest = stepper.highest_position
+        position, speed = stepper.state[PROJECTILE_POSITION], stepper.state[PROJECTILE_VELOCITY]
+        if stepper.in_contact or speed <= 0.0:
+            return highest
+        return max(highest, float(position + 0.5 * speed**2 / gravity)) if gravity else math.inf
+
+    def field(self) -> ThrowField | None:
+        """Return the layer over time, once, when that time has passed or the throw is over."""
+        field = self.plan.throw_field
+        if self._has_shown_field or (self._time < field.times[-1] and not self.ended_by):
+            return None
+        self._has_shown_field = True
+        return field
+
+
+def time_until_over(plan: Plan, elapsed: float, *, max_events: int) -> float:
+    """
+    Find how much longer a throw takes that has gone on for `elapsed`, by throwing once more.
+
+    At most `LONGEST`, and exact to a millisecond or a tick. [s]
+    """
+    flight = Flight(plan, Stepper(plan.rig, field_points=FIELD_POINTS))
+    tick = max(plan.tick, 1e-3)
+    ticks = 0
+    while not flight.ended_by:
+        ticks += 1
+        flight.advance(ticks * tick, max_events=max_events)
+    return max(ticks * tick - elapsed, 0.0)
