@@ -65,11 +65,13 @@ def test_core_knows_numbers_only(path):
     imported = {
         alias.name for node in tree if isinstance(node, ast.Import) for alias in node.names
     }
-    imported |= {node.module for node in tree if isinstance(node, ast.ImportFrom)}
-    assert {name.split('.')[0] for name in imported} <= KNOWN_TO_CORE
-    assert {'input', 'open', 'print'}.isdisjoint(
-        node.id for node in tree if isinstance(node, ast.Name)
-    )
+    imported_from = {node.module for node in tree if isinstance(node, ast.ImportFrom)}
+    names = {node.id for node in tree if isinstance(node, ast.Name)}
+    attributes = {ast.unparse(node) for node in tree if isinstance(node, ast.Attribute)}
+    assert {module.split('.')[0] for module in imported_from} <= KNOWN_TO_CORE
+    assert {module.split('.')[0] for module in imported} <= KNOWN_TO_CORE | {'os'}
+    assert {name for name in attributes if name.startswith('os.')} <= {'os.cpu_count'}
+    assert names.isdisjoint({'input', 'open', 'print'})
 
 
 def test_core_is_found():
