@@ -55,6 +55,7 @@ setup(
             'pip>=22.3',
             'pytest>=7.4',
             'pytest-timeout',
+            'rosbags',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
         ],
