@@ -1,0 +1,510 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Predict one throw by every model, as a table or as JSON; or many first releases, from a CSV file.
+
+Values are given like the parameters of the twin, and the same table says what is allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import contextlib
+import csv
+import io
+import itertools
+import json
+import math
+import os
+from pathlib import Path
+import sys
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+from soft_throw_ros.configuration import (
+    BY_NAME,
+    change,
+    defaults,
+    files,
+    ParameterError,
+    rig_of,
+    Settings,
+    TABLE,
+)
+from soft_throw_ros.core import method_of_steps, spring_mass, stepper
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.travelling_wave import (
+    first_release,
+    first_releases,
+    ThrowUnresolvedError,
+)
+
+Prediction = Mapping[str, float]
+"""What a model says, by name and in SI units; what it does not know is left out."""
+
+_OPTIONS = {
+    entry.name: '--layer'
+    if entry.name == 'layer.name'
+    else '--' + entry.name.rpartition('.')[2].replace('_', '-')
+    for entry in TABLE
+    if (entry.is_of_rig and entry.name != 'model') or entry.name == 'max_strain'
+}
+"""The parameters that describe a throw, and what their options are called."""
+
+_LONGEST = 10.0  # the stepper is not followed any longer [s]
+
+_PATIENCE = 2.0  # after this it is said why it takes so long [s]
+
+
+class _Row(NamedTuple):
+    """A line of the table: which part of a prediction, how it is called, and in which unit."""
+
+    key: str
+    title: str
+    unit: str = ''
+    scale: float = 1.0
+
+
+_ROWS = (
+    _Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
+    _Row('ejection_phase', '  t_e f'),
+    _Row('ejection_speed', 'ejection speed V_e', 'm/s'),
+    _Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
+    _Row('energy_transfer', 'energy transfer alpha'),
+    _Row('recontacts', 're-contacts'),
+    _Row('last_ejection_time', 'last release', 'ms', 1e3),
+    _Row('last_ejection_speed', '  its speed', 'm/s'),
+    _Row('last_energy_transfer', '  its alpha'),
+    _Row('apex_height', 'apex', 'mm', 1e3),
+    _Row('peak_strain', 'peak strain', '%', 1e2),
+    _Row('peak_strain_depth', '  at y', 'mm', 1e3),
+    _Row('peak_plate_strain', '  at the plate', '%', 1e2),
+    _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
+    _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
+    _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
+    _Row('peak_plate_force', 'peak force on plate', 'N'),
+    _Row('plate_work', 'work of the plate', 'mJ', 1e3),
+    _Row('layer_energy', '  to the layer', 'mJ', 1e3),
+    _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
+)
+
+
+class InputError(ValueError):
+    """A file is not what it should be; the message says where, and what was found there."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """
+    Run the command.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Its arguments; those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code 0.
+
+    Raises
+    ------
+    SystemExit
+        With exit code 2 if something is refused, after a line that says what.
+
+    """
+    parser = _parser()
+    given = vars(parser.parse_args(args))
+    request = {name: given[name] for name in _OPTIONS if name in given}
+    try:
+        if 'cases' in given:
+            other = sorted(given.keys() - {'cases', 'output'})
+            if other:
+                option = _OPTIONS.get(other[0], f'--{other[0]}')
+                parser.error(f'argument {option}: not allowed with argument --cases')
+            with _patience(parser.prog):  # this compiles, or loads what is compiled
+                first_releases(mass_ratio=[1.0], speed_ratio=[1.0])
+            text = _release_cases_of(given['cases'])
+        else:
+            settings = files.read(given['config']) if 'config' in given else defaults()
+            settings.update(change(settings, request))
+            with _patience(parser.prog):
+                throw = predict(settings)
+            text = (
+                json.dumps(throw, indent=2, allow_nan=False) + '\n'
+                if 'json' in given
+                else table(throw)
+            )
+        _write(text, given.get('output'))
+    except ParameterError as error:
+        options = (f'argument {_OPTIONS[name]}: ' for name in error.names if name in request)
+        parser.error(f'{next(options, "")}{error}')
+    except InputError as error:
+        parser.error(str(error))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description='Predict one throw by every model, or many first releases from a CSV file.',
+        usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--json | --cases FILE] '
+        '[--output FILE]',
+        argument_default=argparse.SUPPRESS,
+        allow_abbrev=False,
+    )
+    parser.add_argument('--config', metavar='FILE', help='parameter file of the twin')
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        '--json', action='store_true', help='print one object: SI units, full precision'
+    )
+    how.add_argument(
+        '--cases',
+        metavar='FILE',
+        help='CSV with the columns mu, kappa, zeta (- for standard input); '
+        'te_f and alpha are added to them, without gravity',
+    )
+    parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
+    parameters = parser.add_argument_group(
+        'parameters', 'as those of the twin; each replaces what the file says'
+    )
+    for name, option in _OPTIONS.items():
+        entry = BY_NAME[name]
+        default = f'{entry.default:g}' if isinstance(entry.default, float) else entry.default
+        parameters.add_argument(
+            option,
+            dest=name,
+            metavar=entry.unit.upper() or ('NAME' if entry.choices else 'NUMBER'),
+            type=_number_or_text,
+            help=f'{entry.meaning}; {entry.rule} (default {default})'.replace('`', '')
+            .replace('%', '%%'),
+        )  # fmt: skip
+    return parser
+
+
+def _number_or_text(text: str) -> float | str:
+    """Read a number if it is one; what it may be is for the table to say."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+@contextlib.contextmanager
+def _patience(name: str) -> Iterator[None]:
+    """Say why it takes so long if it does."""
+    text = f'{name}: compiling, once; takes some ten seconds'
+    notice = threading.Timer(_PATIENCE, print, (text,), {'file': sys.stderr})
+    notice.start()
+    try:
+        yield
+    finally:
+        notice.cancel()
+
+
+def _write(text: str, output: str | None) -> None:
+    if output is not None:
+        try:
+            Path(output).write_text(text, encoding='utf-8')
+        except OSError as error:
+            raise InputError(f'{output}: {error.strerror}') from None
+        return
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has seen enough. Python would complain once more when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def predict(settings: Settings) -> dict[str, Any]:
+    """
+    Predict a throw by all models.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        Complete settings; those of the twin itself do not matter.
+
+    Returns
+    -------
+    dict
+        What `--json` prints, in SI units: `parameters`; the numbers that decide a throw, as
+        `rig`; what each of the `models` says, with `notes` about them; and whether the throw
+        `leaves_linear_range`. A model that cannot do this throw is None, and its note says why.
+
+    """
+    rig = rig_of(settings)
+    models: dict[str, Prediction | None] = {}
+    notes: dict[str, str] = {}
+    for name, (model, note) in _MODELS.items():
+        try:
+            models[name], notes[name] = model(rig), note
+        except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
+            models[name], notes[name] = None, f'none, {error}'
+    strains = [
+        value
+        for prediction in models.values()
+        for key, value in (prediction or {}).items()
+        if key in ('peak_strain', 'peak_plate_strain')
+    ]
+    return {
+        'parameters': {name: settings[name] for name in _OPTIONS},
+        'rig': {
+            'mass_ratio': rig.mass_ratio,
+            'speed_ratio': rig.speed_ratio,
+            'frequency_ratio': rig.natural_frequency / rig.engine.frequency,
+            'natural_frequency': rig.natural_frequency,
+            'crossing_time': rig.crossing_time,
+            'relaxation_time': rig.relaxation_time,
+        },
+        'models': models,
+        'notes': notes,
+        'leaves_linear_range': max(strains, default=0.0) > settings['max_strain'],
+    }
+
+
+def _by_travelling_wave(rig: Rig) -> Prediction:
+    throw = simulate(rig)
+    return {
+        **_first(rig, throw.ejection_time, throw.ejection_speed, throw.peak_plate_speed),
+        **_last(rig, throw.ejections, throw.last_release.position, throw.peak_plate_speed),
+        'peak_strain': throw.peak_strain.value,
+        'peak_strain_depth': throw.peak_strain.depth,
+        'peak_plate_strain': throw.peak_plate_force / _stiffness(rig),
+        'peak_contact_strain': throw.peak_contact_strain,
+        'peak_acceleration': throw.peak_acceleration,
+        'peak_plate_force': throw.peak_plate_force,
+        'plate_work': throw.energies.plate_work,
+        'layer_energy': throw.energies.layer,
+        'projectile_energy': throw.energies.projectile,
+    }
+
+
+def _by_stepper(rig: Rig) -> Prediction:
+    model = stepper.Stepper(rig, field_points=2)
+    ejections = _follow(model)
+    first = ejections[0]
+    plate_speed = Underdamped.of(rig.engine).peak_velocity
+    model.reset()
+    model.advance_to(first.time)
+    rise = model.state[stepper.PROJECTILE_POSITION] - rig.layer.thickness + rig.static_sag
+    projectile_energy = rig.projectile.mass * (0.5 * first.velocity**2 + rig.gravity * rise)
+    prediction = {
+        **_first(rig, first.time, first.velocity, plate_speed),
+        'peak_plate_strain': model.first_peaks.plate_strain,
+        'peak_contact_strain': model.first_peaks.contact_strain,
+        'peak_acceleration': model.first_peaks.acceleration,
+        'peak_plate_force': model.first_peaks.plate_force,
+        'plate_work': model.work,
+        'layer_energy': model.stored_energy() - projectile_energy,
+        'projectile_energy': float(projectile_energy),
+    }
+    model.advance_to(ejections[-1].time)
+    height = float(model.state[stepper.PROJECTILE_POSITION])
+    return {**prediction, **_last(rig, ejections, height, plate_speed)}
+
+
+def _by_spring_mass(rig: Rig) -> Prediction:
+    release = spring_mass.first_release(
+        frequency_ratio=rig.natural_frequency / rig.engine.frequency
+    )
+    return _first(
+        rig,
+        float(release.ejection_phase) / rig.engine.frequency,
+        float(release.speed) * rig.engine.speed_scale,
+        rig.engine.speed_scale,
+    )
+
+
+_MODELS: Mapping[str, tuple[Callable[[Rig], Prediction], str]] = {
+    'travelling_wave': (_by_travelling_wave, 'exact for a rigid projectile on a lossless layer'),
+    'stepper': (_by_stepper, 'the same in small steps, as the twin follows it in real time'),
+    'spring_mass': (_by_spring_mass, 'layer without mass, harmonic plate, no gravity (App. A)'),
+}
+
+
+def _first(rig: Rig, time: float, speed: float, plate_speed: float) -> dict[str, float]:
+    """Describe the first release."""
+    return {
+        'ejection_time': time,
+        'ejection_phase': time * rig.engine.frequency,
+        'ejection_speed': speed,
+        'peak_plate_speed': plate_speed,
+        'energy_transfer': (speed / plate_speed) ** 2,
+    }
+
+
+def _last(
+    rig: Rig,
+    ejections: Sequence[method_of_steps.Event | stepper.Event],
+    height: float,
+    plate_speed: float,
+) -> dict[str, float]:
+    """Describe the last of the releases, at which the projectile was at a height."""
+    speed = ejections[-1].velocity
+    description = {
+        'recontacts': len(ejections) - 1,
+        'last_ejection_time': ejections[-1].time,
+        'last_ejection_speed': speed,
+        'last_energy_transfer': (speed / plate_speed) ** 2,
+    }
+    if rig.gravity:
+        description['apex_height'] = height + max(speed, 0.0) ** 2 / (2.0 * rig.gravity)
+    return description
+
+
+def _follow(model: stepper.Stepper) -> list[stepper.Event]:
+    """Step until the projectile falls back on the layer, and return the releases before."""
+    ejections: list[stepper.Event] = []
+    for time in np.linspace(0.0, _LONGEST, 101)[1:]:
+        model.advance_to(time)
+        before_fall = list(
+            itertools.takewhile(
+                lambda event: event.kind == 'release' or event.velocity > 0.0, model.events()
+            )
+        )
+        ejections = [event for event in before_fall if event.kind == 'release']
+        if len(before_fall) < model.event_count:
+            break
+    if not ejections:
+        raise ValueError(f'the projectile is not released within {_LONGEST:g} s')
+    return ejections
+
+
+def _stiffness(rig: Rig) -> float:
+    """Force over strain of the layer. [N]"""
+    return rig.layer.youngs_modulus * rig.layer.section
+
+
+def table(throw: Mapping[str, Any]) -> str:
+    """Write what `predict` returns for people to read."""
+    rig, models = throw['rig'], throw['models']
+    numbers = (
+        f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
+        f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
+    )
+    lines = [
+        numbers,
+        '',
+        f'{"":28}' + ''.join(f'{name.replace("_", " "):>18}' for name in models),
+    ]
+    for row in _ROWS:
+        cells = [_cell((model or {}).get(row.key), row.scale) for model in models.values()]
+        lines.append(f'{row.title:22}{row.unit:>6}' + ''.join(f'{cell:>18}' for cell in cells))
+    lines.append('')
+    lines += [f'{name.replace("_", " ")}: {note}' for name, note in throw['notes'].items()]
+    if throw['leaves_linear_range']:
+        lines.append(
+            f'Strain beyond {1e2 * throw["parameters"]["max_strain"]:.3g} % leaves the linear '
+            'range (--max-strain): a real layer will do otherwise.'
+        )
+    return '\n'.join(lines) + '\n'
+
+
+def _cell(value: float | None, scale: float) -> str:
+    if value is None:
+        return '-'
+    return str(value) if isinstance(value, int) else f'{scale * value:#.6g}'
+
+
+_CASES = {
+    'mu': ('finite and positive', lambda value: 0.0 < value < math.inf),
+    'kappa': ('finite and positive', lambda value: 0.0 < value < math.inf),
+    'zeta': ('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
+}
+"""The columns of a file of cases, and what may stand in them."""
+
+
+def _release_cases_of(path: str) -> str:
+    """Open the file for `release_cases`."""
+    if path == '-':
+        return release_cases(sys.stdin, 'standard input')
+    try:
+        with Path(path).open(encoding='utf-8-sig', newline='') as file:
+            return release_cases(file, path)
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}') from None
+
+
+def release_cases(file: Iterable[str], name: str) -> str:
+    """
+    Compute the first release for every row of a CSV file.
+
+    Parameters
+    ----------
+    file : iterable of str
+        Its lines, of which the first names the columns: `mu`, `kappa` and `zeta`, in any order
+        and among others.
+    name : str
+        What to call it if something is wrong.
+
+    Returns
+    -------
+    str
+        CSV with the columns `mu`, `kappa`, `zeta`, `te_f` and `alpha`, row for row.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and value.
+
+    """
+    lines, rows = _read_cases(file, name)
+    mu, kappa, zeta = np.array(rows).reshape(-1, len(_CASES)).T
+    releases = first_releases(
+        mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
+    )
+    for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
+        try:
+            first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
+        except ThrowUnresolvedError as error:
+            raise InputError(f'{name}:{lines[i]}: {error}') from None
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow([*_CASES, 'te_f', 'alpha'])
+    columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
+    writer.writerows(columns.T.tolist())
+    return text.getvalue()
+
+
+def _read_cases(file: Iterable[str], name: str) -> tuple[list[int], list[list[float]]]:
+    """Return the line and the values of every row."""
+    reader = csv.reader(file)
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    try:
+        header = [column.strip() for column in next(reader, [])]
+        if any(header.count(column) != 1 for column in _CASES):
+            raise InputError(
+                f'{name}:1: must name the columns {", ".join(_CASES)}, got {",".join(header)!r}'
+            )
+        places = [header.index(column) for column in _CASES]
+        for row in reader:
+            if row:  # the line is not empty
+                where = f'{name}:{reader.line_num}'
+                try:
+                    texts = [row[place] for place in places]
+                except IndexError:
+                    raise InputError(
+                        f'{where}: must have {len(header)} values, got {row}'
+                    ) from None
+                rows.append(
+                    [_case_value(*pair, where) for pair in zip(_CASES, texts, strict=True)]
+                )
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise InputError(f'{name}:{reader.line_num}: {error}') from None
+    except UnicodeDecodeError:
+        raise InputError(f'{name}: is no UTF-8 text') from None
+    return lines, rows
+
+
+def _case_value(column: str, text: str, where: str) -> float:
+    rule, allows = _CASES[column]
+    value = _number_or_text(text)
+    if not isinstance(value, float) or not allows(value):
+        raise InputError(f'{where}: {column} must be a number, {rule}, got {text!r}')
+    return value
