@@ -1,0 +1,1653 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+The travelling-wave model advanced in real time: contact, release, flight and landing.
+
+Notes
+-----
+With :math:`p = v_+` and :math:`m = v_-` of Sec. IV of [1]_, at the top of the layer
+
+.. math::
+
+    p(t) &= V_p(t - t_s) - m(t - 2 t_s) \\
+    \tau \dot V + V &= 2 p, \quad m = V - p \qquad \text{in contact} \\
+    m &= p + g \tau \qquad\qquad\qquad\quad \text{in flight}
+
+where everything counts from the static equilibrium, and the layer pushes the projectile with
+:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, be it
+gradually or in a jump (an echo of a landing), and lands when the gap closes, its speed unchanged.
+Flight, landing and gravity are not in [1]_'s analytical model.
+
+The step h divides :math:`t_s`, so the waves travel from grid point to grid point without any
+error, and the kinks that the start of the plate sends through the layer at odd multiples of
+:math:`t_s` fall on grid points. What has to be computed is the answer of the mass: p is known
+:math:`t_s` ahead, is interpolated by the cubic through four neighbouring points (beside a kink:
+on one side of it), and the equation of V is solved for it exactly, however small :math:`\tau`
+is. Fourth order in h; with the cubic centred on the step, no wave that is reflected by the mass
+grows. Release, landing and everything between grid points are roots and values of that solution.
+
+A release is a kink, and a landing a jump, that comes back every :math:`2 t_s` off the grid. Its
+place between two grid points and its size in value and three derivatives are kept (a "front") and
+carried over each reflection by the same equations; the cubics are freed of it and it is added
+where it belongs, so that later events are of fourth order too. Each reflection by the mass makes
+it steeper (the Laguerre functions of `soft_throw_ros.core.travelling_wave`). After
+:math:`0.3 \tau / h` reflections it is noise between two grid points and is let go. From then on,
+and after 64 events (fewer if the steps are short, for time's sake), new fronts are not kept:
+events are of first order in their jump, and energy is kept to some percent instead of 1e-8. A
+lossless bounce is chaotic long before.
+
+A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
+seen.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core.plate import PlateMotion, Sampled, Underdamped
+from soft_throw_ros.core.rig import Rig
+
+Floats = NDArray[np.float64]
+
+(
+    TIME,
+    PLATE_POSITION,
+    PROJECTILE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_VELOCITY,
+    PLATE_FORCE,
+    PROJECTILE_FORCE,
+) = range(7)
+"""Where things stand in `Stepper.state`."""
+
+MAX_STEPS = 8192
+"""Most steps per crossing of the wave."""
+
+MAX_STEP_RATE = 2e7
+"""Most steps per second of rig time, of which a processor takes 4e8 in a second. [1/s]"""
+
+MAX_EVENTS = 4096
+"""Most releases and landings of one throw."""
+
+FEED_SEGMENTS = 4096
+"""Most measured samples by which `Stepper.feed` can be ahead of `Stepper.advance_to`."""
+
+_MIN_STEPS = 64
+_STEPS_PER_PERIOD = 160.0
+_STEPS_PER_RELAXATION = 8.0
+
+_PAD = 8  # steps that are kept beyond the crossing time, for the cubics
+_ROOM = 1024  # steps by which the waves' memory is longer than need be, to be moved seldom
+_BLOCK = 256  # steps between exact evaluations of the underdamped plate
+_MAX_FRONTS = 64
+_FRONT_COST = 80.0  # of a front on its way up and down, in steps
+_NOISE = 1e-12  # of the plate's speed, which is no pull
+_EVENTS_PER_STEP = 8  # a mass that chatters faster stays as it is until the next step
+_FRONT_LIFE = 0.3  # of a front, in tau / h reflections by the mass
+
+_DAMPED, _PIECES = 0, 1  # kinds of plate motion
+_CELL, _OFFSET, _AGE, _SIZE, _NEXT = 0, 1, 2, 3, 7  # columns of fronts, the last two fourfold
+_FRONT_COLUMNS = 11
+_PIECE_ROWS = 7  # start, and six coefficients of the height
+
+_BACKWARDS, _BEYOND_HORIZON, _TOO_MANY_EVENTS, _TOO_FAR = -1, -2, -3, -4
+
+_RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+
+# Two such records make a stepper: the first stands at a grid point, the second between.
+# Lengths are relative to the static equilibrium, offsets and fronts are in steps.
+_CORE = np.dtype(
+    [
+        # what stays
+        ('step', 'f8'),  # h [s]
+        ('steps', 'i8'),  # N = t_s / h
+        ('rate', 'f8'),  # h / tau
+        ('decay', 'f8'),  # e^{-h / tau}
+        ('moments', 'f8', (4,)),  # of it, see `_moments`
+        ('weights', 'f8', (4,)),  # V(t + h) = decay V(t) + weights . p
+        ('relaxation', 'f8'),  # tau [s]
+        ('gravity', 'f8'),  # g [m/s2]
+        ('drop', 'f8'),  # g tau [m/s]
+        ('floor', 'f8'),  # 2 p - V at which the projectile leaves: -g tau, less noise
+        ('wave_speed', 'f8'),
+        ('impedance', 'f8'),
+        ('mass', 'f8'),
+        ('rest_height', 'f8'),  # of the projectile's lower face [m]
+        ('kind', 'i8'),  # of plate motion
+        ('amplitude', 'f8'),  # of the underdamped plate, ...
+        ('growth', 'f8'),
+        ('turn', 'f8'),
+        ('factor', 'f8'),
+        # where the plate has got to
+        ('block', 'i8'),
+        ('phasor', 'f8', (2,)),  # at the start of the block
+        ('piece', 'i8'),
+        ('pieces', 'i8'),
+        ('horizon', 'f8'),  # until when it is known
+        ('samples', 'i8'),
+        ('recent', 'f8', (2, 5)),  # times and values fed last
+        ('origin', 'f8'),  # of the positions fed
+        ('slope', 'f8'),  # at the start of the next piece
+        ('curvature', 'f8'),
+        ('height', 'f8'),  # of the plate, from the velocities fed
+        # where the waves have got to
+        ('time', 'f8'),
+        ('cell', 'i8'),  # grid point
+        ('offset', 'f8'),  # beyond it
+        ('base', 'i8'),  # grid point at index 0 of the waves
+        ('filled', 'i8'),  # up to where p is known at the plate
+        ('stop', 'i8'),  # next cell that needs care
+        ('kink', 'i8'),  # next grid point at which p has a kink at the top
+        ('fronts', 'i8'),
+        ('next_front', 'i8'),  # where their queue begins
+        ('room', 'i8'),  # for fronts
+        ('rough', '?'),  # whether there are jumps that are no front
+        # the mass and the top of the layer
+        ('contact', '?'),
+        ('velocity', 'f8'),  # V in contact
+        ('sum', 'f8'),  # of p, for its integral P = h (sum + ...) + anchor
+        ('anchor', 'f8'),
+        ('top', 'f8'),  # height of the top less 2 P - tau V, in flight less 2 P + g tau t
+        ('launch_cell', 'i8'),
+        ('launch_offset', 'f8'),
+        ('launch_height', 'f8'),
+        ('launch_velocity', 'f8'),
+        ('events', 'i8'),
+        ('falling', '?'),
+        # what was largest
+        ('push', 'f8'),  # 2 p - V
+        ('load', 'f8'),  # p - m + g tau at the plate
+        ('first_push', 'f8'),
+        ('first_load', 'f8'),
+        ('work', 'f8'),  # sum of power over Z
+        ('power', 'f8'),  # last addend
+        ('most_work', 'f8'),
+        ('highest', 'f8'),
+        # at `time`
+        ('plus', 'f8'),  # p at the plate
+        ('minus', 'f8'),  # m at the top
+        ('surface', 'f8'),  # height of the top of the layer
+        ('state', 'f8', (7,)),
+    ],
+    align=True,
+)
+
+
+class HorizonError(ValueError):
+    """The plate is not known that far ahead (yet)."""
+
+
+class EventLimitError(RuntimeError):
+    """More than `MAX_EVENTS` releases and landings in one throw."""
+
+
+class FeedFullError(RuntimeError):
+    """Measured samples were fed further ahead than is kept."""
+
+
+class Event(NamedTuple):
+    """
+    The projectile left the layer, or came down on it.
+
+    Attributes
+    ----------
+    kind : {'release', 'landing'}
+        Which of the two.
+    time : float
+        Since the start. [s]
+    velocity : float
+        Of the projectile, which neither changes. [m/s]
+
+    """
+
+    kind: Literal['release', 'landing']
+    time: float
+    velocity: float
+
+
+class Peaks(NamedTuple):
+    """
+    Largest values so far.
+
+    Attributes
+    ----------
+    plate_strain, contact_strain : float
+        Magnitude of the strain at the plate, and at the top. [-]
+    acceleration : float
+        Of the projectile, upwards; downwards it is never more than gravity. [m/s2]
+    plate_force : float
+        Of the layer on the plate, as a magnitude. [N]
+
+    """
+
+    plate_strain: float
+    contact_strain: float
+    acceleration: float
+    plate_force: float
+
+
+def steps_per_crossing(rig: Rig) -> int:
+    r"""
+    Choose how many steps resolve one crossing of the wave, or refuse what real time cannot do.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+
+    Returns
+    -------
+    int
+        At least 64, 8 per relaxation time :math:`\tau` and 160 per period of the plate: errors
+        of the first release stay below 1e-6 in :math:`t_e f` and :math:`V_e / (A \omega)`.
+
+    Raises
+    ------
+    ValueError
+        If the layer has internal loss, more than `MAX_STEPS` steps would be needed, or more than
+        `MAX_STEP_RATE` in a second; it says which number, which limit and what would do.
+
+    Examples
+    --------
+    >>> steps_per_crossing(Rig())
+    64
+
+    """
+    _check_lossless(rig)
+    layer, crossing = rig.layer, rig.crossing_time
+    shortest = _MIN_STEPS / MAX_STEP_RATE
+    if crossing < shortest:
+        raise ValueError(
+            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
+            f'needs {_MIN_STEPS / crossing:.3g} steps per second, the limit is '
+            f'{MAX_STEP_RATE:g}; feasible: layer.thickness of '
+            f'{1.001 * shortest * layer.wave_speed:.4g} m or more, or layer.wave_speed of '
+            f'{0.999 * layer.thickness / shortest:.4g} m/s or less'
+        )
+    limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * crossing))
+    for_mass = math.ceil(_STEPS_PER_RELAXATION / rig.mass_ratio)
+    if for_mass > limit:
+        least = rig.projectile.mass * for_mass / limit
+        raise ValueError(
+            f'projectile.mass {rig.projectile.mass:g} kg on a layer of {layer.mass:.4g} kg needs '
+            f'{for_mass} steps per crossing of the wave, the limit is {limit}; '
+            f'feasible: projectile.mass of {1.001 * least:.4g} kg or more'
+        )
+    for_plate = math.ceil(_STEPS_PER_PERIOD * crossing * rig.engine.frequency)
+    if for_plate > limit:
+        most = rig.engine.frequency * limit / for_plate
+        raise ValueError(
+            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
+            f'{crossing:.4g} s needs {for_plate} steps per crossing of the wave, the limit is '
+            f'{limit}; feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
+        )
+    return max(_MIN_STEPS, for_mass, for_plate)
+
+
+@_jit
+def _moments(x):
+    """Compute e^{-x} and the integrals of e^{-x (1 - u)} u^n over [0, 1] for n = 0 ... 3."""
+    if x < 1.0:
+        series = 1.0
+        for n in range(19, 4, -1):
+            series = 1.0 - x * _RECIPROCAL[n] * series
+        third = 0.25 * series
+        second = (1.0 - x * third) * _RECIPROCAL[3]
+        first = (1.0 - x * second) * 0.5
+        zeroth = 1.0 - x * first
+        return 1.0 - x * zeroth, zeroth, first, second, third
+    decay = math.exp(-x)
+    zeroth = (1.0 - decay) / x
+    first = (1.0 - zeroth) / x
+    second = (1.0 - 2.0 * first) / x
+    return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
+
+
+@_jit
+def _follow(s, d, V, a, b, c, e):
+    """Take V over d steps during which p = a + b u + c u^2 + e u^3."""
+    if d == 1.0:
+        drive = a * s.moments[0] + b * s.moments[1] + c * s.moments[2] + e * s.moments[3]
+        return s.decay * V + 2.0 * s.rate * drive
+    decay, zeroth, first, second, third = _moments(s.rate * d)
+    drive = a * zeroth + d * (b * first + d * (c * second + d * e * third))
+    return decay * V + 2.0 * s.rate * d * drive
+
+
+@_jit
+def _value(d, a, b, c, e):
+    """Evaluate a cubic."""
+    return a + d * (b + d * (c + d * e))
+
+
+@_jit
+def _area(d, a, b, c, e):
+    """Integrate a cubic from 0."""
+    return d * (a + d * (0.5 * b + d * (c * _RECIPROCAL[3] + d * 0.25 * e)))
+
+
+@_jit
+def _expand(d, a, b, c, e):
+    """Expand a cubic about d."""
+    return a + d * (b + d * (c + d * e)), b + d * (2.0 * c + 3.0 * d * e), c + 3.0 * d * e, e
+
+
+@_jit
+def _downward(V, rate, a, b, c, e):
+    """Expand m = V - p in contact as a cubic, where p = a + b u + c u^2 + e u^3."""
+    first = rate * (2.0 * a - V)
+    second = 0.5 * rate * (2.0 * b - first)
+    third = rate * _RECIPROCAL[3] * (2.0 * c - second)
+    return V - a, first - b, second - c, third - e
+
+
+@_jit
+def _front_size(fronts, f, d):
+    """Evaluate the jump across front f, d steps beyond it."""
+    return _value(
+        d, fronts[f, _SIZE], fronts[f, _SIZE + 1], fronts[f, _SIZE + 2], fronts[f, _SIZE + 3]
+    )
+
+
+@_jit
+def _cubic(s, fronts, waves, w, i, cell, sign):
+    """
+    Interpolate wave w after index i as a cubic, as it is before the fronts within the step.
+
+    `cell` is when that wave arrives (next) at the top as p, which it does times `sign`.
+    """
+    aside = 0
+    if cell == s.kink:
+        aside = 1
+    elif cell + 1 == s.kink:
+        aside = -1
+    i += aside
+    behind, here, ahead, beyond = waves[w, i - 1], waves[w, i], waves[w, i + 1], waves[w, i + 2]
+    for n in range(s.fronts):
+        f = (s.next_front + n) % _MAX_FRONTS
+        distance = int(fronts[f, _CELL]) - cell
+        if distance > 3:
+            break
+        if distance > -4:
+            place = distance + fronts[f, _OFFSET] - aside
+            beside = distance - aside
+            if distance >= 0:  # what is beyond the front is taken back, ...
+                if beside < -1:
+                    behind -= sign * _front_size(fronts, f, -1.0 - place)
+                if beside < 0:
+                    here -= sign * _front_size(fronts, f, -place)
+                if beside < 1:
+                    ahead -= sign * _front_size(fronts, f, 1.0 - place)
+                if beside < 2:
+                    beyond -= sign * _front_size(fronts, f, 2.0 - place)
+            else:  # ... or what is before it is taken along
+                if beside >= -1:
+                    behind += sign * _front_size(fronts, f, -1.0 - place)
+                if beside >= 0:
+                    here += sign * _front_size(fronts, f, -place)
+                if beside >= 1:
+                    ahead += sign * _front_size(fronts, f, 1.0 - place)
+    e = (beyond - behind + 3.0 * (here - ahead)) * _RECIPROCAL[6]
+    c = 0.5 * (behind + ahead) - here
+    b = ahead - here - c - e
+    if aside != 0:
+        return _expand(-float(aside), here, b, c, e)
+    return here, b, c, e
+
+
+@_jit
+def _next_front(s, fronts, cell, passed):
+    """Find the first front within a step that is not among the passed: where it is, and which."""
+    offset, first = 1.0, -1
+    for n in range(s.fronts):
+        f = (s.next_front + n) % _MAX_FRONTS
+        if fronts[f, _CELL] > cell:
+            break
+        if fronts[f, _CELL] == cell and fronts[f, _OFFSET] <= offset and not (passed >> f) & 1:
+            offset, first = fronts[f, _OFFSET], f
+    return offset, first
+
+
+@_jit
+def _within(s, fronts, waves, w, i, cell, sign, offset):
+    """Interpolate wave w at `offset` after index i, see `_cubic`."""
+    a, b, c, e = _cubic(s, fronts, waves, w, i, cell, sign)
+    value = _value(offset, a, b, c, e)
+    for n in range(s.fronts):
+        f = (s.next_front + n) % _MAX_FRONTS
+        if fronts[f, _CELL] > cell:
+            break
+        if fronts[f, _CELL] == cell and fronts[f, _OFFSET] < offset:
+            value += sign * _front_size(fronts, f, offset - fronts[f, _OFFSET])
+    return value
+
+
+@_jit
+def _queue_front(s, fronts, cell):
+    """Make room for a front among those that arrive earlier or later."""
+    n = s.fronts
+    f = (s.next_front + n) % _MAX_FRONTS
+    while n > 0:
+        before = (f - 1) % _MAX_FRONTS
+        if fronts[before, _CELL] <= cell:
+            break
+        for k in range(_FRONT_COLUMNS):
+            fronts[f, k] = fronts[before, k]
+        f = before
+        n -= 1
+    s.fronts += 1
+    fronts[f, _CELL] = cell
+    return f
+
+
+@_jit
+def _add_front(s, fronts, cell, offset, a, b, c, e):
+    """Remember a front that arrives as p at the top, unless the waves have become too rough."""
+    if s.fronts >= s.room:
+        s.rough = True
+    if s.rough:
+        return
+    f = _queue_front(s, fronts, cell)
+    fronts[f, _OFFSET] = offset
+    fronts[f, _AGE] = 0.0
+    fronts[f, _SIZE] = a
+    fronts[f, _SIZE + 1] = b
+    fronts[f, _SIZE + 2] = c
+    fronts[f, _SIZE + 3] = e
+    s.stop = min(s.stop, cell - 1)
+
+
+@_jit
+def _reflect(s, fronts, f):
+    """Work out what a front will be when it comes back, if nothing happens as it arrives."""
+    if not s.contact:
+        for n in range(4):
+            fronts[f, _NEXT + n] = -fronts[f, _SIZE + n]
+        return
+    answer = 0.0  # of V
+    for n in range(4):
+        size = fronts[f, _SIZE + n]
+        fronts[f, _NEXT + n] = size - answer
+        answer = s.rate * _RECIPROCAL[n + 1] * (2.0 * size - answer)
+    fronts[f, _AGE] += 1.0
+    if fronts[f, _AGE] * s.rate > _FRONT_LIFE:
+        s.rough = True
+        for n in range(4):
+            fronts[f, _NEXT + n] = 0.0
+
+
+@_jit
+def _arrive(s, fronts):
+    """Send on what has passed, find the next cell that needs care; tell if this one does."""
+    cell = s.cell
+    if cell > s.kink:
+        s.kink += 2 * s.steps
+    careful = cell + 1 >= s.kink
+    s.stop = cell + 1 if careful else s.kink - 1
+    while s.fronts > 0:
+        first = s.next_front
+        if fronts[first, _CELL] > cell - 3:
+            break
+        s.next_front = (first + 1) % _MAX_FRONTS
+        s.fronts -= 1
+        alive = False
+        for n in range(4):
+            alive = alive or fronts[first, _NEXT + n] != 0.0
+        if alive:
+            age = fronts[first, _AGE]
+            offset = fronts[first, _OFFSET]
+            a, b = fronts[first, _NEXT], fronts[first, _NEXT + 1]
+            c, e = fronts[first, _NEXT + 2], fronts[first, _NEXT + 3]
+            f = _queue_front(s, fronts, fronts[first, _CELL] + 2 * s.steps)
+            fronts[f, _AGE] = age
+            fronts[f, _OFFSET] = offset
+            fronts[f, _SIZE], fronts[f, _SIZE + 1] = a, b
+            fronts[f, _SIZE + 2], fronts[f, _SIZE + 3] = c, e
+    for n in range(s.fronts):
+        f = (s.next_front + n) % _MAX_FRONTS
+        distance = int(fronts[f, _CELL]) - cell
+        if distance > 1:
+            s.stop = min(s.stop, cell + distance - 1)
+            break
+        careful = careful or distance >= -1
+        s.stop = cell + 1
+    return careful
+
+
+@_jit
+def _note(s, events, kind, cell, offset, velocity):
+    """Write down an event, and tell whether there was room."""
+    if s.events == MAX_EVENTS:
+        return False
+    events[s.events, 0] = kind
+    events[s.events, 1] = (cell + offset) * s.step
+    events[s.events, 2] = velocity
+    s.events += 1
+    return True
+
+
+@_jit
+def _leave(s, cell, offset, V, P):
+    """Let the projectile go."""
+    height = s.top + 2.0 * P - s.relaxation * V
+    s.contact = False
+    s.launch_cell = cell
+    s.launch_offset = offset
+    s.launch_height = height
+    s.launch_velocity = V
+    s.top = height - 2.0 * P
+    s.highest = max(s.highest, height)
+    if s.events == 1:
+        s.first_push = s.push
+        s.first_load = s.load
+
+
+@_jit
+def _airborne(s, cell, offset):
+    """Time since the launch, height and velocity of the projectile."""
+    time = (cell - s.launch_cell + (offset - s.launch_offset)) * s.step
+    height = s.launch_height + time * (s.launch_velocity - 0.5 * s.gravity * time)
+    return time, height, s.launch_velocity - s.gravity * time
+
+
+@_jit
+def _highest_of_flight(s, time, height):
+    """Highest point of the flight up to now."""
+    if s.launch_velocity > 0.0 and s.launch_velocity < s.gravity * time:
+        return s.launch_height + 0.5 * s.launch_velocity**2 / s.gravity
+    return max(height, s.launch_height)
+
+
+@_jit
+def _pulls(s, d, V, a, b, c, e):
+    """Tell if the force on the projectile would be a pull after d steps in contact."""
+    return 2.0 * _value(d, a, b, c, e) - _follow(s, d, V, a, b, c, e) < s.floor
+
+
+@_jit
+def _gap(s, cell, offset, d, P, a, b, c, e):
+    """Find the gap in flight, d steps after `offset`."""
+    time, height, _ = _airborne(s, cell, offset + d)
+    return height - (s.top + 2.0 * (P + s.step * _area(d, a, b, c, e)) + s.drop * time)
+
+
+@_jit
+def _integral(s, waves, i):
+    """Integrate p at the top up to index i: cubics over each step, summed up."""
+    ends = (waves[0, i - 1] - waves[0, i + 1]) * _RECIPROCAL[24] - 0.5 * waves[0, i]
+    return s.step * (s.sum + ends) + s.anchor
+
+
+@_jit
+def _event_within(s, cell, offset, length, V, last, P, a, b, c, e):
+    """Find after how many steps force or gap falls below 0, if it does so by the end; else -1."""
+    low, high = 0.0, length
+    if s.contact:
+        if 2.0 * a - V < s.floor:
+            return 0.0
+        if 2.0 * _value(length, a, b, c, e) - last >= s.floor:
+            return -1.0
+        while True:
+            middle = 0.5 * (low + high)
+            if not low < middle < high:
+                return high
+            if _pulls(s, middle, V, a, b, c, e):
+                high = middle
+            else:
+                low = middle
+    _, _, speed = _airborne(s, cell, offset + length)
+    opening = speed >= 2.0 * _value(length, a, b, c, e) + s.drop
+    if opening or _gap(s, cell, offset, length, P, a, b, c, e) >= 0.0:
+        return -1.0
+    while True:
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            return high
+        if _gap(s, cell, offset, middle, P, a, b, c, e) < 0.0:
+            high = middle
+        else:
+            low = middle
+
+
+@_jit
+def _cross(s, waves, fronts, events, until):
+    """
+    Go through the step after `s.cell` event by event and front by front.
+
+    Up to `until` if that is below 1, changing nothing but `s` and writing its state; else through
+    the whole step to the next grid point. False if there were too many events.
+    """
+    cell = s.cell
+    i = cell - s.base - s.steps
+    a, b, c, e = _cubic(s, fronts, waves, 0, i, cell, 1.0)
+    V = s.velocity
+    P = _integral(s, waves, i)
+    if s.contact:
+        s.highest = max(s.highest, s.top + 2.0 * P - s.relaxation * V)
+    whole = until >= 1.0
+    target = min(until, 1.0)
+    offset = 0.0
+    passed = 0
+    events_left = _EVENTS_PER_STEP
+    while True:
+        end, arriving = _next_front(s, fronts, cell, passed)
+        last = _follow(s, end - offset, V, a, b, c, e) if s.contact else 0.0
+        length = -1.0
+        if events_left > 0:
+            length = _event_within(s, cell, offset, end - offset, V, last, P, a, b, c, e)
+        happens = length >= 0.0
+        following = offset + length if happens else end
+        done = target < following or (arriving < 0 and not happens)
+        if done:
+            following = target
+        length = following - offset
+        if s.contact:
+            V = last if following == end else _follow(s, length, V, a, b, c, e)
+        P += s.step * _area(length, a, b, c, e)
+        a, b, c, e = _expand(length, a, b, c, e)
+        offset = following
+        if done:
+            break
+        if not happens:
+            passed |= 1 << arriving
+            if whole:
+                _reflect(s, fronts, arriving)
+            if s.contact:
+                before = _downward(V, s.rate, a, b, c, e)
+            a += fronts[arriving, _SIZE]
+            b += fronts[arriving, _SIZE + 1]
+            c += fronts[arriving, _SIZE + 2]
+            e += fronts[arriving, _SIZE + 3]
+            if s.contact:
+                s.push = max(s.push, 2.0 * a - V)
+                if 2.0 * a - V < s.floor and events_left > 0:  # an echo tears it off
+                    events_left -= 1
+                    if not _note(s, events, 0.0, cell, offset, V):
+                        return False
+                    _leave(s, cell, offset, V, P)
+                    if whole:
+                        smooth = 0.0 if s.rough else 1.0
+                        fronts[arriving, _NEXT] = before[0] - (a + s.drop)
+                        fronts[arriving, _NEXT + 1] = smooth * (before[1] - b)
+                        fronts[arriving, _NEXT + 2] = smooth * (before[2] - c)
+                        fronts[arriving, _NEXT + 3] = smooth * (before[3] - e)
+            continue
+        events_left -= 1
+        sign = 1.0  # m changes from free to loaded, and comes back as its opposite
+        if s.contact:
+            if not _note(s, events, 0.0, cell, offset, V):
+                return False
+            _leave(s, cell, offset, V, P)
+            sign = -1.0
+        else:
+            time, height, V = _airborne(s, cell, offset)
+            if not _note(s, events, 1.0, cell, offset, V):
+                return False
+            s.highest = max(s.highest, _highest_of_flight(s, time, height))
+            s.push = max(s.push, 2.0 * a - V)
+            s.top = height - 2.0 * P + s.relaxation * V
+            s.falling = V < 0.0
+            s.contact = True
+        if whole:
+            loaded = _downward(V, s.rate, a, b, c, e)
+            _add_front(
+                s, fronts, cell + 2 * s.steps, offset,
+                sign * (a + s.drop - loaded[0]), sign * (b - loaded[1]),
+                sign * (c - loaded[2]), sign * (e - loaded[3]),
+            )
+    if whole:
+        _settle(s, waves, V, P)
+        return True
+    if s.contact:
+        s.minus = V - a
+        s.surface = s.top + 2.0 * P - s.relaxation * V
+        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
+        s.state[PROJECTILE_VELOCITY] = V
+        force = s.mass / s.relaxation * (2.0 * a - V) + s.mass * s.gravity
+        s.state[PROJECTILE_FORCE] = force
+    else:
+        time, height, velocity = _airborne(s, cell, offset)
+        s.highest = max(s.highest, _highest_of_flight(s, time, height))
+        s.minus = a + s.drop
+        s.surface = s.top + 2.0 * P + s.drop * time
+        s.state[PROJECTILE_POSITION] = s.rest_height + height
+        s.state[PROJECTILE_VELOCITY] = velocity
+        s.state[PROJECTILE_FORCE] = 0.0
+    return True
+
+
+@_jit
+def _settle(s, waves, V, P):
+    """Arrive at the next grid point, with V in contact, and P there."""
+    s.cell += 1
+    j = s.cell - s.base
+    i = j - s.steps
+    if s.contact:
+        s.velocity = V
+        waves[1, j] = V - waves[0, i]
+        s.push = max(s.push, 2.0 * waves[0, i] - V)
+        if (V < 0.0) != s.falling:
+            s.falling = not s.falling
+            s.highest = max(s.highest, s.top + 2.0 * P - s.relaxation * V)
+    else:
+        s.velocity = 0.0
+        waves[1, j] = waves[0, i] + s.drop
+    s.sum = 0.0
+    s.anchor = 0.0
+    s.anchor = P - _integral(s, waves, i)
+    strain = (waves[0, j] - waves[1, i]) + s.drop
+    s.load = max(s.load, abs(strain))
+    s.power = strain * (waves[0, j] + waves[1, i])
+    s.work += s.power
+    s.most_work = max(s.most_work, s.work)
+
+
+@_jit
+def _run_in_contact(s, waves, count):
+    """Advance by up to `count` steps, stopping before one in which the force ends below 0."""
+    first, N = s.cell - s.base, s.steps
+    behind, here, ahead = waves[0, first - N - 1], waves[0, first - N], waves[0, first - N + 1]
+    decay = s.decay
+    w0, w1, w2, w3 = s.weights[0], s.weights[1], s.weights[2], s.weights[3]
+    step, relaxation, anchor, top = s.step, s.relaxation, s.anchor, s.top
+    drop, floor = s.drop, s.floor
+    V, total, falling = s.velocity, s.sum, s.falling
+    push, load, work, power, most_work = s.push, s.load, s.work, s.power, s.most_work
+    done = count
+    for n in range(count):
+        i = first + 1 + n
+        beyond = waves[0, i - N + 1]
+        following = decay * V + ((w0 * behind + w1 * here) + (w2 * ahead + w3 * beyond))
+        force = 2.0 * ahead - following
+        if force < floor:
+            done = n
+            break
+        waves[1, i] = following - ahead
+        total += ahead
+        push = max(push, force)
+        if (following < 0.0) != falling:  # the top turns: the parabola through its highest point
+            falling = not falling
+            P = step * (total - 0.5 * ahead + (here - beyond) * _RECIPROCAL[24]) + anchor
+            height = top + 2.0 * P - relaxation * following
+            height += 0.5 * step * following * following / abs(V - following)
+            s.highest = max(s.highest, height)
+        p, m = waves[0, i], waves[1, i - N]
+        strain = (p - m) + drop
+        power = strain * (p + m)
+        work += power
+        load = max(load, abs(strain))
+        most_work = max(most_work, work)
+        V = following
+        behind, here, ahead = here, ahead, beyond
+    s.cell += done
+    s.velocity, s.sum, s.falling = V, total, falling
+    s.push, s.load, s.work, s.power, s.most_work = push, load, work, power, most_work
+    return done
+
+
+@_jit
+def _run_in_flight(s, waves, count):
+    """Advance by up to `count` steps, stopping before one in which the gap ends below 0."""
+    first, N = s.cell - s.base, s.steps
+    here, ahead = waves[0, first - N], waves[0, first - N + 1]
+    step, drop = s.step, s.drop
+    speed = s.launch_velocity - drop
+    fall = 0.5 * s.gravity
+    height = s.launch_height - s.top - 2.0 * s.anchor
+    start = s.cell + 1 - s.launch_cell - s.launch_offset
+    total = s.sum
+    load, work, power, most_work = s.load, s.work, s.power, s.most_work
+    done = count
+    for n in range(count):
+        i = first + 1 + n
+        beyond = waves[0, i - N + 1]
+        following = total + ahead
+        area = step * (following - 0.5 * ahead + (here - beyond) * _RECIPROCAL[24])
+        time = (start + n) * step
+        if height + time * (speed - fall * time) < 2.0 * area:
+            done = n
+            break
+        waves[1, i] = ahead + drop
+        total = following
+        p, m = waves[0, i], waves[1, i - N]
+        strain = (p - m) + drop
+        power = strain * (p + m)
+        work += power
+        load = max(load, abs(strain))
+        most_work = max(most_work, work)
+        here, ahead = ahead, beyond
+    s.cell += done
+    s.sum = total
+    s.load, s.work, s.power, s.most_work = load, work, power, most_work
+    return done
+
+
+@_jit
+def _piece_at(s, path, time):
+    """Find the piece of the plate's motion at `time` and go there; return its column."""
+    capacity = path.shape[1]
+    while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
+        s.piece += 1
+    return s.piece % capacity
+
+
+@_jit
+def _phasor_at(s, time):
+    """Compute factor e^{lambda t} of the underdamped plate."""
+    fading = s.growth * time
+    if fading < -600.0:  # spares everything after it from subnormal numbers
+        return 0.0, 0.0
+    size = s.factor * math.exp(fading)
+    return size * math.cos(s.turn * time), size * math.sin(s.turn * time)
+
+
+@_jit
+def _swing(waves, path, j, back, k, count, real, imaginary):
+    """Fill p with the underdamped plate: apart, so that it is done in vectors."""
+    leaving, coming = waves[0, j : j + count], waves[1, back : back + count]
+    cosines, sines = path[0, k : k + count], path[1, k : k + count]
+    for n in range(count):
+        leaving[n] = (real * sines[n] + imaginary * cosines[n]) - coming[n]
+
+
+@_jit
+def _fill(s, waves, path, last):
+    """Let p leave the plate up to grid point `last`, at most one crossing ahead of the top."""
+    while s.filled < last:
+        first = s.filled + 1
+        count = last - s.filled
+        j = first - s.base
+        N = s.steps
+        if s.kind == _DAMPED:
+            block = first // _BLOCK
+            k = first - block * _BLOCK
+            if block != s.block:
+                s.block = block
+                s.phasor[0], s.phasor[1] = _phasor_at(s, block * _BLOCK * s.step)
+            real, imaginary = s.phasor[0], s.phasor[1]
+            count = min(count, _BLOCK - k)
+            _swing(waves, path, j, j - N, k, count, real, imaginary)
+        else:
+            for n in range(count):
+                time = (first + n) * s.step
+                speed = _speed(path, _piece_at(s, path, time), time)
+                waves[0, j + n] = speed - waves[1, j + n - N]
+        s.filled += count
+
+
+@_jit
+def _speed(path, k, time):
+    """Compute the velocity of the plate from piece k."""
+    u = time - path[0, k]
+    return path[2, k] + u * (
+        2.0 * path[3, k]
+        + u * (3.0 * path[4, k] + u * (4.0 * path[5, k] + u * 5.0 * path[6, k]))
+    )
+
+
+@_jit
+def _plate(s, path, time):
+    """Compute height and velocity of the plate."""
+    if s.kind == _DAMPED:
+        sine = math.sin(s.turn * time)
+        decayed = math.exp(s.growth * time)
+        # as in plate.Underdamped: 1 - cos as 2 sin^2
+        rise = 2.0 * math.sin(0.5 * s.turn * time) ** 2 * decayed - math.expm1(s.growth * time)
+        rise += s.growth / s.turn * decayed * sine
+        return s.amplitude * rise, s.factor * decayed * sine
+    k = _piece_at(s, path, time)
+    u = time - path[0, k]
+    height = path[1, k] + u * (
+        path[2, k]
+        + u * (path[3, k] + u * (path[4, k] + u * (path[5, k] + u * path[6, k])))
+    )
+    return height, _speed(path, k, time)
+
+
+@_jit
+def _slide(s, waves):
+    """Move what is still needed of the waves to the start of the memory."""
+    shift = s.cell - s.steps - _PAD - s.base
+    count = s.filled - s.base + 1 - shift
+    for w in range(2):
+        for j in range(count):
+            waves[w, j] = waves[w, j + shift]
+    s.base += shift
+
+
+@_jit
+def _march(s, waves, path, fronts, events, goal):
+    """Advance to grid point `goal`; False if there were too many events."""
+    while s.cell < goal:
+        if s.filled == s.cell:
+            if s.cell + 3 - s.base > waves.shape[1]:
+                _slide(s, waves)
+            last = min(s.base + waves.shape[1] - 2, s.cell + s.steps)
+            _fill(s, waves, path, min(goal, last))
+        if s.cell >= s.stop and _arrive(s, fronts):
+            if not _cross(s, waves, fronts, events, 2.0):
+                return False
+            continue
+        count = min(s.filled, s.stop) - s.cell
+        done = _run_in_contact(s, waves, count) if s.contact else _run_in_flight(s, waves, count)
+        if done < count and not _cross(s, waves, fronts, events, 2.0):
+            return False
+    return True
+
+
+@_jit
+def _advance(time, core, waves, path, fronts, events):
+    """Advance to `time`; the number of events so far, or what is wrong."""
+    grid = core[0]
+    if not time >= core[1].time:
+        return _BACKWARDS
+    if time > grid.horizon:
+        return _BEYOND_HORIZON
+    step = grid.step
+    if time >= 4e15 * step:
+        return _TOO_FAR
+    goal = int(time / step)
+    while goal * step > time:
+        goal -= 1
+    while (goal + 1) * step <= time:
+        goal += 1
+    if grid.cell > goal or not _march(grid, waves, path, fronts, events, goal):
+        return _TOO_MANY_EVENTS
+    core[1] = core[0]
+    s = core[1]
+    s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
+    if not _cross(s, waves, fronts, events, s.offset):
+        return _TOO_MANY_EVENTS
+    i = goal - s.base - s.steps
+    m = _within(s, fronts, waves, 1, i, goal + s.steps, -1.0, s.offset)
+    height, speed = _plate(s, path, time)
+    s.time = time
+    s.plus = speed - m
+    s.state[TIME] = time
+    s.state[PLATE_POSITION] = height
+    s.state[PLATE_VELOCITY] = speed
+    s.state[PLATE_FORCE] = s.impedance * (m - s.plus) - s.mass * s.gravity
+    return s.events
+
+
+@_jit
+def _reset(core, waves):
+    """Put everything back to rest."""
+    core[0] = core[2]
+    core[1] = core[2]
+    waves[:] = 0.0
+
+
+@_jit
+def _read_field(core, waves, strain, velocity):
+    """Read strain and velocity of the layer from plate to top."""
+    s = core[1]
+    i = s.cell - s.base
+    rest = s.offset if s.offset > 0.0 else 1.0
+    # what is between grid points now is on a line to a next one, which is overwritten later
+    waves[0, i + 1] = waves[0, i] + (s.plus - waves[0, i]) / rest
+    waves[1, i + 1] = waves[1, i] + (s.minus - waves[1, i]) / rest
+    last = strain.size - 1
+    spacing = s.steps / last
+    inverse = 1.0 / s.wave_speed
+    for n in range(last + 1):
+        place = i + (s.offset - spacing * n)
+        j = int(place)
+        p = waves[0, j] + (waves[0, j + 1] - waves[0, j]) * (place - j)
+        place = i + (s.offset - spacing * (last - n))
+        j = int(place)
+        m = waves[1, j] + (waves[1, j + 1] - waves[1, j]) * (place - j)
+        strain[n] = (m - p - s.drop) * inverse
+        velocity[n] = p + m
+
+
+@_jit
+def _sample_field(times, out, velocity, core, waves, path, fronts, events):
+    """Advance through `times` and write the strain at each into a row; the last row and status."""
+    for row in range(times.size):
+        status = _advance(times[row], core, waves, path, fronts, events)
+        if status < 0:
+            return row, status
+        _read_field(core, waves, out[row], velocity)
+    return times.size, 0
+
+
+@_jit
+def _square(s, fronts, waves, w, i, cell, sign, offset):
+    """Integrate the square of wave w from `offset` after index i to the next, see `_cubic`."""
+    a, b, c, e = _cubic(s, fronts, waves, w, i, cell, sign)
+    start = 0.0
+    total = 0.0
+    passed = 0
+    while True:
+        end, arriving = _next_front(s, fronts, cell, passed)
+        low = max(start, offset)
+        if low < end:
+            half = 0.5 * (end - low)
+            for n in range(4):
+                value = _value(low - start + half * (1.0 + _NODES[n]), a, b, c, e)
+                total += half * _NODE_WEIGHTS[n] * value * value
+        if arriving < 0:
+            return total
+        a, b, c, e = _expand(end - start, a, b, c, e)
+        a += sign * fronts[arriving, _SIZE]
+        b += sign * fronts[arriving, _SIZE + 1]
+        c += sign * fronts[arriving, _SIZE + 2]
+        e += sign * fronts[arriving, _SIZE + 3]
+        passed |= 1 << arriving
+        start = end
+
+
+@_jit
+def _stored_energy(core, waves, fronts):
+    """Sum up the energy of layer and projectile against rest."""
+    s = core[1]
+    total = 0.0
+    for w in range(2):
+        # p at the plate is p at the top one crossing later, m at the top comes as -p after two
+        delay, sign, now = s.steps, 1.0, s.plus
+        if w == 1:
+            delay, sign, now = 2 * s.steps, -1.0, s.minus
+        i = s.cell - s.base
+        # where no cubic fits, to third order
+        total += 0.5 * s.offset * (waves[w, i] ** 2 + now**2)
+        total += 0.5 * (waves[w, i] ** 2 + waves[w, i - 1] ** 2)
+        start = s.offset
+        for n in range(s.steps, 1, -1):
+            total += _square(s, fronts, waves, w, i - n, s.cell - n + delay, sign, start)
+            start = 0.0
+    motion = 0.5 * s.mass * s.state[PROJECTILE_VELOCITY] ** 2
+    height = s.state[PROJECTILE_POSITION] - s.rest_height
+    lift = s.state[PLATE_POSITION] + height - s.surface
+    return s.impedance * s.step * total + motion + s.mass * s.gravity * lift
+
+
+@_jit
+def _feed(core, path, fronts, times, values, of_positions):
+    """
+    Take in measured samples.
+
+    A quartic through five samples gives slope (and curvature) at the middle one. Positions are
+    joined by quintics with those, velocities by cubics.
+    """
+    s = core[0]
+    recent_times, recent = s.recent[0], s.recent[1]
+    for n in range(times.size):
+        if s.samples == 0:
+            s.origin = values[n] if of_positions else 0.0
+            s.horizon = times[n]
+        for k in range(4):
+            recent_times[k] = recent_times[k + 1]
+            recent[k] = recent[k + 1]
+        recent_times[4] = times[n]
+        recent[4] = values[n] - s.origin
+        s.samples += 1
+        if s.samples < 5:
+            continue
+        first = 2
+        if s.samples == 5:  # nothing is known before the first sample
+            first = 1
+            s.slope, s.curvature = _quartic_slopes(recent_times, recent, 0)
+        for k in range(first, 3):
+            slope, curvature = _quartic_slopes(recent_times, recent, k)
+            column = s.pieces % path.shape[1]
+            piece = path[:, column]
+            D = recent_times[k] - recent_times[k - 1]
+            left = recent[k - 1]
+            rise = recent[k] - left
+            piece[0] = recent_times[k - 1]
+            if of_positions:
+                v, w = s.slope * D, slope * D
+                q, r = s.curvature * D * D, curvature * D * D
+                piece[1] = left
+                piece[2] = s.slope
+                piece[3] = 0.5 * s.curvature
+                piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
+                piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
+                piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
+            else:
+                v, w = s.slope * D, slope * D
+                c = 3.0 * rise - 2.0 * v - w
+                e = v + w - 2.0 * rise
+                piece[1] = s.height
+                piece[2] = left
+                piece[3] = 0.5 * s.slope
+                piece[4] = c / (3.0 * D * D)
+                piece[5] = 0.25 * e / D**3
+                piece[6] = 0.0
+                s.height += D * (left + v * 0.5 + c * _RECIPROCAL[3] + 0.25 * e)
+            s.slope, s.curvature = slope, curvature
+            s.pieces += 1
+            s.horizon = recent_times[k]
+        if s.samples == 5:
+            _start_front(s, fronts, path, 1, 1.0)
+    core[1].horizon = s.horizon
+
+
+@_jit
+def _quartic_slopes(x, y, at):
+    """First and second derivative at x[at] of the quartic through five points (Newton's form)."""
+    c = np.empty(5)
+    for k in range(5):
+        c[k] = y[k]
+    for order in range(1, 5):
+        for k in range(4, order - 1, -1):
+            c[k] = (c[k] - c[k - 1]) / (x[k] - x[k - order])
+    value, slope, curvature = c[4], 0.0, 0.0
+    for k in range(3, -1, -1):
+        u = x[at] - x[k]
+        curvature = curvature * u + 2.0 * slope
+        slope = slope * u + value
+        value = value * u + c[k]
+    return slope, curvature
+
+
+@_jit
+def _start_front(s, fronts, path, k, sign):
+    """Send the front through the layer that piece k begins (or ends, with `sign` -1) with."""
+    time = path[0, k]
+    cell = max(int(time / s.step), 0)
+    while cell > 0 and cell * s.step >= time:
+        cell -= 1
+    h = s.step
+    _add_front(
+        s, fronts, cell + s.steps, time / h - cell,
+        sign * path[2, k], sign * 2.0 * path[3, k] * h,
+        sign * 3.0 * path[4, k] * h**2, sign * 4.0 * path[5, k] * h**3,
+    )
+
+
+class Stepper:
+    """
+    A throw in real time: state and field of the rig at any time, going forward.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig; its layer must be lossless.
+    motion : Underdamped, Sampled, 'measured' or None
+        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for `feed`.
+        A sampled motion must not begin before time 0.
+    steps : int, optional
+        Steps per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
+    field_points : int
+        Heights at which `read_field` and `sample_field` give the layer, 2 or more.
+
+    Attributes
+    ----------
+    state : ndarray, shape (7,)
+        At exactly the time that was asked for last, and always the same array: `TIME` [s],
+        `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's
+        position at rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE`
+        and `PROJECTILE_FORCE` of the layer on each, up [N].
+
+    Raises
+    ------
+    ValueError
+        If the rig cannot be stepped in real time (see `steps_per_crossing`), or an argument is
+        out of range.
+
+    Notes
+    -----
+    What comes out at some time depends on that time alone, to the last bit: not on the times
+    that were asked for before, nor (given the samples) on how they were fed. See the module for
+    the scheme and its order.
+
+    Nothing is allocated after construction, except by `feed` and `events`.
+
+    Examples
+    --------
+    The rig of the paper, 10 ms after the start:
+
+    >>> stepper = Stepper(Rig())
+    >>> stepper.advance_to(0.010)
+    1
+    >>> [release] = stepper.events()
+    >>> f'{release.kind} after {1e3 * release.time:.4f} ms with {release.velocity:.4f} m/s'
+    'release after 7.6470 ms with 1.3750 m/s'
+
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        motion: PlateMotion | Literal['measured'] | None = None,
+        *,
+        steps: int | None = None,
+        field_points: int = 64,
+    ) -> None:
+        _check_lossless(rig)
+        self.rig = rig
+        self.steps = (
+            steps_per_crossing(rig)
+            if steps is None
+            else _checked_count('steps', steps, low=16, high=MAX_STEPS)
+        )
+        self.field_points = _checked_count('field_points', field_points, low=2, high=1 << 20)
+        self._core = np.zeros(3, _CORE)
+        self._waves = np.zeros((2, 4 * self.steps + _ROOM))
+        self._fronts = np.zeros((_MAX_FRONTS, _FRONT_COLUMNS))
+        self._events = np.zeros((MAX_EVENTS, 3))
+        self._path = self._prepare(motion)
+        self._start_fronts = self._fronts.copy()
+        self._memory = (self._core, self._waves, self._path, self._fronts, self._events)
+        self._scratch = np.zeros(self.field_points)
+        self._checked: tuple[Floats | None, Floats | None] = (None, None)
+        self.state: Floats = self._core['state'][1]
+        self.state.flags.writeable = False
+        self.reset()
+
+    def _prepare(self, motion: PlateMotion | Literal['measured'] | None) -> Floats:
+        """Write the record that `reset` goes back to, and return the table of the plate."""
+        rig = self.rig
+        start = self._core[2]
+        step = rig.crossing_time / self.steps
+        rate = step / rig.relaxation_time
+        decay, *moments = _moments(rate)
+        powers = np.linalg.inv(np.vander([-1.0, 0.0, 1.0, 2.0], increasing=True))
+        start['step'] = step
+        start['steps'] = self.steps
+        start['rate'] = rate
+        start['decay'] = decay
+        start['moments'] = moments
+        start['weights'] = 2.0 * rate * (np.array(moments) @ powers)
+        start['relaxation'] = rig.relaxation_time
+        start['gravity'] = rig.gravity
+        start['drop'] = rig.gravity * rig.relaxation_time
+        start['floor'] = -start['drop'] - _NOISE * rig.engine.speed_scale
+        start['wave_speed'] = rig.layer.wave_speed
+        start['impedance'] = rig.layer.impedance
+        start['mass'] = rig.projectile.mass
+        start['rest_height'] = rig.layer.thickness - rig.static_sag
+        start['base'] = -self.steps - _PAD
+        share = (2.0 * MAX_STEP_RATE * step - 1.0) * 2.0 * self.steps / _FRONT_COST
+        start['room'] = min(max(int(share), 2), _MAX_FRONTS)
+        start['block'] = -1
+        start['contact'] = True
+        # at rest the weight is all there is
+        start['load'] = start['drop']
+        self._is_fed = False
+        self._fed = ''
+        self._last_fed = -math.inf
+        start['horizon'] = math.inf
+        if motion is None:
+            motion = Underdamped.of(rig.engine)
+        if isinstance(motion, Underdamped):
+            exponent = motion.exponent
+            start['kind'] = _DAMPED
+            start['amplitude'] = motion.amplitude
+            start['growth'] = exponent.real
+            start['turn'] = exponent.imag
+            start['factor'] = motion.velocity_factor
+            start['kink'] = self.steps
+            turns = np.exp(exponent * step * np.arange(_BLOCK))
+            return np.array([turns.real, turns.imag])
+        start['kind'] = _PIECES
+        start['kink'] = 1 << 62
+        start['pieces'] = 1  # at rest
+        if isinstance(motion, Sampled):
+            return self._lay_out(motion)
+        if motion != 'measured':
+            raise ValueError(
+                "motion must be Underdamped, Sampled, 'measured' or None, "
+                f'got {motion!r}; Sampled.from_velocities takes any other'
+            )
+        self._is_fed = True
+        start['horizon'] = 0.0
+        return np.zeros((_PIECE_ROWS, FEED_SEGMENTS))
+
+    def _lay_out(self, motion: Sampled) -> Floats:
+        """Return the pieces of a sampled motion, a column each."""
+        start = self._core[2]
+        coefficients, knots = motion.path.c, motion.path.x
+        degree = coefficients.shape[0] - 1
+        if coefficients.ndim != 2 or degree > _PIECE_ROWS - 2:
+            raise ValueError(
+                f'a sampled motion must have pieces of degree {_PIECE_ROWS - 2} at most, '
+                f'got coefficients of shape {coefficients.shape}'
+            )
+        if motion.start_time < 0.0:
+            raise ValueError(
+                'a sampled motion must begin at time 0 or later, got a first sample at '
+                f'{motion.start_time:g} s'
+            )
+        count = knots.size - 1
+        path = np.zeros((_PIECE_ROWS, count + 2))
+        path[0, 1:] = knots
+        path[1 : degree + 2, 1:-1] = coefficients[::-1]
+        _start_front(start, self._fronts, path, 1, 1.0)
+        start['pieces'] = count + 1
+        if motion.after == 'error':
+            start['horizon'] = motion.end_time
+            return path
+        start['pieces'] = count + 2
+        path[1, -1] = motion.path(motion.end_time)
+        for order in range(1, 5):  # what stops there
+            derivative = motion.path.derivative(order)(motion.end_time)
+            path[1 + order, -1] = derivative / math.factorial(order)
+        _start_front(start, self._fronts, path, count + 1, -1.0)
+        path[2:, -1] = 0.0
+        return path
+
+    def reset(self) -> None:
+        """Go back to time 0, everything at rest; samples fed are forgotten."""
+        self._fronts[:] = self._start_fronts
+        self._fed = ''
+        self._last_fed = -math.inf
+        _reset(self._core, self._waves)
+        _advance(0.0, *self._memory)
+
+    def advance_to(self, time: float) -> int:
+        """
+        Go forward to `time`, however far, and bring `state` there.
+
+        Parameters
+        ----------
+        time : float
+            Since the start, not before the time of the last call. [s]
+
+        Returns
+        -------
+        int
+            Releases and landings so far.
+
+        Raises
+        ------
+        ValueError
+            If `time` is not finite or goes backwards.
+        HorizonError
+            If the plate is not known that far ahead; nothing has changed.
+        EventLimitError
+            If there were too many events on the way; only `reset` helps.
+
+        """
+        count = _advance(float(time), *self._memory)
+        if count < 0:
+            raise self._refusal(count, time)
+        return count  # type: ignore[no-any-return]
+
+    def _refusal(self, status: int, time: float) -> Exception:
+        """Say what is wrong."""
+        if status == _BEYOND_HORIZON:
+            return HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
+        if status == _TOO_MANY_EVENTS:
+            return EventLimitError(
+                f'more than {MAX_EVENTS} releases and landings before {time:g} s'
+            )
+        if status == _TOO_FAR or math.isnan(time):
+            return ValueError(f'time must be finite and within 4e15 steps, got {time:g} s')
+        return ValueError(
+            f'time must not go backwards, got {time!r} s after {float(self.state[TIME])!r} s'
+        )
+
+    def feed(
+        self,
+        times: ArrayLike,
+        *,
+        positions: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
+    ) -> None:
+        """
+        Take in samples of the plate, measured while it runs.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            Increasing, from call to call too; the first not negative. [s]
+        positions, velocities : array_like, shape (n,)
+            One of them, the same in every call. Heights count from the first sample. [m], [m/s]
+
+        Raises
+        ------
+        ValueError
+            If the stepper was not made with the motion 'measured', or samples are not finite,
+            not increasing, or not of one kind. None is taken then.
+        FeedFullError
+            If they are more than `FEED_SEGMENTS` ahead of `advance_to`. None is taken then.
+
+        Notes
+        -----
+        Slope and curvature at a sample are those of the quartic through it and two samples on
+        either side. Positions are joined by quintics with a continuous acceleration, fourth order
+        in velocity; velocities by cubics with a continuous acceleration, fourth order too.
+
+        So the plate is known (`horizon`) up to the last sample but two, and before the fifth
+        sample up to the first, before which it is at rest: driven by samples of a live rig, the
+        twin is two samples late.
+
+        """
+        if not self._is_fed:
+            raise ValueError("feed needs a stepper made with motion 'measured'")
+        if (positions is None) == (velocities is None):
+            raise ValueError('feed needs either positions or velocities, got both or neither')
+        kind = 'velocities' if positions is None else 'positions'
+        if self._fed not in ('', kind):
+            raise ValueError(f'{self._fed} were fed before, got {kind}; call reset in between')
+        values = velocities if positions is None else positions
+        times, values = _checked_series(times, values, kind, after=self._last_fed)
+        if not times.size:
+            return
+        grid = self._core[0]
+        ahead = int(grid['pieces'] - grid['piece']) + times.size
+        if ahead > FEED_SEGMENTS:
+            raise FeedFullError(
+                f'samples must not be more than {FEED_SEGMENTS} ahead of advance_to, '
+                f'got {times.size} which makes {ahead}'
+            )
+        _feed(self._core, self._path, self._fronts, times, values, positions is not None)
+        self._fed = kind
+        self._last_fed = float(times[-1])
+
+    def read_field(self, strain: Floats, velocity: Floats) -> None:
+        """
+        Write what the layer does at the present time, from plate to top.
+
+        Parameters
+        ----------
+        strain, velocity : ndarray, shape (field_points,)
+            Of float64, written to: total strain [-], and velocity [m/s].
+
+        Raises
+        ------
+        ValueError
+            If an array does not fit.
+
+        Notes
+        -----
+        Both waves are interpolated linearly between grid points, except at plate and top, which
+        agree with `state`.
+
+        """
+        if self._checked[0] is not strain or self._checked[1] is not velocity:
+            _check_target('strain', strain, (self.field_points,))
+            _check_target('velocity', velocity, (self.field_points,))
+            self._checked = (strain, velocity)
+        _read_field(self._core, self._waves, strain, velocity)
+
+    def sample_field(self, times: ArrayLike, out: Floats) -> None:
+        """
+        Go forward through `times`, and write the total strain at each into a row of `out`.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            As for `advance_to`. [s]
+        out : ndarray, shape (n, field_points)
+            Of float64, written to. [-]
+
+        Raises
+        ------
+        ValueError
+            If `out` does not fit; else as `advance_to`, with the rows before it written.
+
+        """
+        times = np.ascontiguousarray(times, dtype=np.float64)
+        if times.ndim != 1:
+            raise ValueError(f'times must be a series, got shape {times.shape}')
+        _check_target('out', out, (times.size, self.field_points))
+        row, status = _sample_field(times, out, self._scratch, *self._memory)
+        if status < 0:
+            raise self._refusal(status, float(times[row]))
+
+    @property
+    def horizon(self) -> float:
+        """Until when the plate is known. [s]"""
+        return float(self._core['horizon'][0])
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the projectile lies on the layer."""
+        return bool(self._core['contact'][1])
+
+    @property
+    def event_count(self) -> int:
+        """Releases and landings so far."""
+        return int(self._core['events'][1])
+
+    def events(self) -> list[Event]:
+        """Return releases and landings so far."""
+        rows = self._events[: self.event_count].tolist()
+        return [
+            Event('landing' if kind else 'release', time, velocity)
+            for kind, time, velocity in rows
+        ]
+
+    @property
+    def surface_position(self) -> float:
+        """Height of the top of the layer; in contact that of the projectile's lower face. [m]"""
+        return float(self._core['rest_height'][1] + self._core['surface'][1])
+
+    @property
+    def peaks(self) -> Peaks:
+        """Largest values so far, at grid points and events."""
+        now = self._core[1]
+        return self._peaks(now['push'], now['load'])
+
+    @property
+    def first_peaks(self) -> Peaks:
+        """Largest values up to the first release, at grid points and events."""
+        if not self.event_count:
+            return self.peaks
+        now = self._core[1]
+        return self._peaks(now['first_push'], now['first_load'])
+
+    def _peaks(self, push: float, load: float) -> Peaks:
+        """Give speeds their units: a wave's speed is strain and force."""
+        layer = self.rig.layer
+        return Peaks(
+            plate_strain=float(load) / layer.wave_speed,
+            contact_strain=float(push + self._core['drop'][1]) / layer.wave_speed,
+            acceleration=float(push) / self.rig.relaxation_time,
+            plate_force=float(load) * layer.impedance,
+        )
+
+    @property
+    def highest_position(self) -> float:
+        """Highest that the projectile's lower face has been so far. [m]"""
+        return float(self._core['rest_height'][1] + self._core['highest'][1])
+
+    @property
+    def work(self) -> float:
+        """Work of the plate so far, by the trapezoidal rule up to the last grid point. [J]"""
+        now = self._core[1]
+        return float(self._work_unit() * (now['work'] - 0.5 * now['power']))
+
+    @property
+    def peak_work(self) -> float:
+        """Largest work of the plate so far: what the engine has to have handed out. [J]"""
+        return float(self._work_unit() * self._core['most_work'][1])
+
+    def _work_unit(self) -> float:
+        """Return the work of one step at unit power. [J s2/m2]"""
+        return float(self.rig.layer.impedance * self._core['step'][1])
+
+    def stored_energy(self) -> float:
+        """
+        Add up the energy of layer and projectile against rest, at the present time. [J]
+
+        It is the work of the plate, since nothing is lost; it takes microseconds. Fourth order in
+        the step, third within two steps of an event.
+        """
+        return float(_stored_energy(self._core, self._waves, self._fronts))
+
+
+def warm_up() -> None:
+    """Compile or load all kernels."""
+    stepper = Stepper(Rig(), 'measured', field_points=2)
+    stepper.feed(np.arange(8.0), velocities=np.zeros(8))
+    stepper.advance_to(stepper.horizon / 1024.0)
+    stepper.read_field(np.empty(2), np.empty(2))
+    stepper.sample_field(np.array([stepper.state[TIME]]), np.empty((1, 2)))
+    stepper.stored_energy()
+
+
+def _check_lossless(rig: Rig) -> None:
+    """Raise ValueError if the layer has internal loss."""
+    if rig.layer.loss_tangent > 0.0:
+        raise ValueError(
+            'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
+            f'got {rig.layer.loss_tangent:g}'
+        )
+
+
+def _checked_count(name: str, value: Any, *, low: int, high: int) -> int:
+    """Return a whole number within limits, or raise ValueError."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise ValueError(f'{name} must be a whole number, got {value!r}')
+    if not low <= value <= high:
+        raise ValueError(f'{name} must be from {low} to {high}, got {value}')
+    return int(value)
+
+
+def _check_target(name: str, array: Any, shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless a kernel can write to `array`."""
+    if (
+        not isinstance(array, np.ndarray)
+        or array.dtype != np.float64
+        or array.shape != shape
+        or not (array.flags.c_contiguous and array.flags.writeable)
+    ):
+        got = (
+            f'{array.dtype} of shape {array.shape}'
+            if isinstance(array, np.ndarray)
+            else type(array).__name__
+        )
+        raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')
+
+
+def _checked_series(
+    times: ArrayLike, values: ArrayLike | None, kind: str, *, after: float
+) -> tuple[Floats, Floats]:
+    """Return times and values as arrays, or raise ValueError."""
+    times = np.ascontiguousarray(times, dtype=np.float64)
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    if times.ndim != 1 or times.shape != values.shape:
+        raise ValueError(
+            f'times and {kind} must be series of one length, '
+            f'got shapes {times.shape} and {values.shape}'
+        )
+    for label, array in (('times', times), (kind, values)):
+        if not np.isfinite(array).all():
+            first = int(np.flatnonzero(~np.isfinite(array))[0])
+            raise ValueError(f'{label} must be finite, got {array[first]} at index {first}')
+    if times.size and times[0] < 0.0:
+        raise ValueError(f'times must not be negative, got {times[0]}')
+    backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
+    if backward.size:
+        first = int(backward[0])
+        before = times[first - 1] if first else after
+        raise ValueError(
+            f'times must increase, got {times[first]} after {before} at index {first}'
+        )
+    return times, values
