@@ -111,7 +111,7 @@ class Flight:
             max_strain=max_strain,
             peak_acceleration=peaks.acceleration,
             peak_force=peaks.plate_force,
-            energy=stepper.peak_work,
+            plate_work=stepper.peak_work,
             apex_height=self._apex_height(),
             recontacts=max(len(ejections) - 1, 0),
             landings=self._landings,

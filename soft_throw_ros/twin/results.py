@@ -117,8 +117,8 @@ class ThrowResult:
         Largest acceleration of the projectile so far. [m/s2]
     peak_force : float
         Largest force of the layer on the plate so far, as a magnitude. [N]
-    energy : float
-        Largest energy that the plate has handed out so far. [J]
+    plate_work : float
+        Largest work that the plate has done so far, which the engine has to hand out. [J]
     apex_height : float
         Highest point of the projectile's lower face, above where it rested; infinite without
         gravity. [m]
@@ -143,7 +143,7 @@ class ThrowResult:
     max_strain: float
     peak_acceleration: float
     peak_force: float
-    energy: float
+    plate_work: float
     apex_height: float
     recontacts: int
     landings: int

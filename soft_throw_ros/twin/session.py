@@ -194,11 +194,11 @@ class Session:
             max_events = self._settings['throw.max_events']
             period = self._settings['throw.period']
         if flight is None:
-            ticks = max(path.end - self.step, 0)
-            raise Refused(f'the rig is being put back: ready in {ticks / plan.rate:.2f} s')
+            seconds = max(path.end - self.step, 0) / plan.rate
+            raise Refused(f'the rig is being put back: ready in {seconds:.2f} s')
         left = time_until_over(plan, elapsed * plan.tick, max_events=max_events)
-        ticks = min(left / plan.tick + plan.return_ticks(period), longest)
-        raise Refused(f'throw {flight.number} is under way: ready in {ticks / plan.rate:.2f} s')
+        seconds = min(left / plan.tick + plan.return_ticks(period), longest) / plan.rate
+        raise Refused(f'throw {flight.number} is under way: ready in {seconds:.2f} s')
 
     def reset(self) -> None:
         """Break off a throw under way, put things back, and count the period from here."""

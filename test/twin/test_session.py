@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Any
 
@@ -63,15 +64,13 @@ class Run:
 
 def same_bits(ours: Outputs, theirs: Outputs) -> bool:
     """Compare everything, arrays by their bytes."""
-    if ours[:6] != theirs[:6]:
-        return False
-    for mine, other in ((ours.field, theirs.field), (ours.throw_field, theirs.throw_field)):
-        if (mine is None) != (other is None):
-            return False
-        if mine is not None and other is not None:
-            if [array.tobytes() for array in mine] != [array.tobytes() for array in other]:
-                return False
-    return True
+    return ours[:6] == theirs[:6] and all(map(same_arrays, ours[6:], theirs[6:]))
+
+
+def same_arrays(ours: tuple[Any, ...] | None, theirs: tuple[Any, ...] | None) -> bool:
+    if ours is None or theirs is None:
+        return ours is theirs
+    return [array.tobytes() for array in ours] == [array.tobytes() for array in theirs]
 
 
 # schedule
@@ -265,7 +264,7 @@ def test_result_agrees_with_the_exact_throw() -> None:
     assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=1e-3)
     assert release.peak_acceleration == pytest.approx(exact.peak_acceleration, rel=1e-3)
     assert release.apex_height == pytest.approx(exact.apex_height, rel=1e-6)
-    assert final.energy >= release.energy > exact.energies.projectile
+    assert final.plate_work >= release.plate_work > exact.energies.projectile
 
 
 def test_result_tells_first_and_last_release_apart() -> None:
@@ -564,10 +563,8 @@ def test_any_run_is_repeated_to_the_bit(inputs, data) -> None:
     for steps, (kind, values) in inputs:
         run.go(steps)
         if kind == 'throw':
-            try:
+            with contextlib.suppress(Refused):
                 run.session.ask_throw()
-            except Refused:
-                pass
         elif kind == 'reset':
             run.session.reset()
         else:

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keep time: which step is due when, waiting for it, and how well that went."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import ctypes
+from dataclasses import dataclass, field
+import os
+import threading
+import time
+from typing import Any, Protocol
+
+import numpy as np
+from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+SPIN = 60_000
+"""How long before a deadline sleep ends and polling begins; about what a wake-up takes. [ns]"""
+
+POLL = 0.1
+"""Longest wait, after which a thread looks whether it is to stop. [s]"""
+
+PRIORITY = 10
+"""Of the thread that ticks, among those that go before all others."""
+
+SECOND = 1_000_000_000
+"""[ns]"""
+
+
+class Clock(Protocol):
+    """What steps are due by."""
+
+    epoch: int
+    """Another one, when times before and after have nothing to do with each other."""
+    max_catch_up: int
+    """How much is caught up after a stall; what is beyond is skipped. [ns]"""
+    tolerance: int
+    """What is later is late. [ns]"""
+
+    def now(self) -> int:
+        """Return the time; 0 if the clock does not go yet. [ns]"""
+
+    def wait_until(self, deadline: int) -> None:
+        """Return at a time, or before: the caller looks at the clock and waits again."""
+
+
+class Steps(Protocol):
+    """What is asked for steps: `twin.session.Session` is one."""
+
+    @property
+    def step(self) -> int:
+        """Number of the next step."""
+
+    @property
+    def rate(self) -> float:
+        """Steps per second, now. [Hz]"""
+
+    def advance(self) -> Any:
+        """Go one step on."""
+
+
+class SystemClock:
+    """The time of day, which goes on steadily between calls of `adjust`."""
+
+    max_catch_up = SECOND // 10
+    tolerance = SECOND // 5000
+
+    def __init__(self) -> None:
+        self.epoch = 0
+        self._offset = time.time_ns() - time.monotonic_ns()
+
+    def adjust(self) -> None:
+        """Follow what was done to the time of day since the last call."""
+        offset = time.time_ns() - time.monotonic_ns()
+        if abs(offset - self._offset) > self.max_catch_up:  # somebody has set it
+            self.epoch += 1
+        self._offset = offset
+
+    def now(self) -> int:
+        """Return nanoseconds since 1970."""
+        return time.monotonic_ns() + self._offset
+
+    def wait_until(self, deadline: int) -> None:
+        """Sleep, and poll for the last microseconds, since a sleep ends late."""
+        target = deadline - self._offset
+        pause = target - SPIN - time.monotonic_ns()
+        if pause > 0:
+            time.sleep(min(pause / SECOND, POLL))
+        while 0 < target - time.monotonic_ns() <= SPIN:
+            pass
+
+
+class NodeClock:
+    """The clock of a node that follows `/clock`: it moves when a message moves it."""
+
+    max_catch_up = 10 * SECOND
+    tolerance = 10 * SECOND
+
+    def __init__(self, node: Node) -> None:
+        self.epoch = 0
+        self._clock = node.get_clock()
+        assert isinstance(self._clock, ROSClock)
+        self.is_active = bool(self._clock.ros_time_is_active)
+        self._moved = threading.Event()
+        self._watch = self._clock.create_jump_callback(
+            JumpThreshold(
+                min_forward=Duration(nanoseconds=1),
+                min_backward=Duration(nanoseconds=-1),
+                on_clock_change=True,
+            ),
+            post_callback=self._on_jump,
+        )
+
+    def now(self) -> int:
+        """Return the time that `/clock` has told last, 0 before the first message. [ns]"""
+        return int(self._clock.now().nanoseconds)
+
+    def wait_until(self, deadline: int) -> None:
+        """Wait until the clock moves."""
+        if self.now() < deadline:
+            self._moved.wait(POLL)
+        self._moved.clear()
+
+    def close(self) -> None:
+        """Let the node's clock go."""
+        self._watch.unregister()
+
+    def _on_jump(self, jump: TimeJump) -> None:
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            self.is_active = jump.clock_change == ClockChange.ROS_TIME_ACTIVATED
+            self.epoch += 1
+        elif jump.delta.nanoseconds < 0:
+            self.epoch += 1
+        self._moved.set()
+
+
+class Pace:
+    """
+    When each step is due.
+
+    Deadlines are absolute: being late once makes nothing late later.
+
+    Parameters
+    ----------
+    step : int
+        A step.
+    time : int
+        When it is due. [ns]
+    rate : float
+        Steps per second. [Hz]
+
+    Examples
+    --------
+    >>> pace = Pace(step=10, time=5_000_000, rate=1000.0)
+    >>> pace.deadline(12)
+    7000000
+    >>> pace.skip(step=12, now=30_000_000, max_catch_up=3_000_000)
+    20
+    >>> pace.deadline(12)
+    27000000
+
+    """
+
+    def __init__(self, *, step: int, time: int, rate: float) -> None:
+        self._step = step
+        self._time = time
+        self.rate = rate
+
+    def deadline(self, step: int) -> int:
+        """Return when a step is due. [ns]"""
+        return self._time + round((step - self._step) * SECOND / self.rate)
+
+    def change_rate(self, *, step: int, rate: float) -> None:
+        """Take another rate from `step` on, whose own deadline stays."""
+        self._time = self.deadline(step)
+        self._step = step
+        self.rate = rate
+
+    def skip(self, *, step: int, now: int, max_catch_up: int) -> int:
+        """
+        Let time stand still for what a stall took beyond `max_catch_up`.
+
+        Returns
+        -------
+        int
+            How many ticks of the clock go without a step. Steps stay consecutive.
+
+        """
+        late = now - self.deadline(step) - max_catch_up
+        ticks = int(late * self.rate / SECOND) if late > 0 else 0
+        if ticks:
+            self._time = self.deadline(step + ticks)
+            self._step = step
+        return ticks
+
+
+@dataclass
+class Account:
+    """
+    How well time was kept.
+
+    Counts are since the start; lists are since they were last taken, by `take`, which may be
+    called from another thread. [ns]
+    """
+
+    ticks: int = 0
+    late: int = 0
+    skipped: int = 0
+    caught_up: int = 0
+    jumps: int = 0
+    lateness: list[int] = field(default_factory=list)
+    compute: list[int] = field(default_factory=list)
+
+    def take(self) -> tuple[list[int], list[int]]:
+        """Return lateness and compute time of the ticks since the last call."""
+        lateness, self.lateness = self.lateness, []
+        compute, self.compute = self.compute, []
+        return lateness, compute
+
+
+class Ticker:
+    """
+    Ask for every step that is due, and hand on what it gives.
+
+    Parameters
+    ----------
+    steps : Steps
+        Are due at their `rate`, the next one at the first look at the clock.
+    on_step : callable
+        Called with what every step gives, and when it was due. [ns]
+    clock : callable
+        Returns the clock to go by, before every look at it.
+
+    Attributes
+    ----------
+    account : Account
+        How well time was kept.
+    scheduler : str
+        What the kernel schedules the thread by.
+
+    Notes
+    -----
+    If the clock is set, or changed for another one, the next step is due at once.
+
+    """
+
+    def __init__(
+        self,
+        steps: Steps,
+        on_step: Callable[[Any, int], None],
+        clock: Callable[[], Clock],
+    ) -> None:
+        self.account = Account()
+        self.scheduler = ''
+        self._steps = steps
+        self._on_step = on_step
+        self._clock = clock
+        self._followed: tuple[Clock, int] | None = None
+        self._pace: Pace | None = None
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Tick in a thread of its own."""
+        self._thread.start()
+
+    def stop(self, timeout: float) -> None:
+        """Ask the thread to end, and wait for it at most `timeout`. [s]"""
+        self._is_stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    def run_due(self) -> int:
+        """
+        Do every step that is due now.
+
+        Returns
+        -------
+        int
+            When the next one is due, by the same clock. [ns]
+
+        """
+        clock = self._clock()
+        now = clock.now()
+        pace = self._pace_of(clock, now)
+        if pace is None:
+            return now + 1
+        steps, account = self._steps, self.account
+        account.skipped += pace.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
+        due = pace.deadline(steps.step)
+        is_first = True
+        while due <= now:
+            begin = time.perf_counter_ns()
+            self._on_step(steps.advance(), due)
+            account.compute.append(time.perf_counter_ns() - begin)
+            account.lateness.append(now - due)
+            account.ticks += 1
+            account.late += now - due > clock.tolerance
+            account.caught_up += not is_first
+            is_first = False
+            if steps.rate != pace.rate:
+                pace.change_rate(step=steps.step - 1, rate=steps.rate)
+            due = pace.deadline(steps.step)
+        return due
+
+    def _pace_of(self, clock: Clock, now: int) -> Pace | None:
+        """Return when steps are due by a clock, or None if it does not go yet."""
+        followed = (clock, clock.epoch)
+        if followed != self._followed:
+            self.account.jumps += self._pace is not None
+            self._followed = followed
+            self._pace = None
+        if self._pace is None and now > 0:
+            self._pace = Pace(step=self._steps.step, time=now, rate=self._steps.rate)
+        return self._pace
+
+    def _run(self) -> None:
+        self.scheduler = be_punctual()
+        while not self._is_stopping.is_set():
+            due = self.run_due()
+            self._clock().wait_until(due)
+
+
+def percentiles(values: Sequence[int]) -> tuple[float, float, float]:
+    """
+    Return median, 99th percentile and largest of nanoseconds, in seconds; zeros if there is none.
+
+    Examples
+    --------
+    >>> percentiles([1000, 2000, 3000])[0]
+    2e-06
+
+    """
+    if not values:
+        return 0.0, 0.0, 0.0
+    p50, p99, largest = np.percentile(values, (50, 99, 100)) / SECOND
+    return float(p50), float(p99), float(largest)
+
+
+def be_punctual() -> str:
+    """
+    Have the kernel wake this thread on time.
+
+    Sleeps end when they should, instead of up to 50 us later. And, where the user may (as root, or
+    with an `rtprio` in limits.conf), the thread goes before whatever else the machine does: it
+    sleeps most of the time.
+
+    Returns
+    -------
+    str
+        The scheduler it got, 'fifo' or 'other'.
+
+    """
+    prctl = getattr(ctypes.CDLL(None), 'prctl', None)
+    if prctl is not None:  # elsewhere than on Linux sleeps are as they are
+        pr_set_timerslack = 29
+        prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except (AttributeError, OSError):
+        return 'other'
+    return 'fifo'

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages and what they are made of."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.nodes.conversions import (
+    ArrayEncoder,
+    JointStateEncoder,
+    msg_to_array,
+    msg_to_throw_result,
+    msg_to_time,
+    msg_to_values,
+    rig_to_values,
+    status_to_msg,
+    throw_result_to_msg,
+    time_to_msg,
+    values_to_rig,
+)
+from soft_throw_ros.twin.results import Release, State, ThrowResult
+from std_msgs.msg import Float64MultiArray
+
+STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
+STAMP = 1_700_000_000_123_456_789
+
+RESULT = ThrowResult(
+    throw=3,
+    step=3123,
+    stage='final',
+    ended_by='period',
+    rig=Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)),
+    first=Release(time=0.1 + 0.2, speed=1.0 / 3.0, energy_transfer=0.499),
+    last=Release(time=0.4, speed=2.0 / 3.0, energy_transfer=1.241),
+    peak_plate_speed=0.72,
+    peak_strain=0.12,
+    max_strain=0.1,
+    peak_acceleration=1234.5,
+    peak_force=1.5,
+    plate_work=2.5e-3,
+    apex_height=math.inf,
+    recontacts=1,
+    landings=4,
+    models={'spring_mass': Release(time=0.01, speed=1.0, energy_transfer=3.0)},
+)
+
+
+@pytest.fixture(params=[Stores.ROS2_JAZZY, Stores.ROS2_KILTED], ids=lambda store: store.value)
+def typestore(request: pytest.FixtureRequest) -> object:
+    """Somebody else's encoder, which writes no padding but zeros."""
+    return get_typestore(request.param)
+
+
+@pytest.mark.parametrize('names', [('plate', 'projectile'), ('a', 'bc'), ('abcd', 'efg')])
+@pytest.mark.parametrize('frame', ['rig', '', 'abcdefgh'])
+def test_joint_state_bytes_are_canonical(typestore, frame, names) -> None:
+    types = typestore.types
+    header = types['std_msgs/msg/Header'](
+        stamp=types['builtin_interfaces/msg/Time'](sec=STAMP // 10**9, nanosec=STAMP % 10**9),
+        frame_id=frame,
+    )
+    message = types['sensor_msgs/msg/JointState'](
+        header=header,
+        name=list(names),
+        position=np.array(STATE[:2]),
+        velocity=np.array(STATE[2:4]),
+        effort=np.array(STATE[4:]),
+    )
+    canonical = bytes(typestore.serialize_cdr(message, 'sensor_msgs/msg/JointState'))
+    assert JointStateEncoder(frame, names).encode(STAMP, STATE) == canonical
+
+
+def test_joint_state_bytes_are_read_by_ros() -> None:
+    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
+    encoder.encode(0, State(*[math.nan] * 6))
+    message = deserialize_message(encoder.encode(STAMP, STATE), JointState)
+    assert msg_to_time(message.header.stamp) == STAMP
+    assert message.header.frame_id == 'rig'
+    assert list(message.name) == ['plate', 'projectile']
+    assert (*message.position, *message.velocity, *message.effort) == STATE
+
+
+@pytest.mark.parametrize('dimensions', [{'y': 64}, {'t': 3, 'y': 5}, {'abc': 1}])
+def test_array_bytes_are_canonical(typestore, dimensions) -> None:
+    types = typestore.types
+    values = np.random.default_rng(1).normal(size=tuple(dimensions.values()))
+    sizes = list(dimensions.values())
+    layout = types['std_msgs/msg/MultiArrayLayout'](
+        dim=[
+            types['std_msgs/msg/MultiArrayDimension'](
+                label=label, size=size, stride=math.prod(sizes[index:])
+            )
+            for index, (label, size) in enumerate(dimensions.items())
+        ],
+        data_offset=0,
+    )
+    message = types['std_msgs/msg/Float64MultiArray'](layout=layout, data=values.reshape(-1))
+    canonical = bytes(typestore.serialize_cdr(message, 'std_msgs/msg/Float64MultiArray'))
+    assert ArrayEncoder(dimensions).encode(values) == canonical
+
+
+def test_array_comes_back_through_ros() -> None:
+    values = np.random.default_rng(2).normal(size=(4, 7))
+    encoded = ArrayEncoder({'t': 4, 'y': 7}).encode(values)
+    labels, decoded = msg_to_array(deserialize_message(encoded, Float64MultiArray))
+    assert labels == ['t', 'y']
+    np.testing.assert_array_equal(decoded, values)
+
+
+def test_array_refuses_another_shape() -> None:
+    with pytest.raises(ValueError, match='63'):
+        ArrayEncoder({'y': 64}).encode(np.zeros(63))
+
+
+@pytest.mark.parametrize('time_ns', [0, 1, 999_999_999, 10**9, STAMP])
+def test_time_comes_back(time_ns) -> None:
+    assert msg_to_time(time_to_msg(time_ns)) == time_ns
+
+
+@pytest.mark.parametrize(
+    'result',
+    [
+        RESULT,
+        dataclasses.replace(RESULT, last=RESULT.first, recontacts=0, stage='release', ended_by=''),
+        dataclasses.replace(RESULT, first=None, last=None, recontacts=0, models={}),
+    ],
+)
+def test_throw_result_comes_back(result) -> None:
+    message = throw_result_to_msg(result, name='twin: throw', hardware_id='/twin')
+    assert msg_to_throw_result(message) == result
+
+
+@pytest.mark.parametrize(('strain', 'level'), [(0.0999, b'\x00'), (0.1001, b'\x01')])
+def test_throw_result_warns_beyond_the_linear_range(strain, level) -> None:
+    result = dataclasses.replace(RESULT, peak_strain=strain)
+    assert throw_result_to_msg(result, name='', hardware_id='').level == level
+
+
+def test_values_come_back() -> None:
+    values = {'a': 1, 'b': 0.1, 'c': True, 'd': 'text', 'e': -math.inf, 'f': 1e-300}
+    message = status_to_msg('name', hardware_id='', message='', values=values)
+    assert msg_to_values(message) == values
+    assert message.level == DiagnosticStatus.OK
+
+
+def test_rig_comes_back() -> None:
+    assert values_to_rig(rig_to_values(RESULT.rig)) == RESULT.rig
