@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 _SIZE = 24  # coefficients of a piece
 _TOLERANCE = 1e-13  # of the plate's speed, for the last coefficients
 _MAX_PIECES = 100_000
+_LIGHTEST = 1e-7  # below, 2 p - V_m has too few digits for 1e-9 in t_e f
 
 
 def _transform() -> tuple[Floats, Floats]:
@@ -332,7 +333,8 @@ def follow(
     Raises
     ------
     ValueError
-        If the layer has loss, `until` is not positive, or `max_events` is below 1.
+        If the layer has loss, the projectile is so light that its force is lost in rounding,
+        `until` is not positive, or `max_events` is below 1.
     ThrowTooLongError
         If no end is reached within 100 000 pieces.
 
@@ -348,6 +350,12 @@ def follow(
         raise ValueError(
             f'layer.loss_tangent must be 0 for the travelling-wave model, '
             f'got {rig.layer.loss_tangent:g}'
+        )
+    lightness = rig.relaxation_time * rig.engine.frequency
+    if lightness < _LIGHTEST:
+        raise ValueError(
+            'the projectile is too light for this layer: relaxation time times frequency must be '
+            f'at least {_LIGHTEST:g}, got {lightness:g}'
         )
     if until is not None:
         checks.positive('until', until)

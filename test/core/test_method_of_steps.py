@@ -194,6 +194,7 @@ def test_field_meets_plate_and_projectile_at_its_ends():
     [
         ({'until': -1.0}, r'until must be finite and positive, got -1\.0'),
         ({'max_events': 0}, 'max_events must be at least 1, got 0'),
+        ({'rig': Rig(projectile=Projectile(mass=1e-10))}, r'too light .* at least 1e-07, got 7'),
         ({'rig': Rig(layer=Layer(loss_tangent=0.02))}, r'loss_tangent must be 0 .* got 0\.02'),
     ],
 )
