@@ -13,8 +13,9 @@ import pytest
 from scipy.optimize import minimize
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.core.travelling_wave import first_release, first_releases
 
 
 def release_at(x, c, damping_ratio=0.0):
@@ -49,6 +50,15 @@ def test_global_optimum_is_that_of_section_3():
     assert alpha == pytest.approx(4.12, abs=5e-3)
     release = first_release(mass_ratio=mu, speed_ratio=kappa)
     assert 3.0 < release.ejection_phase * kappa < 5.0  # Sec. IV B
+
+
+def test_nothing_in_the_map_is_above_that_optimum():
+    # Fig. 4, all of it
+    x, c = np.meshgrid(np.linspace(0.005, 0.995, 199), np.linspace(0.1, 14.0, 279))
+    alphas = first_releases(mass_ratio=(1.0 - x) / x, speed_ratio=c / x).energy_transfer
+    highest = np.argmax(alphas)
+    assert 4.12 < alphas.flat[highest] < 4.123215
+    assert (x.flat[highest], c.flat[highest]) == pytest.approx((0.8102, 6.678), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -98,6 +108,15 @@ def test_limit_of_a_light_projectile_is_that_of_appendix_c_mended(omega_tau):
     angle = 2.0 * math.pi * (release.ejection_phase - 1.0 / kappa)
     assert angle == pytest.approx(math.pi / 2.0 + small, abs=omega_tau**3)
     assert release.energy_transfer == pytest.approx(4.0 - 4.0 * small**2, abs=5 * omega_tau**4)
+
+
+def test_exponential_in_that_limit_is_negative_and_smaller_still():
+    # What is left of the angle without its powers of w tau; the factor 1/e is in no printed form
+    omega_tau, kappa = 0.2, 1.0
+    release = first_release(mass_ratio=omega_tau * kappa / (2.0 * math.pi), speed_ratio=kappa)
+    angle = 2.0 * math.pi * (release.ejection_phase - 1.0 / kappa)
+    rest = angle - (math.pi / 2.0 + math.atan(omega_tau))
+    assert rest == pytest.approx(-math.exp(-math.pi / (2.0 * omega_tau) - 1.0), rel=0.05)
 
 
 def test_limit_of_a_heavy_projectile_is_that_of_appendix_c():
@@ -154,3 +173,19 @@ def test_thin_stiff_layer_throws_again():
     assert throw.recontacts > 0
     assert throw.energy_transfer == pytest.approx(0.499, abs=5e-4)
     assert throw.last_energy_transfer == pytest.approx(1.241, abs=5e-4)
+
+
+def test_without_a_layer_the_plate_throws_alone():
+    # Fig. 3: t_e f = 0.25, alpha = 1; there stiff layers end, after hundreds of re-contacts
+    misses = []
+    for wave_speed in (20.0, 80.0, 320.0):
+        layer = Layer(thickness=2e-3, wave_speed=wave_speed)
+        rig = Rig(engine=Engine(damping_ratio=0.0), layer=layer, gravity=0.0)
+        stepper = Stepper(rig, field_points=2)
+        stepper.advance_to(5.0 / rig.engine.frequency)
+        last = stepper.events()[-1]
+        alpha = (last.velocity / rig.engine.speed_scale) ** 2
+        misses.append((abs(last.time * rig.engine.frequency - 0.25), abs(alpha - 1.0)))
+    assert sorted(misses, reverse=True) == misses
+    assert misses[-1][0] < 0.015
+    assert misses[-1][1] < 0.001
