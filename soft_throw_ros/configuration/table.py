@@ -202,6 +202,8 @@ TABLE: tuple[Entry, ...] = (
     _row('recommended.peak_strain', math.nan, 'Largest strain of the layer it gives'),
     _row('recommended.peak_acceleration', math.nan,
          'Largest acceleration of the projectile it gives', unit='m/s2'),
+    _row('recommended.peak_force', math.nan, 'Largest force on the plate it gives', unit='N'),
+    _row('recommended.plate_work', math.nan, 'Work of the plate in one throw it takes', unit='J'),
 )  # fmt: skip
 
 BY_NAME: Mapping[str, Entry] = {entry.name: entry for entry in TABLE}
