@@ -490,6 +490,23 @@ def test_steps_follow_the_clock_topic(ros) -> None:
     assert twin.ticker.account.skipped == 0
 
 
+def test_clock_may_be_changed_for_the_topic(ros, twin, listener) -> None:
+    twin.go(10)
+    clock = listener.create_publisher(ClockMessage, '/clock', 10)
+    assert ros.parameters(twin).set(use_sim_time=True) == ['']
+    matched(ros, clock)
+    twin.go(100)  # the system's clock goes on, but does not count
+    assert len(twin.outputs) == 11
+    for now in (50, 53):
+        clock.publish(ClockMessage(clock=time_to_msg(now * MILLISECOND)))
+        ros.spin_until(
+            lambda now=now: twin.get_clock().now().nanoseconds == now * MILLISECOND, '/clock'
+        )
+        twin.ticker.run_due()
+    assert len(twin.outputs) == 11 + 4
+    assert twin.ticker.account.skipped == 0
+
+
 # two
 
 
