@@ -1203,7 +1203,8 @@ class Stepper:
         How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for `feed`.
         A sampled motion must not begin before time 0.
     steps : int, optional
-        Steps per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
+        Steps per crossing of the wave, 16 to `MAX_STEPS`, however long they take; the default is
+        `steps_per_crossing`.
     field_points : int
         Heights at which `read_field` and `sample_field` give the layer, 2 or more.
 
