@@ -207,7 +207,17 @@ class WaveHistory:
 
         Parameters and errors as for `velocity`.
         """
-        up, down = self._waves(depth, time)
+        return self._strain_of(*self._waves(depth, time))
+
+    def strain_of_waves(self, departure: Floats, arrival: Floats) -> Floats:
+        """
+        Strain where a downward wave that left the top meets an upward one that will reach it. [-]
+
+        That is half way between `departure` and `arrival` [s], which are broadcast.
+        """
+        return self._strain_of(self.upward(arrival), self._down(departure))
+
+    def _strain_of(self, up: Floats, down: Floats) -> Floats:
         static = self.rig.gravity * self.rig.relaxation_time
         return (down - up - static) / self.rig.layer.wave_speed
 
@@ -253,6 +263,24 @@ class WaveHistory:
         speed = self._mass_velocity(np.array([time]))[0]
         rise = self._mass_rise(np.array([time]))[0]
         return float(mass * (0.5 * speed**2 + self.rig.gravity * rise))
+
+    def sample_times(self, end: float, *, per_piece: int = 12) -> Floats:
+        """
+        Choose times from the start to `end` that catch all that happens at plate and top. [s]
+
+        They are as dense as the history's own pieces, which are short where a front has passed.
+        """
+        start = float(self.motion.knots[0])
+        edges = np.concatenate(
+            [
+                self._edges(start, end, (self._down.edges, shift * self._crossing))
+                for shift in (0.0, 1.0, 2.0)
+            ]
+        )
+        edges = np.unique(edges)
+        parts = np.linspace(0.0, 1.0, per_piece, endpoint=False)
+        inner = edges[:-1, None] + np.diff(edges)[:, None] * parts
+        return np.append(inner, end)
 
     def _rest_height(self) -> float:
         return self.rig.layer.thickness - self.rig.static_sag

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -261,28 +262,25 @@ def simulate(
         raise ThrowUnfinishedError(
             f'the projectile is not released by {history.end_time:g} s; follow it for longer'
         )
-    start = float(history.motion.knots[0])
     end = history.events[0].time
-    thickness = rig.layer.thickness
-    span = (0.0, thickness, start, end)
-    strain = _largest(history.strain, span)
+    times = history.sample_times(end)
     mass = rig.projectile.mass
+
+    def contact_strain(time: Floats) -> Floats:
+        return history.strain(rig.layer.thickness, time)
+
+    def acceleration(time: Floats) -> Floats:
+        return history.contact_force(time) / mass - rig.gravity
+
     return Throw(
         rig=rig,
         model=model,
         max_strain=max_strain,
         peak_plate_speed=history.motion.peak_velocity,
-        peak_strain=strain,
-        peak_contact_strain=_largest(
-            lambda _, time: history.strain(thickness, time), (0.0, 0.0, start, end)
-        ).value,
-        peak_acceleration=_largest(
-            lambda _, time: history.contact_force(time) / mass - rig.gravity,
-            (0.0, 0.0, start, end),
-        ).value,
-        peak_plate_force=_largest(
-            lambda _, time: history.plate_force(time), (0.0, 0.0, start, end)
-        ).value,
+        peak_strain=_peak_strain(history, end),
+        peak_contact_strain=_largest_in_time(contact_strain, times)[0],
+        peak_acceleration=_largest_in_time(acceleration, times)[0],
+        peak_plate_force=_largest_in_time(history.plate_force, times)[0],
         energies=Energies(
             history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
         ),
@@ -294,23 +292,59 @@ class ThrowUnfinishedError(RuntimeError):
     """The time given ended before the projectile was released."""
 
 
-def _largest(
-    function: Callable[[Floats, Floats], Floats], span: tuple[float, float, float, float]
-) -> Peak:
+def _peak_strain(history: WaveHistory, end: float) -> Peak:
     """
-    Find the largest magnitude over depths and times by a grid and zooming into its best places.
+    Find the largest strain magnitude until `end`.
 
-    Kinks do no harm: nothing is differentiated.
+    The strain is a difference of two waves, one of time a when it left the top downwards, one of
+    time b when it will reach the top. So the grid is one of a and b, each as dense as its wave
+    asks for, and inside it is a peak of both; else it is at the plate, the top, or the end.
     """
-    shallow, deep, start, end = span
-    depths = np.linspace(shallow, deep, 49 if deep > shallow else 1)
-    times = np.linspace(start, end, 401)
-    values = np.abs(function(*np.meshgrid(depths, times)))
+    crossing = history.rig.crossing_time
+    thickness = history.rig.layer.thickness
+    speed = history.rig.layer.wave_speed
+
+    def strain(a: Floats, b: Floats) -> Floats:
+        values = history.strain_of_waves(a[None, :], b[:, None])
+        time, from_top = 0.5 * (a[None, :] + b[:, None]), 0.5 * (b[:, None] - a[None, :])
+        inside = (from_top >= 0.0) & (from_top <= crossing) & (time <= end)
+        return np.where(inside, values, 0.0)
+
+    left = history.sample_times(end)
+    reaches = history.sample_times(end + crossing)
+    value, a, b = _largest(strain, left, reaches)
+    found = [Peak(value, thickness - 0.5 * speed * (b - a), 0.5 * (a + b))]
+    for depth in (0.0, thickness):
+        value, time = _largest_in_time(partial(history.strain, depth), left)
+        found.append(Peak(value, depth, time))
+    # At the end, ordered by when the downward wave left the top
+    departures = np.append(end - crossing, left[left > end - crossing])
+    value, a = _largest_in_time(lambda a: history.strain_of_waves(a, 2.0 * end - a), departures)
+    found.append(Peak(value, thickness - speed * (end - a), end))
+    return max(found)
+
+
+def _largest_in_time(function: Callable[[Floats], Floats], times: Floats) -> tuple[float, float]:
+    """Find the largest magnitude over times, and when it is reached."""
+    value, _, time = _largest(lambda _, time: function(time)[:, None], np.zeros(1), times)
+    return value, time
+
+
+def _largest(
+    function: Callable[[Floats, Floats], Floats], columns: Floats, rows: Floats
+) -> tuple[float, float, float]:
+    """
+    Find the largest magnitude over columns and rows by a grid and zooming into its best places.
+
+    `function` takes the values along both and returns an array of shape (rows, columns). Kinks
+    do no harm: nothing is differentiated.
+    """
+    values = np.abs(function(columns, rows))
     padded = np.pad(values, 1, constant_values=-np.inf)
-    rows, columns = values.shape
+    height, width = values.shape
     neighbours = np.max(
         [
-            padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+            padded[1 + i : 1 + i + height, 1 + j : 1 + j + width]
             for i in (-1, 0, 1)
             for j in (-1, 0, 1)
         ],
@@ -319,18 +353,24 @@ def _largest(
     is_top = values >= neighbours
     best_first = np.argsort(values[is_top])[::-1][:6]
     found = []
-    for row, column in np.argwhere(is_top)[best_first]:
-        depth, time = depths[column], times[row]
-        reach = np.array([(deep - shallow) / 48.0, (end - start) / 400.0])
-        best = values[row, column]
-        while reach[1] > 1e-10 * (end - start):
-            near = np.clip(depth + reach[0] * np.linspace(-1.0, 1.0, 7), shallow, deep)
-            then = np.clip(time + reach[1] * np.linspace(-1.0, 1.0, 7), start, end)
-            grid = np.meshgrid(near if deep > shallow else near[:1], then)
-            local = np.abs(function(*grid))
+    for i, j in np.argwhere(is_top)[best_first]:
+        best, x, y = values[i, j], columns[j], rows[i]
+        left, right = columns[max(j - 1, 0)], columns[min(j + 1, width - 1)]
+        low, high = rows[max(i - 1, 0)], rows[min(i + 1, height - 1)]
+        while max(high - low, right - left) > 1e-10 * rows[-1]:
+            near = np.linspace(left, right, 7 if right > left else 1)
+            then = np.linspace(low, high, 7)
+            local = np.abs(function(near, then))
             at = np.unravel_index(np.argmax(local), local.shape)
             if local[at] >= best:
-                best, depth, time = local[at], grid[0][at], grid[1][at]
-            reach *= 0.4
-        found.append(Peak(float(best), float(depth), float(time)))
+                best, x, y = local[at], near[at[1]], then[at[0]]
+            left, right = _narrowed(left, right, x)
+            low, high = _narrowed(low, high, y)
+        found.append((float(best), float(x), float(y)))
     return max(found)
+
+
+def _narrowed(low: float, high: float, middle: float) -> tuple[float, float]:
+    """Interval of less than half the length around a point of the first one, and within it."""
+    reach = 0.2 * (high - low)
+    return max(low, middle - reach), min(high, middle + reach)

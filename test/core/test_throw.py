@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.peak import first_peaks
 from soft_throw_ros.core.plate import Sampled, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate, ThrowUnfinishedError
@@ -32,6 +33,32 @@ def test_peak_strain_is_exact(thickness, largest, at_contact):
     where = throw.peak_strain
     assert abs(throw.history.strain(where.depth, where.time)) == pytest.approx(where.value)
     assert throw.leaves_linear_range
+
+
+@pytest.mark.parametrize(
+    ('mass_ratio', 'speed_ratio', 'gravity'),
+    [(0.0054, 1.834, 0.0), (0.0116, 3.516, 9.81), (0.05, 0.5, 0.0), (11.0, 11.8, 9.81)],
+)
+def test_peaks_agree_with_the_closed_form(mass_ratio, speed_ratio, gravity):
+    layer = Layer(thickness=7.8 / (speed_ratio * 63.2))
+    rig = Rig(layer=layer, projectile=Projectile(mass=mass_ratio * layer.mass), gravity=gravity)
+    throw = simulate(rig, max_events=1)
+    closed = first_peaks(
+        mass_ratio=rig.mass_ratio,
+        speed_ratio=rig.speed_ratio,
+        damping_ratio=rig.engine.damping_ratio,
+        gravity_ratio=rig.gravity_ratio,
+    )
+    speed = rig.engine.speed_scale
+    impact = speed / layer.wave_speed
+    assert throw.peak_strain.value == pytest.approx(closed.strain * impact, rel=1e-6)
+    assert throw.peak_contact_strain == pytest.approx(closed.contact_strain * impact, rel=1e-8)
+    assert throw.peak_acceleration == pytest.approx(
+        closed.acceleration * speed * rig.engine.angular_frequency, rel=1e-8
+    )
+    assert throw.peak_plate_force == pytest.approx(
+        closed.plate_force * speed * layer.impedance, rel=1e-8
+    )
 
 
 def test_throw_within_the_linear_range_is_not_flagged():
