@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compare with other ways to get the same numbers, in Markdown tables.
+
+Trust the ratios: all that stands in one table ran in turns on one machine. Errors are measured,
+too. It takes a few minutes; PART is one or more of throw, landscape, second and twin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+from pathlib import Path
+import platform
+
+import numba as nb
+import numpy as np
+import scipy
+
+PARTS = {
+    'throw': 'bench.one_throw',
+    'landscape': 'bench.landscape',
+    'second': 'bench.one_second',
+    'twin': 'bench.twin_node',
+}
+
+
+def main() -> None:
+    """Run the parts that are asked for, all by default."""
+    parser = argparse.ArgumentParser(prog='python -m bench', description=__doc__)
+    parser.add_argument('parts', nargs='*', metavar='PART')
+    chosen = parser.parse_args().parts or list(PARTS)
+    for name in chosen:
+        if name not in PARTS:
+            parser.error(f'there is no part {name!r}; there are: {", ".join(PARTS)}')
+    print(_machine())
+    for name in chosen:
+        before = os.getloadavg()[0]
+        try:
+            lines = importlib.import_module(PARTS[name]).rows()
+        except ModuleNotFoundError as error:
+            lines = [f'Left out: {name} needs what is not installed: {error}.']
+        print('', *lines, '', sep='\n')
+        print(f'Load before and after: {before:.1f}, {os.getloadavg()[0]:.1f}.', flush=True)
+
+
+def _machine() -> str:
+    """Say where this runs."""
+    lines = Path('/proc/cpuinfo').read_text('utf-8').splitlines()
+    names = [line.partition(': ')[2] for line in lines if line.startswith('model name')]
+    return (
+        f'{(names or [platform.machine()])[0]}, {os.cpu_count()} cores; '
+        f'Python {platform.python_version()}, numpy {np.__version__}, numba {nb.__version__}, '
+        f'scipy {scipy.__version__}'
+    )
+
+
+if __name__ == '__main__':
+    main()

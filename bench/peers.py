@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What one would write without this package: the paper's finite differences, and SciPy.
+
+Each is kindly done: arrays are allocated once, the moment of release is interpolated, and its
+condition is the force on the projectile, without the half cell of layer that moves with it.
+
+Units: the layer's thickness, mass and crossing time, and the plate's amplitude. So waves have
+speed 1, the projectile has mass mu, and the plate angular frequency w = 2 pi / kappa.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from scipy.integrate import solve_ivp
+from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.rig import Rig
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+
+LONGEST = 400.0
+"""After this many crossings one gives up."""
+
+
+class Release(NamedTuple):
+    """Ejection phase t_e f and energy transfer alpha; NaN if there was none."""
+
+    ejection_phase: float
+    energy_transfer: float
+
+
+class Case(NamedTuple):
+    """A throw: mass ratio, speed ratio, damping ratio, and gravity in the units above."""
+
+    mu: float
+    kappa: float
+    zeta: float = 0.0
+    gravity: float = 0.0
+
+    @classmethod
+    def of(cls, rig: Rig) -> Case:
+        """Take it from a rig."""
+        gravity = rig.gravity * rig.crossing_time**2 / rig.engine.amplitude
+        return cls(rig.mass_ratio, rig.speed_ratio, rig.engine.damping_ratio, gravity)
+
+    @property
+    def omega(self) -> float:
+        """Angular frequency of the plate."""
+        return 2.0 * math.pi / self.kappa
+
+    def release(self, time: float, speed: float) -> Release:
+        """Put a release into the usual numbers."""
+        fastest = self.omega * peak_velocity_ratio(self.zeta)
+        return Release(time / self.kappa, (speed / fastest) ** 2)
+
+
+# Eqs. (2)-(3) by semi-implicit Euler, the projectile rigid
+
+
+def rigid_numba(case: Case, *, cells: int) -> Release:
+    """Throw a rigid projectile, in loops that numba compiles."""
+    return case.release(*rigid_kernel(case.mu, case.omega, case.zeta, cells))
+
+
+def rigid_numpy(case: Case, *, cells: int) -> Release:
+    """Throw a rigid projectile, a row of cells at a time."""
+    march = NumpyMarch(case, cells=cells)
+    while not march.releases and march.time < LONGEST:
+        march.step()
+    return case.release(*(march.releases or [(math.nan, math.nan)])[0])
+
+
+@_jit
+def rigid_kernel(mu, omega, zeta, cells) -> tuple[float, float]:
+    """First release without gravity: time and speed."""
+    u = np.zeros(cells + 1)
+    v = np.zeros(cells + 1)
+    dt = 1.0 / cells
+    pull = 0.0
+    for i in range(1, int(LONGEST * cells)):
+        before, pull = pull, u[cells] - u[cells - 1]
+        if before < 0.0 <= pull:
+            part = before / (before - pull)
+            return (i - 2 + part) * dt, v[cells]
+        for j in range(1, cells):
+            v[j] += cells * (u[j + 1] - 2.0 * u[j] + u[j - 1])
+        v[cells] -= pull / (mu + 0.5 * dt)
+        for j in range(1, cells + 1):
+            u[j] += dt * v[j]
+        u[0] = _plate(omega, zeta, i * dt)
+    return math.nan, math.nan
+
+
+@_jit
+def march_kernel(mu, omega, zeta, gravity, frame_steps, strain) -> float:
+    """Go on through flights and landings, fill `strain` every so many steps, return t_e."""
+    cells = strain.shape[1]
+    u = np.zeros(cells + 1)
+    v = np.zeros(cells + 1)
+    dt = 1.0 / cells
+    half = 0.5 * dt
+    height = 0.0
+    speed = 0.0
+    contact = True
+    first = math.nan
+    pull = -mu * gravity
+    for i in range(1, strain.shape[0] * frame_steps + 1):
+        for j in range(1, cells):
+            v[j] += cells * (u[j + 1] - 2.0 * u[j] + u[j - 1])
+        push = (u[cells - 1] - u[cells]) + (0.0 if contact else mu * gravity * dt)
+        v[cells] += push / (half + (mu if contact else 0.0))
+        for j in range(1, cells + 1):
+            u[j] += dt * v[j]
+        u[0] = _plate(omega, zeta, i * dt)
+        if contact:
+            height = u[cells]
+            speed = v[cells]
+            before, pull = pull, (u[cells] - u[cells - 1]) * cells - mu * gravity
+            contact = pull <= 0.0
+            if not contact and math.isnan(first):
+                first = (i - pull / (pull - before)) * dt
+        else:
+            speed -= gravity * dt
+            height += dt * speed
+            if height <= u[cells]:
+                contact = True
+                v[cells] = (mu * speed + half * v[cells]) / (mu + half)
+        if i % frame_steps == 0:
+            for j in range(cells):
+                strain[i // frame_steps - 1, j] = (u[j + 1] - u[j]) * cells
+    return first
+
+
+class NumpyMarch:
+    """The same as `march_kernel`, a step at a time."""
+
+    def __init__(self, case: Case, *, cells: int) -> None:
+        self.case = case
+        self.cells = cells
+        self.dt = 1.0 / cells
+        self.steps = 0
+        self.u = np.zeros(cells + 1)
+        self.v = np.zeros(cells + 1)
+        self.strain = np.zeros(cells)
+        self.mass = np.full(cells, self.dt)
+        self.force = np.zeros(cells)
+        self.height = self.speed = 0.0
+        self.releases: list[tuple[float, float]] = []
+        self._contact(True)
+
+    @property
+    def time(self) -> float:
+        """Now."""
+        return self.steps * self.dt
+
+    def step(self) -> None:
+        """Go one step on."""
+        mu, omega, zeta, gravity = (*self.case[:1], self.case.omega, *self.case[2:])
+        self.steps += 1
+        before = self.strain[-1] - mu * gravity
+        np.subtract(self.strain[1:], self.strain[:-1], out=self.force[:-1])
+        self.force[-1] = -self.strain[-1] + (0.0 if self.contact else mu * gravity)
+        self.v[1:] += self.dt * self.force / self.mass
+        self.u[1:] += self.dt * self.v[1:]
+        self.u[0] = _plate.py_func(omega, zeta, self.time)
+        np.subtract(self.u[1:], self.u[:-1], out=self.strain)
+        self.strain *= self.cells
+        if self.contact:
+            self.height, self.speed = self.u[-1], self.v[-1]
+            pull = self.strain[-1] - mu * gravity
+            if before < 0.0 <= pull:
+                part = before / (before - pull)
+                self.releases.append((self.time - (1.0 - part) * self.dt, self.speed))
+                self._contact(False)
+        else:
+            self.speed -= gravity * self.dt
+            self.height += self.dt * self.speed
+            if self.height <= self.u[-1]:
+                momentum = mu * self.speed + 0.5 * self.dt * self.v[-1]
+                self.v[-1] = momentum / (mu + 0.5 * self.dt)
+                self._contact(True)
+
+    def _contact(self, contact: bool) -> None:
+        self.contact = contact
+        self.mass[-1] = 0.5 * self.dt + (self.case.mu if contact else 0.0)
+
+
+@_jit
+def _plate(omega, zeta, time):
+    """Height of the plate, (D2)."""
+    root = math.sqrt(1.0 - zeta * zeta)
+    angle = root * omega * time
+    decay = math.exp(-zeta * omega * time)
+    return 1.0 - decay * (math.cos(angle) + zeta / root * math.sin(angle))
+
+
+# the same with an elastic projectile, as in the paper
+
+
+class Bar(NamedTuple):
+    """Layer and elastic projectile: stiffness of each cell, mass of each node but the plate's."""
+
+    stiffness: np.ndarray
+    mass: np.ndarray
+    dt: float
+    cells: int  # of the layer
+
+    @classmethod
+    def of(cls, rig: Rig, *, cells: int, projectile_cells: int) -> Bar:
+        """Divide the two; the step is what the projectile's fast waves allow."""
+        layer, projectile = rig.layer, rig.projectile
+        speed = math.sqrt(
+            projectile.youngs_modulus * layer.section * projectile.length / projectile.mass
+        )
+        crossing = projectile.length / speed / rig.crossing_time
+        mu = rig.mass_ratio
+        stiffness = np.full(cells + projectile_cells, float(cells))
+        stiffness[cells:] = mu / crossing**2 * projectile_cells
+        mass = np.full(cells + projectile_cells, 1.0 / cells)
+        mass[cells:] = mu / projectile_cells
+        mass[cells - 1] = 0.5 / cells + 0.5 * mu / projectile_cells
+        mass[-1] *= 0.5
+        return cls(stiffness, mass, 0.9 * crossing / projectile_cells, cells)
+
+
+def elastic_numba(case: Case, bar: Bar) -> Release:
+    """Throw an elastic projectile, in loops that numba compiles."""
+    return case.release(*_elastic_kernel(case.mu, case.omega, case.zeta, *bar))
+
+
+def elastic_numpy(case: Case, bar: Bar, *, steps: int | None = None) -> Release:
+    """Throw an elastic projectile, a row of cells at a time; `steps` end it before release."""
+    mu, omega, zeta = case.mu, case.omega, case.zeta
+    stiffness, mass, dt, cells = bar
+    u = np.zeros(len(mass) + 1)
+    v = np.zeros_like(u)
+    force = np.zeros_like(mass)
+    net = np.zeros_like(mass)
+    half = 0.5 / cells
+    of_projectile = mass[cells - 1 :].copy()
+    of_projectile[0] -= half
+    push = 0.0
+    for i in range(1, steps or int(LONGEST / dt)):
+        np.subtract(u[1:], u[:-1], out=force)
+        force *= stiffness
+        np.subtract(force[1:], force[:-1], out=net[:-1])
+        net[-1] = -force[-1]
+        net /= mass
+        before, push = push, -force[cells - 1] - half * net[cells - 1]
+        if push <= 0.0 < before and i * dt > 1.0:
+            part = before / (before - push)
+            return case.release((i - 2 + part) * dt, v[cells:] @ of_projectile / mu)
+        net *= dt
+        v[1:] += net
+        np.multiply(v[1:], dt, out=net)
+        u[1:] += net
+        u[0] = _plate.py_func(omega, zeta, i * dt)
+    return Release(math.nan, math.nan)
+
+
+@_jit
+def _elastic_kernel(mu, omega, zeta, stiffness, mass, dt, cells):
+    """First release without gravity: time and speed of the centre of mass."""
+    nodes = mass.size
+    u = np.zeros(nodes + 1)
+    v = np.zeros(nodes + 1)
+    half = 0.5 / cells
+    push = 0.0
+    for i in range(1, int(LONGEST / dt)):
+        before = push
+        below = stiffness[0] * (u[1] - u[0])
+        for j in range(1, nodes + 1):
+            above = stiffness[j] * (u[j + 1] - u[j]) if j < nodes else 0.0
+            change = (above - below) / mass[j - 1]
+            v[j] += dt * change
+            if j == cells:
+                push = -below - half * change
+            below = above
+        if push <= 0.0 < before and i * dt > 1.0:
+            momentum = -half * v[cells]
+            for j in range(cells, nodes + 1):
+                momentum += mass[j - 1] * v[j]
+            return (i - 2 + before / (before - push)) * dt, momentum / mu
+        for j in range(1, nodes + 1):
+            u[j] += dt * v[j]
+        u[0] = _plate(omega, zeta, i * dt)
+    return math.nan, math.nan
+
+
+# the method of lines with SciPy
+
+
+def method_of_lines(
+    case: Case, *, cells: int, method: str = 'DOP853', tolerance: float = 1e-8
+) -> Release:
+    """Throw a rigid projectile by `scipy.integrate.solve_ivp`."""
+    mu, omega, zeta = case.mu, case.omega, case.zeta
+    mass = np.full(cells, 1.0 / cells)
+    mass[-1] = mu + 0.5 / cells
+    u = np.zeros(cells + 1)
+    rates = np.zeros(2 * cells)
+    strain = np.zeros(cells + 1)  # and nothing pulls at the top
+
+    def motion(t: float, state: np.ndarray) -> np.ndarray:
+        u[0] = _plate.py_func(omega, zeta, t)
+        u[1:] = state[:cells]
+        strain[:-1] = cells * np.diff(u)
+        rates[:cells] = state[cells:]
+        rates[cells:] = np.diff(strain) / mass
+        return rates.copy()
+
+    def pull(t: float, state: np.ndarray) -> float:
+        return float(state[cells - 1] - state[cells - 2]) if t > 1.0 else -1.0
+
+    pull.terminal, pull.direction = True, 1.0  # type: ignore[attr-defined]
+    done = solve_ivp(
+        motion,
+        (0.0, LONGEST),
+        np.zeros(2 * cells),
+        method,
+        events=pull,
+        rtol=tolerance,
+        atol=1e-3 * tolerance,
+    )
+    if not done.t_events[0].size:
+        return Release(math.nan, math.nan)
+    return case.release(done.t_events[0][0], done.y_events[0][0][-1])
