@@ -16,6 +16,7 @@ PYTHON ?= python3
 ARGS ?=
 
 BIN := .venv/$(ROS_DISTRO)/bin
+KERNELS := .venv/.kernels
 INSTALLED := .venv/$(ROS_DISTRO)/.installed
 TESTABLE := .venv/$(ROS_DISTRO)/.testable
 
@@ -33,16 +34,16 @@ endif
 
 install: $(INSTALLED)
 
-twin: $(INSTALLED)
+twin: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw twin --ros-args $(ARGS)
 
-throw: $(INSTALLED)
+throw: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw throw $(ARGS)
 
-bench: $(INSTALLED)
+bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
 
-figures: $(INSTALLED)
+figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/figures.py
 
 test: test-jazzy test-kilted
@@ -52,10 +53,10 @@ lint: .venv/jazzy/.testable
 	.venv/jazzy/bin/ruff format --check
 	.venv/jazzy/bin/mypy
 
-test-jazzy: lint
+test-jazzy: lint $(KERNELS)
 	.venv/jazzy/bin/python -m pytest
 
-test-kilted: .venv/kilted/.testable
+test-kilted: .venv/kilted/.testable $(KERNELS)
 	.venv/kilted/bin/python -m pytest test/nodes test/test_package.py
 
 clean:
@@ -71,6 +72,12 @@ clean:
 
 .venv/%/.testable: .venv/%/.installed
 	.venv/$*/bin/pip install --quiet -e '.[test]'
+	touch $@
+
+# numba compiles a kernel anew when its own file changes, not when one it calls does.
+$(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py bench/*.py)
+	@mkdir -p $(@D)
+	find soft_throw_ros bench -name '*.nb[ic]' -delete
 	touch $@
 
 requirements/%.txt:
