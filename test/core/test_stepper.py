@@ -441,7 +441,7 @@ def test_energy_stays_bounded_in_endless_bouncing():
     energy = model.stored_energy()
     while model.event_count < 1500:
         model.advance_to(model.state[TIME] + 0.05)
-        assert 0.5 * energy < model.stored_energy() < 1.2 * energy
+        assert 0.8 * energy < model.stored_energy() < 1.05 * energy
 
 
 @settings(max_examples=40)
@@ -676,13 +676,14 @@ def test_feed_goes_on_for_ever():
 
 
 def test_endless_events_end_in_a_named_error():
-    model = Stepper(Rig(gravity=900.0))
-    with pytest.raises(EventLimitError, match=r'more than 4096 .* before 5 s'):
-        model.advance_to(5.0)
+    light = Projectile(mass=4e-4)
+    model = Stepper(Rig(layer=Layer(thickness=5e-3), projectile=light, gravity=30.0))
+    with pytest.raises(EventLimitError, match=r'more than 4096 .* before 10 s'):
+        model.advance_to(10.0)
     with pytest.raises(EventLimitError):
-        model.advance_to(5.0)
+        model.advance_to(10.0)
     model.reset()
-    assert model.advance_to(0.01) < module.MAX_EVENTS
+    assert model.advance_to(0.1) < 100
 
 
 @pytest.mark.parametrize(
