@@ -141,6 +141,7 @@ class Session:
             session._on_entry = on_entry
             session.throws = entry['throw'] - 1
             session._asked = session.step
+            session._phase = Phase.RETURNING  # until this very step, so that nothing delays it
             session._phases.clear()
             session._wanted = {**entry['settings'], **entry['pending']}
             if entry['pending']:

@@ -526,6 +526,19 @@ def test_replay_refuses_what_does_not_fit(eventful) -> None:
         Session.from_entry({'kind': 'input', 'step': 3, 'input': 'throw'})
 
 
+def test_throw_that_changes_missed_is_repeated_to_the_bit() -> None:
+    run = Run(throw__period=0.15)
+    run.go(1)
+    run.session.ask_throw()
+    run.go(76)
+    run.session.change({'layer.thickness': 5e-3})  # while things are being put back
+    run.go(300)
+    begin = run.starts()[1]
+    again = list(replay(run.journal, until=run.session.step, throw=2))
+    assert len(again) == len(run.outputs) - begin
+    assert all(map(same_bits, again, run.outputs[begin:]))
+
+
 def test_input_of_another_step_is_refused() -> None:
     session = Run().session
     with pytest.raises(journal.JournalError, match='before step 0'):
