@@ -227,7 +227,7 @@ def first_releases(
         checks.not_negative_array('gravity_ratio', gravity_ratio),
     )
     shape = cases[0].shape
-    mu, kappa, zeta, gravity = (case.ravel() for case in cases)
+    mu, kappa, zeta, gravity = (case.flatten() for case in cases)
     phase, speed = np.empty((2, mu.size))
     status = np.empty(mu.size, dtype=np.int8)
     parts = max(1, min(threads or os.cpu_count() or 1, mu.size // _THROWS_PER_THREAD))
