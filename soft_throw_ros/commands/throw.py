@@ -125,13 +125,11 @@ def main(args: list[str] | None = None) -> int:
             if other:
                 option = _OPTIONS.get(other[0], f'--{other[0]}')
                 parser.error(f'argument {option}: not allowed with argument --cases')
-            with _patience(parser.prog):  # this compiles, or loads what is compiled
-                first_releases(mass_ratio=[1.0], speed_ratio=[1.0])
             text = _release_cases_of(given['cases'])
         else:
             settings = files.read(given['config']) if 'config' in given else defaults()
             settings.update(change(settings, request))
-            with _patience(parser.prog):
+            with _patience():
                 throw = predict(settings)
             text = (
                 json.dumps(throw, indent=2, allow_nan=False) + '\n'
@@ -193,9 +191,9 @@ def _number_or_text(text: str) -> float | str:
 
 
 @contextlib.contextmanager
-def _patience(name: str) -> Iterator[None]:
+def _patience() -> Iterator[None]:
     """Say why it takes so long if it does."""
-    text = f'{name}: compiling, once; takes some ten seconds'
+    text = 'throw: compiling, once; takes some ten seconds'
     notice = threading.Timer(_PATIENCE, print, (text,), {'file': sys.stderr})
     notice.start()
     try:
@@ -454,9 +452,10 @@ def release_cases(file: Iterable[str], name: str) -> str:
     """
     lines, rows = _read_cases(file, name)
     mu, kappa, zeta = np.array(rows).reshape(-1, len(_CASES)).T
-    releases = first_releases(
-        mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
-    )
+    with _patience():
+        releases = first_releases(
+            mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
+        )
     for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
         try:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
