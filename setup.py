@@ -50,6 +50,7 @@ setup(
             'colcon-common-extensions',
             'hypothesis',
             'import-linter>=2.1',
+            'mpmath',
             'mypy==2.4.1',  # these two have opinions that change with the version
             'ruff==0.17.5',
             'pip>=22.3',

@@ -336,7 +336,7 @@ class _Interval(NamedTuple):
 @_inline
 def _decay(u):
     """Compute e^{-u} for u >= 0 without a branch."""
-    u = min(760.0, u)  # NaN as well, for u leads to an index
+    u = min(760.0, u)  # in this order NaN becomes 760 too, for n is an index
     n = math.floor(u * 1.4426950408889634 + 0.5)
     r = (n * 6.93147180369123816e-1 - u) + n * 1.90821492927058770e-10  # ln 2 in two parts
     r2 = r * r

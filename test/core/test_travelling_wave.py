@@ -1,0 +1,471 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exact first release, one and many."""
+
+from concurrent.futures import ThreadPoolExecutor
+import math
+
+from hypothesis import assume, given
+from hypothesis import strategies as st
+import mpmath as mp
+import numpy as np
+import pytest
+from soft_throw_ros.core import spring_mass, travelling_wave
+from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.travelling_wave import (
+    first_release,
+    first_releases,
+    ThrowUnresolvedError,
+)
+
+
+def between(low, high):
+    """Draw from a range of several magnitudes."""
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+MASS_RATIOS = between(0.003, 100.0)
+SPEED_RATIOS = between(0.15, 120.0)
+DAMPING_RATIOS = st.floats(0.0, 0.3)
+
+# Computed with 40-digit closed forms, checked by a second method: mu, kappa, zeta, t_e f, alpha
+EXACT = [
+    # largest alpha
+    (0.23423068535205, 8.2422098072057, 0.0, 0.3994399384513045, 4.123214640552163),
+    (0.25539654358484, 8.57592101835, 0.064, 0.3866752089467103, 4.1428974402270375),
+    (0.29513187784084, 9.2434758430532, 0.2, 0.3633656659293691, 4.185169858004478),
+    # the optimum as the paper quotes it
+    (0.32, 8.4, 0.0, 0.40509068548650023, 4.1101349744268205),
+    (0.325, 8.375, 0.0, 0.4067066018914044, 4.108539651810315),
+    # hardly a projectile (x to 1)
+    (0.01, 0.2, 0.0, 5.298054795009286, 3.6462835911068816),
+    (0.01, 9.0, 0.0, 0.33515423912780706, 3.893042670333522),
+    # on both sides of t_e = 3 t_s
+    (0.02, 7.91921471164, 0.0, 0.3788004377616592, 3.9989930540910823),
+    (0.02, 7.92079871298, 0.0, 0.38180935858819204, 4.019621366767697),
+    # t_e > 1 / f
+    (0.01, 0.25, 0.0, 4.28907615997982, 3.7636806662064886),
+    # almost a spring
+    (50.0, 60.0, 0.0, 0.4266129421799032, 3.037440451346464),
+    (0.05, 1.0, 0.0, 1.2980547950092867, 3.6462835911068816),
+    (1.0, 1.0, 0.0, 1.4590473863951916, 0.25904598562307973),
+    (10.0, 1.0, 0.0, 1.4950567137012314, 0.003857550297589455),
+    (0.01, 4.0, 0.064, 0.4928020665289209, 3.9990119588094664),
+    (0.01, 4.0, 0.2, 0.4749549179660803, 3.9990091315319924),
+    # the paper's rig: layers of 2 and 16.8 mm
+    (10.594999999999999, 61.70886075949366, 0.0, 0.2523422936190782, 2.2940927492481684),
+    (0.6345238095238095, 7.34629294755877, 0.0, 0.4853576867943659, 3.661689320772207),
+    (10.594999999999999, 61.70886075949366, 0.064, 0.24693846205383488, 2.4035890540886395),
+    (0.6345238095238095, 7.34629294755877, 0.064, 0.48150827831570486, 3.63734724564707),
+]
+
+# Likewise, for the rig under a projectile of 16.3 mm: thickness [m], t_e [s], V_e [m/s]
+EXACT_WITH_GRAVITY = [
+    (0.0020, 0.003928483601452469, 1.1177660177283313),
+    (0.0056, 0.0057781780440564505, 1.3129434316774524),
+    (0.0095, 0.007000759739240912, 1.3049844801863633),
+]
+
+# G dips below 0 within a wave interval and is positive again at its end
+DIPPING = [
+    (0.3, 300.0, 0.0),
+    (0.55, 50.0, 0.0),
+    (0.6, 100.0, 0.2),
+    (1.25, 101.0, 0.0),
+    (2.15, 950.0, 0.0),
+]
+
+
+@pytest.fixture(autouse=True)
+def digits():
+    """Compute with 40 digits where mpmath is used."""
+    with mp.workdps(40):
+        yield
+
+
+def speed_of_projectile(time, mass_ratio, speed_ratio, damping_ratio, derivative=0):
+    """
+    Compute V_m, or a derivative, as if attached for ever: time in t_s, speed in velocity factors.
+
+    By residues of the Laplace series, in which every k adds 2 e^{-(2 k + 1) s} r(s)^k V_p(s) /
+    (1 + mu s): at s = lambda, and at s = (eta - 1) / mu with eta = 0, a pole of order k + 1.
+    """
+    mu, turn, zeta = mp.mpf(mass_ratio), 2 * mp.pi / mp.mpf(speed_ratio), mp.mpf(damping_ratio)
+    lam = turn * mp.mpc(-zeta, mp.sqrt(1 - zeta**2))
+    below = 1 + lam * mu
+    reflection = (lam * mu - 1) / below
+    total = mp.mpf(0)
+    for k in range(math.ceil((time - 1) / 2)):
+        since = time - 2 * k - 1
+        at_lambda = reflection**k / below * mp.exp(lam * since) * lam**derivative
+        # coefficients of eta^0 ... eta^k in (eta - 2)^k e^{eta since / mu} ((eta - 1) / mu)^...
+        power = [mp.binomial(k, i) * mp.mpf(-2) ** (k - i) for i in range(k + 1)]
+        wave = [mp.mpf(1)]
+        for i in range(1, k + 1):
+            wave.append(wave[-1] * since / (mu * i))
+        series = [mp.fsum(power[i] * wave[n - i] for i in range(n + 1)) for n in range(k + 1)]
+        for _ in range(derivative):
+            series = [((series[n - 1] if n else 0) - series[n]) / mu for n in range(k + 1)]
+        # ... and of 1 / (eta - below)
+        at_pole = -mp.fsum(series[n] / below ** (k - n + 1) for n in range(k + 1))
+        total += 2 * (at_lambda + mp.exp(-since / mu) * at_pole).imag
+    return total
+
+
+def gravity_on(gravity_ratio, speed_ratio, damping_ratio):
+    """Compute g in velocity factors per t_s."""
+    factor = mp.sqrt(1 - mp.mpf(damping_ratio) ** 2)
+    return 2 * mp.pi * gravity_ratio * factor / mp.mpf(speed_ratio)
+
+
+def exact_release_near(phase, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
+    """Compute t_e f and alpha of the release next to a phase, by Newton's method."""
+    case = mass_ratio, speed_ratio, damping_ratio
+    gravity = gravity_on(gravity_ratio, speed_ratio, damping_ratio)
+    time = mp.mpf(phase) * speed_ratio
+    for _ in range(2):
+        acceleration = speed_of_projectile(time, *case, derivative=1) + gravity
+        time -= acceleration / speed_of_projectile(time, *case, derivative=2)
+    speed = speed_of_projectile(time, *case) / mp.sqrt(1 - mp.mpf(damping_ratio) ** 2)
+    return time / speed_ratio, (speed / peak_velocity_ratio(damping_ratio)) ** 2
+
+
+def assert_exact(release, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
+    """Compare a release with the exact one next to it."""
+    case = mass_ratio, speed_ratio, damping_ratio, gravity_ratio
+    phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
+    assert release.ejection_phase == pytest.approx(float(phase), rel=0.0, abs=1e-12)
+    assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=1e-12)
+
+
+def random_cases(size, seed, gravity=0.0):
+    """Draw cases over the whole range: four arrays."""
+    draw = np.random.default_rng(seed)
+    return (
+        np.exp(draw.uniform(math.log(0.003), math.log(100.0), size)),
+        np.exp(draw.uniform(math.log(0.15), math.log(120.0), size)),
+        draw.uniform(0.0, 0.3, size) * draw.integers(0, 2, size),
+        draw.uniform(0.0, gravity, size),
+    )
+
+
+def releases_of(cases, **options):
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio = cases
+    return first_releases(
+        mass_ratio=mass_ratio, speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio, gravity_ratio=gravity_ratio, **options,
+    )  # fmt: skip
+
+
+def release_of(mass_ratio, speed_ratio, damping_ratio=0.0, gravity_ratio=0.0):
+    return first_release(
+        mass_ratio=mass_ratio, speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio, gravity_ratio=gravity_ratio,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize('case', EXACT)
+def test_release_is_exact(case):
+    *ratios, phase, energy_transfer = case
+    release = release_of(*ratios)
+    assert release.ejection_phase == pytest.approx(phase, rel=0.0, abs=1e-14)
+    assert release.energy_transfer == pytest.approx(energy_transfer, rel=1e-13)
+
+
+def test_releases_are_exact():
+    mass_ratio, speed_ratio, damping_ratio, phase, energy_transfer = np.array(EXACT).T
+    releases = releases_of((mass_ratio, speed_ratio, damping_ratio, 0.0))
+    np.testing.assert_allclose(releases.ejection_phase, phase, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(releases.energy_transfer, energy_transfer, rtol=1e-13)
+
+
+@pytest.mark.parametrize(('thickness', 'time', 'speed'), EXACT_WITH_GRAVITY)
+def test_release_under_gravity_is_exact(thickness, time, speed):
+    omega = 2.0 * math.pi * 63.2
+    release = release_of(
+        1.3 * 16.3e-3 / thickness, 7.8 / (thickness * 63.2), 0.064, 9.81 / (2e-3 * omega**2)
+    )
+    assert release.ejection_phase == pytest.approx(time * 63.2, rel=0.0, abs=1e-9)
+    assert release.speed == pytest.approx(speed / (2e-3 * omega), rel=1e-9)
+
+
+@pytest.mark.parametrize('gravity', [0.0, 0.3])
+def test_releases_agree_with_the_laplace_series(gravity):
+    cases = random_cases(40, seed=1, gravity=gravity)
+    releases = releases_of(cases, unresolved='nan')
+    early = releases.ejection_phase * cases[1] < 41.0  # the series takes the square of it
+    assert np.count_nonzero(early) > 30
+    for i in np.flatnonzero(early):
+        release = [values[i] for values in releases]
+        assert_exact(travelling_wave.FirstRelease(*release), *(float(case[i]) for case in cases))
+
+
+# Where the steady wave has grown to 34, most of all in the promised range, and to 4666 outside
+@pytest.mark.parametrize(
+    ('case', 'accuracy'), [((45.6, 120.0, 0.3), 1e-13), ((20.0, 100.0, 0.8), 1e-10)]
+)
+def test_release_with_strong_damping_is_exact(case, accuracy):
+    release = release_of(*case)
+    phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
+    assert release.ejection_phase == pytest.approx(float(phase), rel=0.0, abs=accuracy)
+    assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=accuracy)
+
+
+@pytest.mark.parametrize(
+    'case',
+    [
+        (1e-12, 3.0, 0.0),
+        (1e-9, 9.0, 0.0),
+        (1e-6, 9.0, 0.2),
+        (1e6, 20.0, 0.0),
+        (0.1, 1e-6, 0.0),
+        (1e-12, 1e-6, 0.5),
+        (0.3, 1e-3, 0.99),
+    ],
+)
+def test_release_is_exact_at_extremes(case):
+    release = release_of(*case)
+    phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
+    assert release.ejection_phase == pytest.approx(float(phase), rel=1e-12)
+    assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize('damping_ratio', [0.0, 0.064])
+@pytest.mark.parametrize(('crossings', 'mass_ratio'), [(3, 0.3), (5, 0.9), (7, 1.5)])
+def test_release_is_exact_on_both_sides_of_a_jump(crossings, mass_ratio, damping_ratio):
+    low, high = 2.0, 60.0  # released before, and after so many crossings
+    while high - low > 1e-14 * high:
+        middle = 0.5 * (low + high)
+        release = release_of(mass_ratio, middle, damping_ratio)
+        if release.ejection_phase * middle < crossings:
+            low = middle
+        else:
+            high = middle
+    jump = mp.findroot(
+        lambda speed_ratio: speed_of_projectile(
+            mp.mpf(crossings), mass_ratio, speed_ratio, damping_ratio, derivative=1
+        ),
+        mp.mpf(low),
+    )
+    assert low == pytest.approx(float(jump), rel=1e-13)
+    before, after = float(jump * (1 - mp.mpf('1e-12'))), float(jump * (1 + mp.mpf('1e-12')))
+    times = []
+    for speed_ratio in (before, after):
+        release = release_of(mass_ratio, speed_ratio, damping_ratio)
+        assert_exact(release, mass_ratio, speed_ratio, damping_ratio)
+        times.append(release.ejection_phase * speed_ratio)
+    assert times[0] < crossings < times[1] - 0.01
+
+
+@pytest.mark.parametrize('case', DIPPING)
+def test_release_at_a_dip_is_the_first(case):
+    release = release_of(*case)
+    assert_exact(release, *case)
+    end = release.ejection_phase * case[1]
+    next_kink = 2 * math.ceil((end - 1) / 2) + 1
+    assert speed_of_projectile(mp.mpf(next_kink), *case, derivative=1) > 0
+    for time in np.arange(1.01, end, 0.02):
+        assert speed_of_projectile(mp.mpf(time), *case, derivative=1) > 0
+
+
+def test_releases_are_the_first():
+    """A scan finds the mass pushed at all times before."""
+    for case in zip(*random_cases(8, seed=4), strict=True):
+        ratios = [float(ratio) for ratio in case[:3]]
+        end = release_of(*ratios).ejection_phase * ratios[1]
+        for time in np.linspace(1.0, end, min(int(20 * end), 200), endpoint=False)[1:]:
+            assert speed_of_projectile(mp.mpf(time), *ratios, derivative=1) > 0
+
+
+# Before the plate stops, and the projectile would be caught again; where Halley's method cycles;
+# before it would leave again in the same interval
+@pytest.mark.parametrize(
+    'case',
+    [
+        (0.005397489576859395, 0.2353127994849778, 0.20488508212590453, 1.1027562463539),
+        (0.02535593739507207, 91.58088202703843, 0.0, 0.018855035546196983),
+        (0.6085752514780604, 57.54677160673658, 0.0902315980117538, 0.89110037458255),
+        (0.43907184514008996, 83.95559092286346, 0.0, 0.8890571708046072),
+    ],
+)
+def test_release_under_gravity_is_the_first(case):
+    release = release_of(*case)
+    assert_exact(release, *case)
+    end = release.ejection_phase * case[1]
+    for time in np.linspace(1.0, end, 200, endpoint=False)[1:]:
+        assert speed_of_projectile(mp.mpf(time), *case[:3], derivative=1) > -gravity_on(
+            case[3], case[1], case[2]
+        )
+
+
+def test_heavy_projectile_is_a_mass_on_a_spring():
+    for frequency_ratio in (0.5, 1.62, 3.0):
+        mass_ratio = 2e4
+        speed_ratio = 2.0 * math.pi * math.sqrt(mass_ratio) * frequency_ratio
+        limit = spring_mass.first_release(frequency_ratio=frequency_ratio)
+        release = release_of(mass_ratio, speed_ratio)
+        assert release.ejection_phase == pytest.approx(limit.ejection_phase, rel=1e-4)
+        assert release.energy_transfer == pytest.approx(limit.energy_transfer, rel=1e-4)
+
+
+def test_releases_equal_single_ones_to_the_last_bit():
+    cases = random_cases(2000, seed=2, gravity=0.3)
+    releases = releases_of(cases, unresolved='nan')
+    resolved = 0
+    for i, case in enumerate(zip(*cases, strict=True)):
+        try:
+            release = release_of(*map(float, case))
+        except ThrowUnresolvedError:
+            assert np.isnan([values[i] for values in releases]).all()
+        else:
+            resolved += 1
+            assert (releases.ejection_phase[i], releases.speed[i]) == release[:2]
+    assert resolved > 1500
+
+
+def test_releases_do_not_depend_on_threads_or_neighbours():
+    cases = random_cases(3 * 2048, seed=3)
+    alone = releases_of(cases, threads=1)
+    shuffled = np.random.default_rng(0).permutation(cases[0].size)
+    for other in (
+        releases_of(cases, threads=3),
+        releases_of(cases),
+        [values[np.argsort(shuffled)] for values in releases_of([c[shuffled] for c in cases])],
+    ):
+        for expected, got in zip(alone, other, strict=True):
+            np.testing.assert_array_equal(got, expected)
+
+
+def test_releases_may_be_computed_from_several_threads_at_once():
+    cases = random_cases(2 * 2048, seed=3)
+    expected = releases_of(cases, threads=1)
+    with ThreadPoolExecutor(4) as pool:
+        for got in pool.map(lambda _: releases_of(cases, threads=2), range(8)):
+            np.testing.assert_array_equal(got.ejection_phase, expected.ejection_phase)
+
+
+def test_releases_broadcast():
+    releases = first_releases(mass_ratio=[[0.1], [1.0], [3.0]], speed_ratio=[5.0, 7.0])
+    for values in releases:
+        assert values.shape == (3, 2)
+    assert releases.speed[1, 1] == release_of(1.0, 7.0).speed
+    assert first_releases(mass_ratio=[], speed_ratio=5.0).speed.shape == (0,)
+    scalar = first_releases(mass_ratio=0.5, speed_ratio=5.0, damping_ratio=0.1)
+    assert scalar.energy_transfer == pytest.approx(
+        release_of(0.5, 5.0, 0.1).energy_transfer, rel=1e-14
+    )
+
+
+@given(MASS_RATIOS, SPEED_RATIOS, DAMPING_RATIOS)
+def test_release_is_finite_and_after_the_first_crossing(mass_ratio, speed_ratio, damping_ratio):
+    release = release_of(mass_ratio, speed_ratio, damping_ratio)
+    assert 1.0 < release.ejection_phase * speed_ratio < math.inf
+    assert 0.0 < release.speed < 3.0
+    assert 0.0 < release.energy_transfer < 5.0
+
+
+@given(MASS_RATIOS, SPEED_RATIOS, DAMPING_RATIOS, st.floats(0.0, 10.0))
+def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, gravity_ratio):
+    free = release_of(mass_ratio, speed_ratio, damping_ratio)
+    try:
+        held = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
+    except ThrowUnresolvedError:
+        assume(False)
+    assert held.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
+    assert math.isfinite(held.speed)
+
+
+@given(
+    between(1e-12, 1e6), between(1e-6, 1e6), st.floats(0.0, 0.99), st.floats(0.0, 10.0)
+)  # fmt: skip
+def test_release_is_finite_or_refused_at_extremes(
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio
+):
+    try:
+        release = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
+    except ThrowUnresolvedError:
+        return
+    assert release.ejection_phase * speed_ratio >= 1.0 - 1e-12
+    assert all(map(math.isfinite, release))
+
+
+@pytest.mark.parametrize('mass_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
+@pytest.mark.parametrize('speed_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
+@pytest.mark.parametrize('gravity_ratio', [0.0, 1e300])
+def test_overflow_is_refused_or_harmless(mass_ratio, speed_ratio, gravity_ratio):
+    try:
+        release = release_of(mass_ratio, speed_ratio, 0.1, gravity_ratio)
+    except ThrowUnresolvedError:
+        return
+    assert all(map(math.isfinite, release))
+
+
+@pytest.mark.parametrize(
+    ('case', 'claim'),
+    [
+        # leaves after some 6000 crossings
+        ((1e6, 1e6, 0.0, 0.0), 'no release within 4097 crossings for mass_ratio 1e'),
+        # the plate never comes down faster than the projectile falls
+        ((1.0, 20.0, 0.0, 9.0), 'no release within .* gravity_ratio 9'),
+        ((100.0, 2000.0, 0.9, 0.0), 'cannot be computed to 1e-9 .* damping_ratio 0.9'),
+    ],
+)
+def test_unresolved_release_is_named(case, claim):
+    with pytest.raises(ThrowUnresolvedError, match=claim):
+        release_of(*case)
+    with pytest.raises(ThrowUnresolvedError, match=claim):
+        releases_of([np.array(pair) for pair in zip((1.0, 5.0, 0.0, 0.0), case, strict=True)])
+
+
+def test_unresolved_releases_are_nan_where_asked_for():
+    releases = first_releases(
+        mass_ratio=[1.0, 1e6], speed_ratio=[5.0, 1e6], unresolved='nan', threads=1
+    )
+    for values in releases:
+        np.testing.assert_array_equal(np.isnan(values), [False, True])
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('mass_ratio', 0.0),
+        ('mass_ratio', -1.5),
+        ('mass_ratio', math.nan),
+        ('speed_ratio', math.inf),
+        ('speed_ratio', -2.5),
+        ('damping_ratio', 1.0),
+        ('damping_ratio', -0.25),
+        ('gravity_ratio', -0.125),
+        ('gravity_ratio', math.nan),
+    ],
+)
+def test_refused_ratios_are_quoted(name, value):
+    ratios = {'mass_ratio': 1.0, 'speed_ratio': 5.0, name: value}
+    with pytest.raises(ValueError, match=f'^{name} .* got {value}$'):
+        first_release(**ratios)
+    with pytest.raises(ValueError, match=f'^{name} .* got {value}$'):
+        first_releases(**{**ratios, name: [0.5, value]})
+
+
+@pytest.mark.parametrize(
+    ('option', 'value'), [('unresolved', 'skip'), ('threads', 0), ('threads', 1.5)]
+)
+def test_refused_options_are_quoted(option, value):
+    with pytest.raises(ValueError, match=f'^{option} must be .* got {value!r}$'):
+        first_releases(mass_ratio=1.0, speed_ratio=5.0, **{option: value})
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match='shape'):
+        first_releases(mass_ratio=[1.0, 2.0], speed_ratio=[1.0, 2.0, 3.0])
+
+
+@given(st.floats(0.0, 800.0), st.floats(0.0, 1e4))
+def test_elementary_functions_are_accurate(decay, angle):
+    assert travelling_wave._decay(decay) == pytest.approx(math.exp(-decay), rel=4e-16, abs=5e-324)
+    phasor = travelling_wave._phasor(complex(0.0, angle), 1.0)
+    assert phasor.real == pytest.approx(math.cos(angle), rel=0.0, abs=3e-16)
+    assert phasor.imag == pytest.approx(math.sin(angle), rel=0.0, abs=3e-16)
+
+
+def test_no_number_indexes_outside_a_table():
+    assert travelling_wave._decay(math.nan) == travelling_wave._decay(math.inf) == 0.0
