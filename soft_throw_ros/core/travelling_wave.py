@@ -814,7 +814,7 @@ def _flush(k, queues, indices, count, phase, speed, status):
 def _release_lanes(
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio, phase, speed, status, part, parts
 ):
-    """Compute every parts-th block of releases from block `part` on."""
+    """Compute one block of releases in every `parts`."""
     work = np.empty((2, MAX_INTERVALS))
     c = work[0]
     inputs = np.ones(4 * _LANES)
@@ -822,8 +822,10 @@ def _release_lanes(
     queues = np.ones((_LANES_K + 1) * _QUEUE)
     indices = np.zeros((_LANES_K + 1) * _LANES, dtype=np.int64)
     counts = np.zeros(_LANES_K + 1, dtype=np.int64)
-    for start in range(part * _LANES, phase.size, parts * _LANES):
-        size = min(_LANES, phase.size - start)
+    for row in range(-(-phase.size // (parts * _LANES))):
+        # which one changes without a period, lest one part have the slow columns of a landscape
+        start = (row * parts + (part + (row * 40503 >> 8)) % parts) * _LANES
+        size = min(_LANES, phase.size - start)  # none, if the last row is not full
         for i in range(size):
             inputs[i] = mass_ratio[start + i]
             inputs[i + _LANES] = speed_ratio[start + i]
