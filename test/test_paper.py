@@ -104,7 +104,7 @@ def test_limit_of_a_light_projectile_is_that_of_appendix_c_mended(omega_tau):
     # App. C(i), where the paper prints another sign and 2 for 4
     kappa = 1.0
     release = first_release(mass_ratio=omega_tau * kappa / (2.0 * math.pi), speed_ratio=kappa)
-    small = omega_tau - math.exp(-math.pi / (2.0 * omega_tau))
+    small = omega_tau - math.exp(-1.0 - math.pi / (2.0 * omega_tau))
     angle = 2.0 * math.pi * (release.ejection_phase - 1.0 / kappa)
     assert angle == pytest.approx(math.pi / 2.0 + small, abs=omega_tau**3)
     assert release.energy_transfer == pytest.approx(4.0 - 4.0 * small**2, abs=5 * omega_tau**4)
