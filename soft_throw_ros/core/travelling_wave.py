@@ -239,8 +239,10 @@ def first_releases(
         run(0)
     else:
         # Threads of our own, because numba's may not be entered from two threads at a time.
-        with ThreadPoolExecutor(parts) as pool:
-            list(pool.map(run, range(parts)))
+        with ThreadPoolExecutor(parts - 1) as pool:
+            others = pool.map(run, range(1, parts))
+            run(0)
+            list(others)  # raises what they raised
     failed = np.flatnonzero(status != _RELEASED)
     if failed.size:
         if unresolved == 'raise':
