@@ -60,7 +60,6 @@ _NODES, _TO_COEFFICIENTS = _transform()
 _INTEGRAL = _integration()
 _IDENTITY = np.eye(_SIZE)
 _AT_END = np.ones(_SIZE)
-_AT_START = (-1.0) ** np.arange(_SIZE)
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(_SIZE)
 
 
