@@ -1,25 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Numbers to messages and back.
-
-What goes out at every tick is not built as a message object: its bytes (CDR, little endian) are
-made once, and only stamp and numbers are written into them. Padding is zero, so that equal
-messages are equal bytes; `rclpy.serialization` leaves in it what was in memory.
-"""
+"""Values to message objects and back; what goes out at every tick is in `recording.cdr`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import dataclasses
-import math
-import struct
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.twin.results import Floats, Release, State, ThrowResult
+from soft_throw_ros.twin.results import Floats, Release, ThrowResult
 from std_msgs.msg import Float64MultiArray
 
 _SECOND = 1_000_000_000
@@ -34,101 +26,6 @@ def time_to_msg(time_ns: int) -> Time:
 def msg_to_time(msg: Time) -> int:
     """Join to nanoseconds."""
     return int(msg.sec) * _SECOND + int(msg.nanosec)
-
-
-class _Template:
-    """Bytes of a message, written field by field; `offset` counts as CDR does, from the header."""
-
-    def __init__(self) -> None:
-        self.data = bytearray(b'\x00\x01\x00\x00')  # CDR, little endian, no options
-
-    def add(self, code: str, *values: Any) -> int:
-        """Append numbers of one type, aligned, and return where they begin in `data`."""
-        size = struct.calcsize(f'<{code}')
-        self.data.extend(bytes(-(len(self.data) - 4) % size))
-        begin = len(self.data)
-        self.data.extend(struct.pack(f'<{len(values)}{code}', *values))
-        return begin
-
-    def add_string(self, text: str) -> None:
-        """Append a string: its length with the final zero, its bytes, the zero."""
-        encoded = text.encode() + b'\x00'
-        self.add('I', len(encoded))
-        self.data.extend(encoded)
-
-    def add_doubles(self, count: int) -> int:
-        """Append a sequence of doubles, zero for now, and return where they begin in `data`."""
-        self.add('I', count)
-        return self.add('d', *[0.0] * count)
-
-
-class JointStateEncoder:
-    """
-    Write sensor_msgs/JointState of plate and projectile.
-
-    Parameters
-    ----------
-    frame : str
-        `header.frame_id`.
-    names : sequence of str
-        The two joints.
-
-    """
-
-    def __init__(self, frame: str, names: Sequence[str]) -> None:
-        template = _Template()
-        self._stamp = template.add('i', 0)
-        template.add('I', 0)
-        template.add_string(frame)
-        template.add('I', len(names))
-        for name in names:
-            template.add_string(name)
-        self._position, self._velocity, self._effort = (
-            template.add_doubles(len(names)) for _ in range(3)
-        )
-        self._data = template.data
-        self._pack_stamp = struct.Struct('<iI').pack_into
-        self._pack_pair = struct.Struct('<2d').pack_into
-
-    def encode(self, stamp_ns: int, state: State) -> bytes:
-        """Return the message for a state at a time, as bytes to publish."""
-        data = self._data
-        self._pack_stamp(data, self._stamp, *divmod(stamp_ns, _SECOND))
-        self._pack_pair(data, self._position, state[0], state[1])
-        self._pack_pair(data, self._velocity, state[2], state[3])
-        self._pack_pair(data, self._effort, state[4], state[5])
-        return bytes(data)
-
-
-class ArrayEncoder:
-    """
-    Write std_msgs/Float64MultiArray of always the same shape.
-
-    Parameters
-    ----------
-    dimensions : mapping of str to int
-        Labels and sizes, the slowest first.
-
-    """
-
-    def __init__(self, dimensions: Mapping[str, int]) -> None:
-        template = _Template()
-        template.add('I', len(dimensions))
-        sizes = list(dimensions.values())
-        for index, (label, size) in enumerate(dimensions.items()):
-            template.add_string(label)
-            template.add('I', size)
-            template.add('I', math.prod(sizes[index:]))
-        template.add('I', 0)  # data_offset
-        count = math.prod(sizes)
-        begin = template.add_doubles(count)
-        self._data = template.data
-        self._values = np.frombuffer(self._data, '<f8', count, begin)
-
-    def encode(self, values: Floats) -> bytes:
-        """Return the message as bytes to publish."""
-        self._values[:] = values.reshape(-1)
-        return bytes(self._data)
 
 
 def msg_to_array(msg: Float64MultiArray) -> tuple[list[str], Floats]:

@@ -15,6 +15,7 @@ import numpy as np
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.twin.pace import Pace, SECOND
 
 SPIN = 60_000
 """How long before a deadline sleep ends and polling begins; about what a wake-up takes. [ns]"""
@@ -24,9 +25,6 @@ POLL = 0.1
 
 PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
-
-SECOND = 1_000_000_000
-"""[ns]"""
 
 
 class Clock(Protocol):
@@ -59,6 +57,9 @@ class Steps(Protocol):
 
     def advance(self) -> Any:
         """Go one step on."""
+
+    def keep_pace(self, pace: Pace) -> None:
+        """Take note of when steps are due from the next one on."""
 
 
 class SystemClock:
@@ -134,66 +135,6 @@ class NodeClock:
         elif jump.delta.nanoseconds < 0:
             self.epoch += 1
         self._moved.set()
-
-
-class Pace:
-    """
-    When each step is due.
-
-    Deadlines are absolute: being late once makes nothing late later.
-
-    Parameters
-    ----------
-    step : int
-        A step.
-    time : int
-        When it is due. [ns]
-    rate : float
-        Steps per second. [Hz]
-
-    Examples
-    --------
-    >>> pace = Pace(step=10, time=5_000_000, rate=1000.0)
-    >>> pace.deadline(12)
-    7000000
-    >>> pace.skip(step=12, now=30_000_000, max_catch_up=3_000_000)
-    20
-    >>> pace.deadline(12)
-    27000000
-
-    """
-
-    def __init__(self, *, step: int, time: int, rate: float) -> None:
-        self._step = step
-        self._time = time
-        self.rate = rate
-
-    def deadline(self, step: int) -> int:
-        """Return when a step is due. [ns]"""
-        return self._time + round((step - self._step) * SECOND / self.rate)
-
-    def change_rate(self, *, step: int, rate: float) -> None:
-        """Take another rate from `step` on, whose own deadline stays."""
-        self._time = self.deadline(step)
-        self._step = step
-        self.rate = rate
-
-    def skip(self, *, step: int, now: int, max_catch_up: int) -> int:
-        """
-        Let time stand still for what a stall took beyond `max_catch_up`.
-
-        Returns
-        -------
-        int
-            How many ticks of the clock go without a step. Steps stay consecutive.
-
-        """
-        late = now - self.deadline(step) - max_catch_up
-        ticks = int(late * self.rate / SECOND) if late > 0 else 0
-        if ticks:
-            self._time = self.deadline(step + ticks)
-            self._step = step
-        return ticks
 
 
 @dataclass
@@ -293,7 +234,10 @@ class Ticker:
         if pace is None:
             return now + 1
         steps, account = self._steps, self.account
-        account.skipped += pace.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
+        skipped = pace.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
+        if skipped:
+            account.skipped += skipped
+            steps.keep_pace(pace)
         due = pace.deadline(steps.step)
         is_first = True
         while due <= now:
@@ -307,6 +251,7 @@ class Ticker:
             is_first = False
             if steps.rate != pace.rate:
                 pace.change_rate(step=steps.step - 1, rate=steps.rate)
+                steps.keep_pace(pace)
             due = pace.deadline(steps.step)
         return due
 
@@ -318,7 +263,8 @@ class Ticker:
             self._followed = followed
             self._pace = None
         if self._pace is None and now > 0:
-            self._pace = Pace(step=self._steps.step, time=now, rate=self._steps.rate)
+            self._pace = Pace(step=self._steps.step, time_ns=now, rate=self._steps.rate)
+            self._steps.keep_pace(self._pace)
         return self._pace
 
     def _run(self) -> None:

@@ -31,16 +31,12 @@ from soft_throw_ros.configuration import defaults, files, ParameterError, rig_of
 from soft_throw_ros.core.stepper import steps_per_crossing, warm_up
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.advice import Advice, advise, matters
-from soft_throw_ros.nodes.conversions import (
-    ArrayEncoder,
-    JointStateEncoder,
-    statuses_to_msg,
-    throw_result_to_msg,
-)
+from soft_throw_ros.nodes.conversions import statuses_to_msg, throw_result_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, POLL, SystemClock, Ticker
 from soft_throw_ros.nodes.reports import Observer
 from soft_throw_ros.nodes.worker import LatestWins
+from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.twin.plan import FIELD_POINTS, THROW_FIELD_ROWS
 from soft_throw_ros.twin.results import Event, Outputs, ThrowResult
 from soft_throw_ros.twin.session import Refused, Session

@@ -10,6 +10,7 @@ kind       further keys
 start      `settings`, `rig`, `versions`; a session begins, at rest
 throw      the same, `throw` (its number) and `pending` (changes that wait); a throw starts
 input      `input`: 'throw', 'reset', or 'parameters' with their `values`
+pace       `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this pace
 ========== =============================================================================
 
 Numbers are written with all their digits, so that the same line gives the same floats.
@@ -20,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import dataclasses
 import json
+import math
 import platform
 from typing import Any
 
@@ -27,6 +29,7 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import rig_of, Settings
+from soft_throw_ros.twin.pace import Pace
 
 Entry = Mapping[str, Any]
 
@@ -93,6 +96,37 @@ def input_entry(step: int, kind: str, values: Settings | None = None) -> dict[st
     """Make the entry for an input that was taken."""
     entry = {'kind': 'input', 'step': step, 'input': kind}
     return entry if values is None else {**entry, 'values': dict(values)}
+
+
+def pace_entry(step: int, pace: Pace) -> dict[str, Any]:
+    """Make the entry for when steps are due from `step` on."""
+    return {
+        'kind': 'pace',
+        'step': step,
+        'anchor_step': pace.step,
+        'anchor_time_ns': pace.time_ns,
+        'rate': pace.rate,
+    }
+
+
+def entry_pace(entry: Entry) -> Pace:
+    """
+    Return the pace that an entry tells.
+
+    Raises
+    ------
+    JournalError
+        If it tells none.
+
+    """
+    try:
+        step, time_ns, rate = entry['anchor_step'], entry['anchor_time_ns'], entry['rate']
+    except KeyError as error:
+        raise JournalError(f'an entry lacks {error}: {dict(entry)!r}') from error
+    whole = isinstance(step, int) and isinstance(time_ns, int)
+    if not (whole and isinstance(rate, (int, float)) and 0.0 < rate < math.inf):
+        raise JournalError(f'a pace has whole numbers and a rate, got {dict(entry)!r}')
+    return Pace(step=step, time_ns=time_ns, rate=rate)
 
 
 def _state(settings: Settings) -> dict[str, Any]:

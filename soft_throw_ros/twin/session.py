@@ -18,6 +18,7 @@ import numpy as np
 from soft_throw_ros.configuration import BY_NAME, Settings
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.flight import Flight, time_until_over
+from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.plan import FIELD_POINTS, Plan
 from soft_throw_ros.twin.results import (
     Event,
@@ -109,6 +110,7 @@ class Session:
         self._phases = [Phase.REST]
         self._results: list[ThrowResult] = []
         self._throw_field: ThrowField | None = None
+        self._pace_entry: journal.Entry | None = None
         self._schedule()
         self._write(journal.start_entry(step, settings))
 
@@ -274,6 +276,17 @@ class Session:
 
     # steps
 
+    def keep_pace(self, pace: Pace) -> None:
+        """
+        Write down when steps are due from the next one on.
+
+        It changes nothing here. It is in the journal, and again before every throw, so that
+        whoever has some of the messages can tell by their stamps which steps they are of.
+        """
+        with self._lock:
+            self._pace_entry = journal.pace_entry(self.step, pace)
+            self._write(self._pace_entry)
+
     def advance(self) -> Outputs:
         """Go one step on."""
         with self._lock:
@@ -320,6 +333,8 @@ class Session:
         self._start = step
         self._field_start, self._field_row = step, -1
         self._schedule()
+        if self._pace_entry is not None:
+            self._write({**self._pace_entry, 'step': step})
         self._write(
             journal.throw_entry(step, self._settings, throw=self.throws, pending=self.pending)
         )

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
 
-from hypothesis import given
-from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.nodes.realtime import Pace, percentiles, SECOND, SystemClock, Ticker
+from soft_throw_ros.nodes.realtime import percentiles, SystemClock, Ticker
+from soft_throw_ros.twin.pace import Pace, SECOND
 
 MILLISECOND = SECOND // 1000
 
@@ -36,10 +36,14 @@ class CountingSession:
     def __init__(self, rate: float = 1000.0, step: int = 0) -> None:
         self.step = step
         self.rate = rate
+        self.paces: list[tuple[int, Pace]] = []
 
     def advance(self) -> int:
         self.step += 1
         return self.step - 1
+
+    def keep_pace(self, pace: Pace) -> None:
+        self.paces.append((self.step, copy.copy(pace)))
 
 
 class Rig:
@@ -137,27 +141,22 @@ def test_thread_ticks_and_stops() -> None:
     assert ticker.account.ticks == done
 
 
-@given(
-    rate=st.floats(10.0, 5000.0),
-    start=st.integers(1, 2**61),
-    steps=st.integers(0, 10**10),
-)
-def test_deadlines_never_drift(rate, start, steps) -> None:
-    pace = Pace(step=7, time=start, rate=rate)
-    exact = start + steps * SECOND / rate
-    assert abs(pace.deadline(7 + steps) - exact) <= 1 + 4e-16 * exact
-
-
-@given(rate=st.floats(10.0, 5000.0), stall=st.integers(0, 10**13))
-def test_skipping_leaves_what_may_be_caught_up(rate, stall) -> None:
-    pace = Pace(step=0, time=SECOND, rate=rate)
-    now = SECOND + stall
-    allowed = SECOND // 10
-    ticks = pace.skip(step=0, now=now, max_catch_up=allowed)
-    late = now - pace.deadline(0)
-    period = SECOND / rate
-    assert (ticks == 0) == (stall < allowed + period)
-    assert late == stall if not ticks else allowed - 2 <= late <= allowed + period + 2
+def test_steps_are_told_by_their_stamps() -> None:
+    rig = Rig(rate=999.0)
+    rig.at(100)
+    rig.at(150)
+    rig.at(5000)  # a stall
+    rig.session.rate = 300.0
+    rig.at(5070)
+    rig.clock.epoch += 1
+    rig.at(90)
+    rig.at(123)
+    paces = rig.session.paces
+    assert len(paces) == 4
+    for step, due in rig.done:
+        pace = [pace for since, pace in paces if since <= step][-1]
+        assert pace.step_due(due) == step
+        assert pace.step_due(due + 1) is None
 
 
 def test_system_clock_shows_the_time_of_day_and_waits() -> None:

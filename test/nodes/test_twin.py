@@ -229,8 +229,9 @@ def test_latched_topics_reach_who_comes_late(ros, twin, listener) -> None:
     assert strain.shape == (200, 64)
     assert strain.min() < -0.1
     assert late.hear(topics.RECOMMENDATION)[0].status[0].level == DiagnosticStatus.OK
-    lines = [message.data for message in late.hear(topics.JOURNAL, 3)]
-    assert [journal.decode(line)['kind'] for line in lines] == ['start', 'input', 'throw']
+    lines = [message.data for message in late.hear(topics.JOURNAL, 5)]
+    kinds = [journal.decode(line)['kind'] for line in lines]
+    assert kinds == ['start', 'pace', 'input', 'pace', 'throw']
 
 
 def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
@@ -244,7 +245,7 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     twin.go(300)
     trigger(ros, listener, twin, topics.THROW)
     twin.go(500)
-    lines = [message.data for message in listener.hear(topics.JOURNAL, 7)]
+    lines = [message.data for message in listener.hear(topics.JOURNAL, 10)]
     again = list(replay(lines, until=twin.session.step, throw=1))
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05

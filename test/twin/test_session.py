@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+from itertools import pairwise
 import math
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from soft_throw_ros.configuration import change, defaults, rig_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.plan import RETURN_TIME
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import Refused, replay, Session
@@ -588,3 +590,32 @@ def test_any_run_is_repeated_to_the_bit(inputs, data) -> None:
     again = list(replay(run.journal, until=run.session.step, throw=throw))
     assert len(again) == len(run.outputs) - begin
     assert all(map(same_bits, again, run.outputs[begin:]))
+
+
+def test_journal_tells_the_pace_again_before_every_throw() -> None:
+    written: list[str] = []
+    session = Session({**defaults(), 'throw.period': 0.3}, on_entry=written.append)
+    pace = Pace(step=0, time_ns=1_000, rate=session.rate)
+    session.keep_pace(pace)
+    for _ in range(700):
+        session.advance()
+    entries = [journal.decode(line) for line in written]
+    kinds = [entry['kind'] for entry in entries]
+    assert kinds == ['start', 'pace', 'pace', 'throw', 'pace', 'throw']
+    for before, entry in pairwise(entries):
+        if entry['kind'] == 'throw':
+            assert before['step'] == entry['step']
+            assert vars(journal.entry_pace(before)) == vars(pace)
+    again = list(replay(written, until=700))
+    assert len(again) == 700
+
+
+@pytest.mark.parametrize(
+    'entry', [{}, {'anchor_time_ns': 0.5}, {'rate': 0.0}, {'rate': '1'}, {'anchor_step': None}]
+)
+def test_pace_that_is_none_is_refused(entry) -> None:
+    whole = journal.pace_entry(3, Pace(step=0, time_ns=1_000, rate=1000.0))
+    assert journal.entry_pace(whole).deadline(1) == 1_001_000
+    broken = {**whole, **entry} if entry else {'kind': 'pace', 'step': 3}
+    with pytest.raises(journal.JournalError, match='pace'):
+        journal.entry_pace(broken)
