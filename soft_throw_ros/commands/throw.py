@@ -22,16 +22,7 @@ import threading
 from typing import Any, NamedTuple
 
 import numpy as np
-from soft_throw_ros.configuration import (
-    BY_NAME,
-    change,
-    defaults,
-    files,
-    ParameterError,
-    rig_of,
-    Settings,
-    TABLE,
-)
+from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
 from soft_throw_ros.core import method_of_steps, spring_mass, stepper
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
@@ -49,7 +40,7 @@ _OPTIONS = {
     entry.name: '--layer'
     if entry.name == 'layer.name'
     else '--' + entry.name.rpartition('.')[2].replace('_', '-')
-    for entry in TABLE
+    for entry in TWIN.entries
     if (entry.is_of_rig and entry.name != 'model') or entry.name == 'max_strain'
 }
 """The parameters that describe a throw, and what their options are called."""
@@ -127,8 +118,8 @@ def main(args: list[str] | None = None) -> int:
                 parser.error(f'argument {option}: not allowed with argument --cases')
             text = _release_cases_of(given['cases'])
         else:
-            settings = files.read(given['config']) if 'config' in given else defaults()
-            settings.update(change(settings, request))
+            settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
+            settings.update(TWIN.change(settings, request))
             with _patience():
                 throw = predict(settings)
             text = (
@@ -169,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         'parameters', 'as those of the twin; each replaces what the file says'
     )
     for name, option in _OPTIONS.items():
-        entry = BY_NAME[name]
+        entry = TWIN.by_name[name]
         default = f'{entry.default:g}' if isinstance(entry.default, float) else entry.default
         parameters.add_argument(
             option,

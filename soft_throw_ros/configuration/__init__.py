@@ -1,38 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: the table of them all, settings made from it, and parameter files. No ROS."""
+"""Parameters: a table for every node, settings made from it, and parameter files. No ROS."""
 
-from soft_throw_ros.configuration.settings import (
-    change,
-    check_together,
-    defaults,
-    expand,
-    rig_of,
-    Settings,
-)
-from soft_throw_ros.configuration.table import (
-    BY_NAME,
-    check_value,
-    CUSTOM,
-    Entry,
-    LAYERS,
-    ParameterError,
-    TABLE,
-    Value,
-)
+from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.table import Entry, ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.twin import CUSTOM, LAYERS, rig_of, TWIN
 
 __all__ = [
-    'BY_NAME',
     'CUSTOM',
     'LAYERS',
-    'TABLE',
+    'RECORDER',
+    'TWIN',
     'Entry',
     'ParameterError',
     'Settings',
+    'Table',
     'Value',
-    'change',
-    'check_together',
-    'check_value',
-    'defaults',
-    'expand',
     'rig_of',
 ]

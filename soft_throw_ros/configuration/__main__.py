@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bring README.md and twin.yaml, given as arguments, up to date with the table."""
+"""Bring README.md and the files of config/, given as arguments, up to date with the tables."""
 
 from pathlib import Path
 import sys
 
-from soft_throw_ros.configuration.document import insert_markdown, markdown, twin_yaml
+from soft_throw_ros.configuration.document import insert_markdown, parameter_file, TABLES
 
 
 def main(paths: list[str]) -> None:
-    """Rewrite each file, by its suffix; print the table in Markdown if there is none."""
-    if not paths:
-        print(markdown(), end='')
+    """Rewrite each file: a parameter file of the node it is named for, or the README's tables."""
     for path in map(Path, paths):
-        text = twin_yaml() if path.suffix == '.yaml' else insert_markdown(path.read_text('utf-8'))
+        table = TABLES.get(path.stem)
+        text = parameter_file(table) if table else insert_markdown(path.read_text('utf-8'))
         path.write_text(text, 'utf-8')
 
 

@@ -17,8 +17,8 @@ import re
 import textwrap
 from typing import Any
 
-from soft_throw_ros.configuration.settings import change, defaults, Settings
-from soft_throw_ros.configuration.table import BY_NAME, ParameterError, TABLE, Value
+from soft_throw_ros.configuration.table import ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.twin import TWIN
 import yaml
 
 _KEY = 'ros__parameters'
@@ -54,12 +54,12 @@ Sections = dict[str, dict[str, Given]]
 """What is given to whom, by the pattern of the node's name."""
 
 
-def default_file() -> Path:
-    """Return the path of `twin.yaml`, which is installed with the package."""
-    return Path(str(resources.files('soft_throw_ros') / 'config' / 'twin.yaml'))
+def default_file(table: Table = TWIN) -> Path:
+    """Return the path of the file with a table's defaults, installed with the package."""
+    return Path(str(resources.files('soft_throw_ros') / 'config' / f'{table.node}.yaml'))
 
 
-def read(path: str | Path, *, node: str = '/twin') -> dict[str, Value]:
+def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[str, Value]:
     """
     Read complete settings for a node from a ROS parameter file.
 
@@ -72,6 +72,8 @@ def read(path: str | Path, *, node: str = '/twin') -> dict[str, Value]:
         A YAML file.
     node : str
         Full name of the node; the file's wildcards are matched as ROS does.
+    table : Table
+        Of the node's parameters.
 
     Raises
     ------
@@ -87,10 +89,11 @@ def read(path: str | Path, *, node: str = '/twin') -> dict[str, Value]:
         raise ParameterError(
             f'{path}: nothing for node {node}; it has {", ".join(sections) or "no parameters"}'
         )
-    return start({name: item.value for name, item in given.items() if not is_foreign(name)}, given)
+    values = {name: item.value for name, item in given.items() if not is_foreign(name)}
+    return start(values, given, table)
 
 
-def start(values: Settings, given: dict[str, Given]) -> dict[str, Value]:
+def start(values: Settings, given: dict[str, Given], table: Table = TWIN) -> dict[str, Value]:
     """
     Make the settings to start with from what files and arguments give.
 
@@ -104,6 +107,8 @@ def start(values: Settings, given: dict[str, Given]) -> dict[str, Value]:
         What is given, over the defaults.
     given : dict of str to Given
         Where it was given; not all need be known.
+    table : Table
+        Of the node's parameters.
 
     Raises
     ------
@@ -115,13 +120,13 @@ def start(values: Settings, given: dict[str, Given]) -> dict[str, Value]:
     requests: dict[int, dict[str, Any]] = {}
     for name, value in values.items():
         place = given.get(name, unknown_place)
-        entry = BY_NAME.get(name)
+        entry = table.by_name.get(name)
         if not (place.in_file and entry is not None and entry.is_result):
             requests.setdefault(place.order, {})[name] = value
-    settings = defaults()
+    settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
-            settings.update(change(settings, request))
+            settings.update(table.change(settings, request))
     except ParameterError as error:
         where = next((f'{given[name].where}: ' for name in error.names if name in given), '')
         raise ParameterError(f'{where}{error}', *error.names) from None
@@ -182,12 +187,12 @@ def select(sections: Sections, node: str) -> dict[str, Given]:
     return chosen
 
 
-def render(settings: Settings, *, node: str = '/**/twin', title: str = '') -> str:
+def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
     """Write settings as the text of a ROS parameter file, commented from the table."""
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
-    lines += [f'{node}:', f'  {_KEY}:']
+    lines += [f'/**/{table.node}:', f'  {_KEY}:']
     group = ''
-    for entry in TABLE:
+    for entry in table.entries:
         if entry.name in settings:
             head, _, tail = entry.name.rpartition('.')
             if head and head != group:
@@ -208,7 +213,11 @@ def write(path: str | Path, settings: Settings, *, title: str = '') -> None:
 
 
 def _text(value: Value) -> str:
-    text = str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return f'[{", ".join(value)}]'
+    text = str(value) or "''"
     # YAML 1.1 takes 1e-05 for a text; with a point everybody takes it for a number
     return text.replace('e', '.0e') if re.fullmatch(r'-?\de[-+]\d+', text) else text
 

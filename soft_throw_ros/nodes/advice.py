@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import BY_NAME, rig_of, Settings, TABLE
+from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 from soft_throw_ros.nodes.conversions import rig_to_values, status_to_msg
 
-RESULTS = tuple(entry.name.partition('.')[2] for entry in TABLE if entry.is_result)
+RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """What `recommended.*` shows of a recommendation."""
 
 
@@ -86,7 +86,7 @@ class Advice:
 
 def matters(name: str) -> bool:
     """Tell whether a parameter matters for what is recommended."""
-    entry = BY_NAME[name]
+    entry = TWIN.by_name[name]
     return entry.is_of_rig or entry.group == 'recommendation'
 
 

@@ -15,15 +15,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from soft_throw_ros.configuration import (
-    BY_NAME,
-    change,
-    Entry,
-    files,
-    ParameterError,
-    Settings,
-    TABLE,
-)
+from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table
 
 
 class _Refusal(Parameter):
@@ -38,12 +30,14 @@ class _Result(Parameter):
 
 class NodeParameters:
     """
-    Declare every parameter of the table on a node, and watch over them.
+    Declare every parameter of a table on a node, and watch over them.
 
     Parameters
     ----------
     node : Node
         Made without `automatically_declare_parameters_from_overrides`.
+    table : Table
+        What there is.
     on_changed : callable
         Called with what has really changed, by name, after `settings` has been replaced.
     check : callable, optional
@@ -80,21 +74,23 @@ class NodeParameters:
     def __init__(
         self,
         node: Node,
+        table: Table,
         on_changed: Callable[[dict[str, Any]], None],
         *,
         check: Callable[[Settings], None] | None = None,
         arguments: Sequence[str] = (),
     ) -> None:
         self._node = node
+        self._table = table
         self._on_changed = on_changed
         self._check = check
         # rclpy has no public way to see values for names that are not declared: the typos
         overrides = node._parameter_overrides.values()
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         given = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
-        self.settings: Settings = files.start(values, given)
+        self.settings: Settings = files.start(values, given, table)
         self._check_complete(self.settings)
-        for entry in TABLE:
+        for entry in table.entries:
             value = self.settings.get(entry.name, entry.default)
             node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         node.add_pre_set_parameters_callback(self._on_pre_set)
@@ -128,7 +124,7 @@ class NodeParameters:
             If one is no result.
 
         """
-        values = {entry.name: math.nan for entry in TABLE if entry.is_result}
+        values = {entry.name: math.nan for entry in self._table.entries if entry.is_result}
         for name, value in results.items():
             if f'recommended.{name}' not in values:
                 raise ParameterError(f'no result is named {name!r}, got {value!r} for it', name)
@@ -142,7 +138,7 @@ class NodeParameters:
 
     def _is_foreign(self, name: str) -> bool:
         """Tell whether somebody else answers for a parameter."""
-        declared = name not in BY_NAME and self._node.has_parameter(name)
+        declared = name not in self._table.by_name and self._node.has_parameter(name)
         return declared or files.is_foreign(name)
 
     def _check_complete(self, settings: Settings) -> None:
@@ -156,7 +152,8 @@ class NodeParameters:
         try:
             return self._accepted(parameters)
         except ParameterError as error:
-            refusal = _Refusal('model', value=self.settings['model'])
+            name = self._table.entries[0].name
+            refusal = _Refusal(name, value=self.settings[name])
             refusal.reason = str(error)
             return [refusal]
 
@@ -172,7 +169,7 @@ class NodeParameters:
                 raise ParameterError(f'{name} is given twice, {request[name]!r} and {value!r}')
             else:
                 request[name] = value
-        changes = change(self.settings, request)
+        changes = self._table.change(self.settings, request)
         if changes:
             self._check_complete({**self.settings, **changes})
         return passed + [Parameter(name, value=value) for name, value in changes.items()]
@@ -200,9 +197,11 @@ def _descriptor(entry: Entry) -> ParameterDescriptor:
         description=f'{entry.meaning}{unit}', additional_constraints=entry.rule
     )
     low = 0 if entry.or_zero else entry.low
+    if not math.isfinite(low):
+        return descriptor
     if isinstance(entry.default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
-    elif math.isfinite(low):
+    else:
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=float(low), to_value=float(entry.high))
         ]

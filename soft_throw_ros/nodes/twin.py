@@ -27,7 +27,7 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-from soft_throw_ros.configuration import defaults, files, ParameterError, rig_of, Settings
+from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
 from soft_throw_ros.core.stepper import steps_per_crossing, warm_up
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.advice import Advice, advise, matters
@@ -128,7 +128,9 @@ class Twin(Node):
 
     def _make_rig(self, arguments: Sequence[str]) -> None:
         self._wake = self.create_guard_condition(self._do_jobs)
-        self.parameters = NodeParameters(self, self._on_changed, check=_check, arguments=arguments)
+        self.parameters = NodeParameters(
+            self, TWIN, self._on_changed, check=_check, arguments=arguments
+        )
         self.session = Session(self.parameters.settings, on_entry=self._on_entry)
         self._node_clock = NodeClock(self)
         self.ticker = Ticker(self.session, self._on_step, self._current_clock)
@@ -332,7 +334,7 @@ def main(args: list[str] | None = None) -> int:
 def prepare_process() -> None:
     """Compile or load all kernels, and let nothing hold up the ticks."""
     warm_up()
-    advise(defaults())
+    advise(TWIN.defaults())
     sys.setswitchinterval(1e-4)
     gc.collect()
     gc.freeze()

@@ -15,7 +15,7 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from soft_throw_ros.configuration import BY_NAME, Settings
+from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.flight import Flight, time_until_over
 from soft_throw_ros.twin.pace import Pace
@@ -480,5 +480,5 @@ def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outp
 
 def _waits(name: str) -> bool:
     """Tell whether a change of a setting waits until things are put back."""
-    entry = BY_NAME[name]
+    entry = TWIN.by_name[name]
     return entry.is_of_rig or entry.group in ('rate', 'time_scale')

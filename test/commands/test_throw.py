@@ -11,7 +11,7 @@ import sys
 
 import pytest
 from soft_throw_ros.commands import throw
-from soft_throw_ros.configuration import defaults, files, LAYERS, TABLE
+from soft_throw_ros.configuration import files, LAYERS, TWIN
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
@@ -136,7 +136,7 @@ def test_every_parameter_of_the_rig_is_an_option(capsys):
         throw.main(['--help'])
     assert end.value.code == 0
     shown = ''.join(capsys.readouterr().out.split())
-    for entry in TABLE:
+    for entry in TWIN.entries:
         if entry.group in ('engine', 'layer', 'projectile') or entry.name == 'gravity':
             option = throw._OPTIONS[entry.name]
             assert f'{option}{entry.unit.upper()}' in shown
@@ -229,7 +229,7 @@ def test_bad_case_is_named_with_file_line_and_value(capsys, write, text, message
 def test_output_goes_to_the_file(capsys, write, tmp_path):
     path = tmp_path / 'result'
     assert run(capsys, '--json', '--output', path) == ''
-    assert json.loads(path.read_text())['parameters'].keys() <= defaults().keys()
+    assert json.loads(path.read_text())['parameters'].keys() <= TWIN.defaults().keys()
     cases = write('mu,kappa,zeta\n1,2,0\n')
     assert run(capsys, '--cases', cases, '--output', path) == ''
     assert math.isfinite(float(path.read_text().splitlines()[1].split(',')[-1]))

@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import change, defaults, files, LAYERS, ParameterError
+from soft_throw_ros.configuration import files, LAYERS, ParameterError, TWIN
 import yaml
 
 
@@ -34,8 +34,8 @@ def start(arguments: list[str]) -> dict[str, Any]:
 
 
 def test_read_of_the_installed_file_gives_the_defaults() -> None:
-    assert files.read(files.default_file()) == defaults()
-    assert files.read(files.default_file(), node='/rig1/twin') == defaults()
+    assert files.read(files.default_file()) == TWIN.defaults()
+    assert files.read(files.default_file(), node='/rig1/twin') == TWIN.defaults()
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_read_of_the_installed_file_gives_the_defaults() -> None:
     ],
 )
 def test_read_finds_the_node_however_it_is_written(write: Any, text: str) -> None:
-    expected = {**defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom'}
+    expected = {**TWIN.defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom'}
     assert files.read(write(text)) == expected
 
 
@@ -129,7 +129,7 @@ def test_write_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) 
     thickness = data.draw(st.floats(5e-4, 0.1))
     amplitude = data.draw(st.floats(1e-5, 0.1))
     request = {'layer.thickness': thickness, 'engine.amplitude': amplitude, 'throw.max_events': 3}
-    settings = {**defaults(), **change(defaults(), request)}
+    settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), request)}
     files.write(path, settings, title='Two\n\nlines')
     assert files.read(path) == settings
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
@@ -147,9 +147,9 @@ def test_write_of_some_settings_leaves_the_others_out(tmp_path: Path) -> None:
 def test_arguments_are_one_request_after_the_file(write: Any) -> None:
     path = str(files.default_file())
     named = start(['twin', '--ros-args', '--params-file', path, '-p', 'layer.name:=gelatin_2.0mm'])
-    assert named == {**defaults(), 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm']}
+    assert named == {**TWIN.defaults(), 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm']}
     thick = start(['--ros-args', '--params-file', path, '--param', 'twin:layer.thickness:=1e-2'])
-    assert thick == {**defaults(), 'layer.name': 'custom', 'layer.thickness': 0.01}
+    assert thick == {**TWIN.defaults(), 'layer.name': 'custom', 'layer.thickness': 0.01}
     later = write('twin: {ros__parameters: {layer.name: gelatin_2.0mm}}')
     assert named == start(['--ros-args', '--params-file', path, '--params-file', str(later)])
 
@@ -161,7 +161,7 @@ def test_arguments_that_contradict_each_other_are_refused() -> None:
 
 
 def test_arguments_outside_ros_args_are_not_ours() -> None:
-    assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == defaults()
+    assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_select_lets_the_later_pattern_win(write: Any) -> None:
 
 
 def test_start_takes_values_from_nowhere() -> None:
-    assert start([]) == defaults()
+    assert start([]) == TWIN.defaults()
     assert files.start({'gravity': 0}, {})['gravity'] == 0.0
     with pytest.raises(ParameterError, match=r'^gravity must be .* got nan'):
         files.start({'gravity': math.nan}, {})

@@ -7,40 +7,47 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import (
-    BY_NAME,
-    check_value,
     document,
     files,
     LAYERS,
     ParameterError,
-    TABLE,
+    RECORDER,
+    Table,
+    TWIN,
 )
+from soft_throw_ros.configuration.__main__ import main as update
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = [entry for entry in TABLE if not entry.is_result]
-NUMBERS = [entry for entry in SETTINGS if not entry.choices]
-entries = st.sampled_from(SETTINGS)
+TABLES = (TWIN, RECORDER)
+SETTINGS = [(table, entry) for table in TABLES for entry in table.entries if not entry.is_result]
+NUMBERS = [(table, entry) for table, entry in SETTINGS if type(entry.default) in (int, float)]
+all_settings = st.sampled_from(SETTINGS)
+by_name = pytest.mark.parametrize(
+    ('table', 'entry'), SETTINGS, ids=lambda value: getattr(value, 'name', '')
+)
 anything = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.lists(st.floats()),
-    st.sampled_from([choice for entry in TABLE for choice in entry.choices]),
+    st.lists(st.text()), st.lists(st.builds('/{}'.format, st.text())),
+    st.sampled_from([choice for _, entry in SETTINGS for choice in entry.choices]),
 )  # fmt: skip
 
 
-def outcome(name: str, value: Any) -> Any:
+def outcome(table: Table, name: str, value: Any) -> Any:
     """Return the checked value, or the error."""
     try:
-        return check_value(name, value)
+        return table.check_value(name, value)
     except ParameterError as error:
         return error
 
 
-def test_table_names_are_unique() -> None:
-    assert len(BY_NAME) == len(TABLE)
+@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
+def test_table_names_are_unique(table: Table) -> None:
+    assert len(table.by_name) == len(table.entries)
 
 
-@pytest.mark.parametrize('entry', SETTINGS, ids=lambda entry: entry.name)
-def test_default_obeys_its_own_rule(entry: Any) -> None:
-    checked = check_value(entry.name, entry.default)
+@by_name
+def test_default_obeys_its_own_rule(table: Table, entry: Any) -> None:
+    checked = table.check_value(entry.name, entry.default)
     assert checked == entry.default
     assert type(checked) is type(entry.default)
 
@@ -48,44 +55,49 @@ def test_default_obeys_its_own_rule(entry: Any) -> None:
 @pytest.mark.parametrize('name', LAYERS)
 def test_library_layer_obeys_the_rules(name: str) -> None:
     for parameter, value in LAYERS[name].items():
-        assert check_value(parameter, value) == value
+        assert TWIN.check_value(parameter, value) == value
 
 
-@given(entry=entries, value=anything)
-def test_check_value_returns_an_allowed_value_or_quotes_it(entry: Any, value: Any) -> None:
-    checked = outcome(entry.name, value)
+@given(setting=all_settings, value=anything)
+def test_check_value_returns_an_allowed_value_or_quotes_it(setting: Any, value: Any) -> None:
+    table, entry = setting
+    checked = outcome(table, entry.name, value)
     if isinstance(checked, ParameterError):
         assert str(checked).startswith(f'{entry.name} must be {entry.rule}, got {value!r}')
         assert checked.names == (entry.name,)
     else:
         assert type(checked) is type(entry.default)
-        assert checked == value
-        if isinstance(checked, str):
-            assert checked in entry.choices
-        else:
+        assert checked == (tuple(value) if isinstance(checked, tuple) else value)
+        if isinstance(checked, tuple):
+            assert all(text.startswith('/') for text in checked)
+        elif isinstance(checked, str):
+            assert checked in entry.choices or not entry.choices
+        elif not isinstance(checked, bool):
             assert math.isfinite(checked)
             assert entry.low <= checked <= entry.high or (entry.or_zero and checked == 0)
 
 
-@given(entry=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
-def test_check_value_takes_every_number_in_the_range(entry: Any, share: float) -> None:
+@given(number=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
+def test_check_value_takes_every_number_in_the_range(number: Any, share: float) -> None:
+    table, entry = number
     value = min(entry.low + share * (entry.high - entry.low), entry.high)
     value = int(value) if isinstance(entry.default, int) else value
-    assert check_value(entry.name, value) == value
+    assert table.check_value(entry.name, value) == value
 
 
-@pytest.mark.parametrize('entry', NUMBERS, ids=lambda entry: entry.name)
-def test_check_value_refuses_what_is_beyond_either_end(entry: Any) -> None:
+@pytest.mark.parametrize(('table', 'entry'), NUMBERS, ids=lambda value: getattr(value, 'name', ''))
+def test_check_value_refuses_what_is_beyond_either_end(table: Table, entry: Any) -> None:
     step = 1 if isinstance(entry.default, int) else 1e-6 * (entry.high or 1.0)
     for value in (entry.low - step, entry.high + step):
-        with pytest.raises(ParameterError, match='must be'):
-            check_value(entry.name, value)
+        if not (entry.or_zero and value == 0):
+            with pytest.raises(ParameterError, match='must be'):
+                table.check_value(entry.name, value)
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, -1.0, 0.0, 0, True, '0.01', []])
 def test_check_value_refuses_what_is_no_thickness(value: Any) -> None:
     with pytest.raises(ParameterError) as refused:
-        check_value('layer.thickness', value)
+        TWIN.check_value('layer.thickness', value)
     rule = 'layer.thickness must be a number from 0.0005 to 0.1 m'
     assert str(refused.value) == f'{rule}, got {value!r}'
 
@@ -116,48 +128,72 @@ def test_check_value_refuses_what_is_no_thickness(value: Any) -> None:
 )  # fmt: skip
 def test_check_value_says_what_would_be_right(name: str, value: Any, message: str) -> None:
     with pytest.raises(ParameterError) as refused:
-        check_value(name, value)
+        TWIN.check_value(name, value)
     assert str(refused.value) == message
 
 
 def test_throw_period_may_be_zero() -> None:
-    assert check_value('throw.period', 0) == 0.0
+    assert TWIN.check_value('throw.period', 0) == 0.0
 
 
-def test_twin_yaml_is_what_the_table_says() -> None:
-    """Bring it up to date with `python -m soft_throw_ros.configuration config/twin.yaml`."""
-    assert (ROOT / 'config/twin.yaml').read_text('utf-8') == document.twin_yaml()
-    assert files.default_file().read_text('utf-8') == document.twin_yaml()
+@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
+def test_parameter_file_is_what_the_table_says(table: Table) -> None:
+    """Bring it up to date with `python -m soft_throw_ros.configuration config/NODE.yaml`."""
+    text = document.parameter_file(table)
+    assert (ROOT / f'config/{table.node}.yaml').read_text('utf-8') == text
+    assert files.default_file(table).read_text('utf-8') == text
 
 
-def test_markdown_has_a_row_for_every_parameter() -> None:
-    rows = document.markdown().splitlines()[2:]
-    assert [row.split('`')[1] for row in rows] == [entry.name for entry in TABLE]
+@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
+def test_parameter_file_gives_the_defaults(table: Table) -> None:
+    settings = files.read(files.default_file(table), node=f'/rig1/{table.node}', table=table)
+    assert settings == table.defaults()
+
+
+@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
+def test_markdown_has_a_row_for_every_parameter(table: Table) -> None:
+    rows = document.markdown(table).splitlines()[2:]
+    assert [row.split('`')[1] for row in rows] == [entry.name for entry in table.entries]
     assert {row.count(' | ') for row in rows} == {3}
 
 
+MARKS = ''.join(
+    f'<!-- {node} parameters -->\nold\n<!-- /{node} parameters -->\n' for node in document.TABLES
+)
+
+
 def test_insert_markdown_replaces_what_is_between_the_marks() -> None:
-    text = 'before\n<!-- parameters -->\nold\n<!-- /parameters -->\nafter\n'
-    new = document.insert_markdown(text)
-    assert new == text.replace('old\n', document.markdown())
+    new = document.insert_markdown(f'before\n{MARKS}after\n')
+    for table in TABLES:
+        assert document.markdown(table) in new
+    assert new.startswith('before\n<!-- twin parameters -->\n| parameter')
+    assert new.endswith('<!-- /recorder parameters -->\nafter\n')
+    assert '\nold\n' not in new
     assert document.insert_markdown(new) == new
 
 
 @pytest.mark.parametrize(
-    'text', ['', '<!-- parameters -->', '<!-- /parameters --><!-- parameters -->']
+    'text', ['', MARKS.replace('<!-- /twin', '<!-- '), MARKS + MARKS, MARKS.replace('/', '')]
 )
-def test_insert_markdown_refuses_a_text_without_marks(text: str) -> None:
-    with pytest.raises(ValueError, match='<!-- parameters -->'):
+def test_insert_markdown_refuses_text_without_its_marks(text: str) -> None:
+    with pytest.raises(ValueError, match='<!-- twin parameters -->'):
         document.insert_markdown(text)
 
 
-def test_module_brings_files_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    from soft_throw_ros.configuration.__main__ import main
+def test_files_are_brought_up_to_date(tmp_path: Path) -> None:
+    readme, config = tmp_path / 'README.md', tmp_path / 'recorder.yaml'
+    readme.write_text(MARKS)
+    update([str(readme), str(config)])
+    assert document.markdown(RECORDER) in readme.read_text()
+    assert config.read_text() == document.parameter_file(RECORDER)
 
-    readme, config = tmp_path / 'README.md', tmp_path / 'twin.yaml'
-    readme.write_text('<!-- parameters --><!-- /parameters -->\n')
-    main([str(readme), str(config)])
-    assert document.markdown() in readme.read_text()
-    assert config.read_text() == document.twin_yaml()
-    main([])
-    assert capsys.readouterr().out == document.markdown()
+
+@pytest.mark.parametrize('request_', [{'storage': 'none'}, {'rerun.sink': 'none'}])
+def test_recorder_may_be_told_one_thing_after_another(request_: Any) -> None:
+    settings = {**RECORDER.defaults(), 'storage': 'none', 'rerun.sink': 'none'}
+    assert RECORDER.change(settings, request_) == request_
+
+
+def test_recorder_that_would_record_nothing_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r'storage and rerun\.sink'):
+        RECORDER.change(RECORDER.defaults(), {'storage': 'none', 'rerun.sink': 'none'})

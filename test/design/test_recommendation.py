@@ -8,7 +8,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import check_value, ParameterError, TABLE
+from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
@@ -150,11 +150,11 @@ def test_recommendation_without_limits_in_the_way_has_the_best_ratios():
 
 def test_every_result_in_the_table_is_part_of_a_recommendation():
     best = recommend(Rig(), vary='both', **LIMITS)
-    results = [entry.name.partition('.')[2] for entry in TABLE if entry.is_result]
+    results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
     for name in results:
         assert getattr(best, name) > 0.0
     with pytest.raises(ParameterError, match='is a result'):
-        check_value(f'recommended.{results[-1]}', 1.0)
+        TWIN.check_value(f'recommended.{results[-1]}', 1.0)
 
 
 def test_values_are_flat_and_complete():

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from soft_throw_ros.configuration import defaults, files, LAYERS, ParameterError, TABLE
+from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.nodes.parameters import NodeParameters
 from std_msgs.msg import String
 
@@ -19,11 +19,15 @@ THICKNESS_RULE = 'layer.thickness must be a number from 0.0005 to 0.1 m, got '
 class Twin(Node):
     """A node that has parameters and nothing else."""
 
-    def __init__(self, *, check: Any = lambda settings: None, **kwargs: Any) -> None:
-        super().__init__('twin', **kwargs)
+    def __init__(
+        self, *, check: Any = lambda settings: None, table: Table = TWIN, **kwargs: Any
+    ) -> None:
+        super().__init__(table.node, **kwargs)
         self.changes: list[dict[str, Any]] = []
         arguments = kwargs.get('cli_args', ())
-        self.watched = NodeParameters(self, self.changes.append, check=check, arguments=arguments)
+        self.watched = NodeParameters(
+            self, table, self.changes.append, check=check, arguments=arguments
+        )
 
 
 @pytest.fixture
@@ -39,13 +43,13 @@ def start(ros: Any) -> Any:
 
 
 def unchanged(twin: Twin) -> bool:
-    return not twin.changes and dict(twin.watched.settings) == defaults()
+    return not twin.changes and dict(twin.watched.settings) == TWIN.defaults()
 
 
 def test_start_declares_the_whole_table(ros: Any, twin: Twin) -> None:
     client = ros.parameters(twin)
-    assert twin.watched.settings == defaults()
-    for entry in TABLE:
+    assert twin.watched.settings == TWIN.defaults()
+    for entry in TWIN.entries:
         value = client.get(entry.name)
         assert type(value) is type(entry.default)
         assert value == entry.default or (entry.is_result and math.isnan(value))
@@ -71,10 +75,10 @@ def test_set_is_accepted_and_handed_on(ros: Any, twin: Twin) -> None:
     client = ros.parameters(twin)
     assert client.set(layer__thickness=0.01) == ['']
     assert twin.changes == [{'layer.thickness': 0.01, 'layer.name': 'custom'}]
-    assert twin.watched.settings == {**defaults(), **twin.changes[0]}
+    assert twin.watched.settings == {**TWIN.defaults(), **twin.changes[0]}
     assert client.get('layer.thickness') == 0.01
     assert client.get('layer.name') == 'custom'
-    assert before == defaults()
+    assert before == TWIN.defaults()
 
 
 def test_set_takes_a_whole_number_for_a_double(ros: Any, twin: Twin) -> None:
@@ -153,7 +157,7 @@ def test_layer_name_sets_all_of_the_layer(ros: Any, twin: Twin) -> None:
     assert client.set(layer__thickness=0.01, layer__name='gelatin_5.6mm') == ['', '']
     assert client.get('layer.thickness') == 5.6e-3
     assert twin.watched.settings == {
-        **defaults(), 'layer.name': 'gelatin_5.6mm', **LAYERS['gelatin_5.6mm'],
+        **TWIN.defaults(), 'layer.name': 'gelatin_5.6mm', **LAYERS['gelatin_5.6mm'],
     }  # fmt: skip
 
 
@@ -182,7 +186,7 @@ def test_apply_changes_all_or_nothing(twin: Twin) -> None:
     assert twin.changes == [expected]
     with pytest.raises(ParameterError, match=THICKNESS_RULE + '0.2'):
         twin.watched.apply({'layer.wave_speed': 10.0, 'layer.thickness': 0.2})
-    assert twin.watched.settings == {**defaults(), **expected}
+    assert twin.watched.settings == {**TWIN.defaults(), **expected}
 
 
 def test_check_of_the_twin_can_refuse(ros: Any) -> None:
@@ -200,7 +204,10 @@ def test_check_of_the_twin_can_refuse(ros: Any) -> None:
 def test_start_takes_arguments(start: Any) -> None:
     twin = start('-p', 'gravity:=0', '-p', 'layer.name:=gelatin_2.0mm', '-p', 'use_sim_time:=true')
     assert twin.watched.settings == {
-        **defaults(), 'gravity': 0.0, 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm'],
+        **TWIN.defaults(),
+        'gravity': 0.0,
+        'layer.name': 'gelatin_2.0mm',
+        **LAYERS['gelatin_2.0mm'],
     }  # fmt: skip
     assert twin.get_parameter('gravity').value == 0.0
     assert twin.get_parameter('layer.thickness').value == 2.0e-3
@@ -212,7 +219,7 @@ def test_start_takes_the_installed_file_and_a_namespace(start: Any) -> None:
     path = str(files.default_file())
     twin = start('--params-file', path, '-p', 'layer.thickness:=0.01', '-r', '__ns:=/rig1')
     assert twin.watched.settings == {
-        **defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom',
+        **TWIN.defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom',
     }  # fmt: skip
 
 
@@ -298,3 +305,23 @@ def test_files_types_a_value_as_ros_does(ros: Any, tmp_path: Path, text: str) ->
         assert list(theirs) == ours
     else:
         assert repr(theirs) == repr(ours)
+
+
+def test_texts_lists_and_switches_are_parameters_too(ros) -> None:
+    ros_args = ('-p', 'topics:=[/rig1, /rosout]', '-p', 'start:=false')
+    recorder = ros.node(Twin, table=RECORDER, ros_args=ros_args)
+    client = ros.parameters(recorder)
+    assert list(client.get('topics')) == ['/rig1', '/rosout']
+    assert client.get('start') is False
+    assert client.set(topics=['/a', '/b'], name='bag', start=True, split__size=0) == [''] * 4
+    assert recorder.watched.settings == {
+        **RECORDER.defaults(), 'topics': ('/a', '/b'), 'name': 'bag', 'start': True,
+    }  # fmt: skip
+    assert list(client.get('topics')) == ['/a', '/b']
+    refusals = client.set(topics=['rosout'], start=1, name=2, split__size=7)
+    assert refusals[0].startswith('topics must be a list of texts, each beginning with /, got ')
+    assert refusals[1:] == [
+        'start must be true or false, got 1',
+        'name must be a text, got 2',
+        'split.size must be a whole number from 1e+06 to 1e+12 byte, or 0, got 7',
+    ]

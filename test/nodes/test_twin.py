@@ -13,7 +13,7 @@ from rcl_interfaces.msg import Log
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from soft_throw_ros.configuration import change, defaults, ParameterError
+from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import (
     msg_to_array,
@@ -140,7 +140,7 @@ def test_joint_states_come_once_per_tick_with_its_stamp(ros, twin, listener) -> 
 
 
 def test_node_publishes_what_the_session_gives(ros, twin, listener) -> None:
-    session = Session({**defaults(), 'throw.period': 0.0})
+    session = Session({**TWIN.defaults(), 'throw.period': 0.0})
     session.advance()
     trigger(ros, listener, twin, topics.THROW)
     session.ask_throw()
@@ -334,7 +334,7 @@ def test_refused_request_changes_nothing(ros, twin, listener, values, reason) ->
     told = client.set_atomically(**values)
     with pytest.raises(AssertionError, match=reason):
         raise AssertionError(told)
-    assert twin.parameters.settings == {**defaults(), 'throw.period': 0.0}
+    assert twin.parameters.settings == {**TWIN.defaults(), 'throw.period': 0.0}
     assert twin.session.pending == {}
     trigger(ros, listener, twin, topics.THROW)
     twin.go(50)
@@ -400,7 +400,7 @@ def test_recommendation_can_be_applied(ros, twin, listener, vary) -> None:
     assert response.success, response.message
     varied = {'thickness', 'wave_speed'} if vary == 'both' else {vary}
     for name in ('thickness', 'wave_speed'):
-        expected = defaults()[f'layer.{name}']
+        expected = TWIN.defaults()[f'layer.{name}']
         if name in varied:
             expected = getattr(advice.recommendation, name)
         assert client.get(f'layer.{name}') == expected
@@ -546,7 +546,7 @@ def test_two_twins_in_two_namespaces_do_not_meet(ros) -> None:
 def test_change_through_the_table_is_what_the_session_gets(ros, twin) -> None:
     client = ros.parameters(twin)
     client.set(layer__name='gelatin_5.6mm')
-    expected = change(defaults(), {'layer.name': 'gelatin_5.6mm'})
+    expected = TWIN.change(TWIN.defaults(), {'layer.name': 'gelatin_5.6mm'})
     pending = twin.session.pending
     assert pending == {'layer.name': 'gelatin_5.6mm', 'layer.thickness': 5.6e-3}
     assert pending.items() <= expected.items()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import change, defaults, rig_of
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.pace import Pace
@@ -30,7 +30,7 @@ class Run:
         self.journal: list[str] = []
         self.outputs: list[Outputs] = []
         named = {name.replace('__', '.'): value for name, value in request.items()}
-        settings = {**defaults(), **change(defaults(), named)}
+        settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
         self.session = Session(settings, on_entry=self.journal.append)
 
     def go(self, steps: int) -> list[Outputs]:
@@ -239,7 +239,7 @@ def test_returning_ends_at_rest_without_a_jump() -> None:
 def test_rest_is_where_the_layer_sags_to() -> None:
     run = Run()
     (outputs,) = run.go(1)
-    rig = rig_of(defaults())
+    rig = rig_of(TWIN.defaults())
     weight = rig.projectile.mass * rig.gravity
     assert outputs.state.plate_position == 0.0
     assert outputs.state.projectile_position == rig.layer.thickness - rig.static_sag
@@ -254,7 +254,7 @@ def test_rest_is_where_the_layer_sags_to() -> None:
 def test_result_agrees_with_the_exact_throw() -> None:
     run = Run()
     run.go(2000)
-    exact = simulate(rig_of(defaults()), until=0.291)
+    exact = simulate(rig_of(TWIN.defaults()), until=0.291)
     (release,), (final,) = run.results('release'), run.results('final')
     assert release.first == final.first
     assert release.first is not None
@@ -291,7 +291,7 @@ def test_events_are_those_of_the_exact_throw() -> None:
     run = Run()
     run.go(2000)
     events = [event for outputs in run.outputs for event in outputs.events]
-    exact = simulate(rig_of(defaults()), until=0.291).events
+    exact = simulate(rig_of(TWIN.defaults()), until=0.291).events
     assert [event.kind for event in events[:2]] == [event.kind for event in exact]
     for ours, theirs in zip(events[:2], exact, strict=True):
         assert ours.time == pytest.approx(theirs.time, rel=1e-6)
@@ -456,7 +456,7 @@ def test_journal_has_all_inputs_with_their_steps() -> None:
     ]
     assert run.entries('input')[1]['values'] == {'gravity': 1.62}
     (start,) = run.entries('start')
-    assert start['settings'] == defaults()
+    assert start['settings'] == TWIN.defaults()
     assert set(start['versions']) >= {'soft_throw_ros', 'numpy', 'numba', 'python'}
 
 
@@ -594,7 +594,7 @@ def test_any_run_is_repeated_to_the_bit(inputs, data) -> None:
 
 def test_journal_tells_the_pace_again_before_every_throw() -> None:
     written: list[str] = []
-    session = Session({**defaults(), 'throw.period': 0.3}, on_entry=written.append)
+    session = Session({**TWIN.defaults(), 'throw.period': 0.3}, on_entry=written.append)
     pace = Pace(step=0, time_ns=1_000, rate=session.rate)
     session.keep_pace(pace)
     for _ in range(700):

@@ -4,23 +4,16 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import (
-    change,
-    defaults,
-    LAYERS,
-    ParameterError,
-    rig_of,
-    TABLE,
-)
+from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, TWIN
 from soft_throw_ros.core.rig import Rig
 
-HARMONIC = {**defaults(), 'engine.motion': 'harmonic', 'engine.damping_ratio': 0.0}
+HARMONIC = {**TWIN.defaults(), 'engine.motion': 'harmonic', 'engine.damping_ratio': 0.0}
 
 
 def one_change() -> st.SearchStrategy:
     """Draw a single change that is within its range."""
     options = []
-    for entry in TABLE:
+    for entry in TWIN.entries:
         if entry.choices:
             options.append(st.tuples(st.just(entry.name), st.sampled_from(entry.choices)))
         elif not entry.is_result:
@@ -30,22 +23,22 @@ def one_change() -> st.SearchStrategy:
 
 
 def test_rig_of_defaults_is_the_papers() -> None:
-    assert rig_of(defaults()) == Rig()
+    assert rig_of(TWIN.defaults()) == Rig()
 
 
 def test_rig_of_harmonic_motion_has_no_damping() -> None:
-    settings = {**defaults(), 'engine.motion': 'harmonic'}
+    settings = {**TWIN.defaults(), 'engine.motion': 'harmonic'}
     assert rig_of(settings).engine.damping_ratio == 0.0
 
 
 @given(changes=st.lists(one_change(), max_size=8))
 def test_single_changes_are_accepted_and_leave_settings_that_agree(changes: Any) -> None:
-    settings = defaults()
+    settings = TWIN.defaults()
     for name, value in changes:
-        accepted = change(settings, {name: value})
+        accepted = TWIN.change(settings, {name: value})
         assert accepted[name] == value
         settings.update(accepted)
-    assert settings.keys() == defaults().keys()
+    assert settings.keys() == TWIN.defaults().keys()
     rig = rig_of(settings)
     assert rig.layer.thickness == settings['layer.thickness']
     assert rig.engine.damping_ratio == settings['engine.damping_ratio']
@@ -57,18 +50,21 @@ def test_single_changes_are_accepted_and_leave_settings_that_agree(changes: Any)
 
 @pytest.mark.parametrize('name', LAYERS)
 def test_layer_name_brings_all_its_values(name: str) -> None:
-    assert change(defaults(), {'layer.name': name}) == {'layer.name': name, **LAYERS[name]}
+    assert TWIN.change(TWIN.defaults(), {'layer.name': name}) == {
+        'layer.name': name,
+        **LAYERS[name],
+    }
 
 
 @pytest.mark.parametrize(
     ('settings', 'request_', 'implied'),
     [
-        (defaults(), {'layer.thickness': 0.01}, {'layer.name': 'custom'}),
-        (defaults(), {'layer.thickness': 0.0168}, {}),
-        (defaults(), {'layer.name': 'custom'}, {}),
-        (defaults(), {'layer.name': 'custom', 'layer.thickness': 0.01}, {}),
-        (defaults(), {'engine.motion': 'harmonic'}, {'engine.damping_ratio': 0.0}),
-        (defaults(), {'engine.motion': 'underdamped'}, {}),
+        (TWIN.defaults(), {'layer.thickness': 0.01}, {'layer.name': 'custom'}),
+        (TWIN.defaults(), {'layer.thickness': 0.0168}, {}),
+        (TWIN.defaults(), {'layer.name': 'custom'}, {}),
+        (TWIN.defaults(), {'layer.name': 'custom', 'layer.thickness': 0.01}, {}),
+        (TWIN.defaults(), {'engine.motion': 'harmonic'}, {'engine.damping_ratio': 0.0}),
+        (TWIN.defaults(), {'engine.motion': 'underdamped'}, {}),
         (HARMONIC, {'engine.motion': 'underdamped'}, {'engine.damping_ratio': 0.064}),
         (HARMONIC, {'engine.damping_ratio': 0.1}, {'engine.motion': 'underdamped'}),
         (HARMONIC, {'engine.damping_ratio': 0.0}, {}),
@@ -76,7 +72,7 @@ def test_layer_name_brings_all_its_values(name: str) -> None:
     ],
 )
 def test_change_adds_what_is_implied(settings: Any, request_: Any, implied: Any) -> None:
-    assert change(settings, request_) == {**request_, **implied}
+    assert TWIN.change(settings, request_) == {**request_, **implied}
 
 
 @pytest.mark.parametrize(
@@ -100,25 +96,25 @@ def test_change_adds_what_is_implied(settings: Any, request_: Any, implied: Any)
 )  # fmt: skip
 def test_change_refuses_a_contradiction(request_: Any, message: str) -> None:
     with pytest.raises(ParameterError) as refused:
-        change(defaults(), request_)
+        TWIN.change(TWIN.defaults(), request_)
     assert str(refused.value) == message
     for name, value in request_.items():  # each alone is within its range
-        assert change(defaults(), {name: value})[name] == value
+        assert TWIN.change(TWIN.defaults(), {name: value})[name] == value
 
 
 def test_change_accepts_equal_rates() -> None:
-    assert change(defaults(), {'rate.field': 100, 'rate.state': 100}) == {
+    assert TWIN.change(TWIN.defaults(), {'rate.field': 100, 'rate.state': 100}) == {
         'rate.field': 100.0, 'rate.state': 100.0,
     }  # fmt: skip
 
 
 def test_change_accepts_a_name_with_its_own_values() -> None:
     request = {'layer.name': 'gelatin_5.6mm', **LAYERS['gelatin_5.6mm']}
-    assert change(defaults(), request) == request
+    assert TWIN.change(TWIN.defaults(), request) == request
 
 
 def test_change_leaves_its_arguments_alone() -> None:
-    settings, request = defaults(), {'layer.name': 'gelatin_2.0mm'}
-    change(settings, request)
-    assert settings == defaults()
+    settings, request = TWIN.defaults(), {'layer.name': 'gelatin_2.0mm'}
+    TWIN.change(settings, request)
+    assert settings == TWIN.defaults()
     assert request == {'layer.name': 'gelatin_2.0mm'}

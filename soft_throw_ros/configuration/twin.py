@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the twin, and the rig that they describe."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+import math
+from typing import Any
+
+from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+
+CUSTOM = 'custom'
+"""Name of a layer that is none of `LAYERS`."""
+
+LAYERS: Mapping[str, Mapping[str, float]] = {
+    f'gelatin_{1e3 * thickness:.1f}mm': {
+        'layer.thickness': thickness,
+        'layer.wave_speed': 7.8,
+        'layer.density': 1000.0,
+        'layer.diameter': 12e-3,
+        'layer.loss_tangent': 0.0,
+    }
+    for thickness in (2.0e-3, 5.6e-3, 9.5e-3, 16.8e-3, 23.4e-3, 29.1e-3)
+}
+"""The paper's gelatin layers: what choosing `layer.name` sets."""
+
+_RIG = Rig()
+_THICKNESS = {'unit': 'm', 'low': 0.5e-3, 'high': 0.1}
+_WAVE_SPEED = {'unit': 'm/s', 'low': 1.0, 'high': 200.0}
+
+_ENTRIES = (
+    row('engine.motion', 'underdamped',
+         'How the plate moves: a damped step (D2), or A (1 - cos wt) without damping (Eq. 1)',
+         choices=('underdamped', 'harmonic'),
+         hint="'measured' needs plate measurements as input, which this version does not take"),
+    row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
+         unit='Hz', low=1.0, high=1000.0),
+    row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',
+         unit='m', low=1e-5, high=0.1),
+    row('engine.damping_ratio', _RIG.engine.damping_ratio,
+         'Damping ratio of the plate, 0 when the motion is harmonic', low=0.0, high=0.99),
+    row('layer.name', 'gelatin_16.8mm',
+         "One of the paper's layers, which sets all of `layer.*`; `custom` after any other change",
+         choices=(CUSTOM, *LAYERS)),
+    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer', **_THICKNESS),
+    row('layer.wave_speed', _RIG.layer.wave_speed,
+         'Wave speed c_s; the modulus is density times its square', **_WAVE_SPEED),
+    row('layer.density', _RIG.layer.density, 'Density rho_s of the layer',
+         unit='kg/m3', low=50.0, high=5000.0),
+    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer',
+         unit='m', low=1e-3, high=0.2),
+    row('layer.loss_tangent', _RIG.layer.loss_tangent, 'Internal loss of the layer',
+         low=0.0, high=0.0,
+         hint='internal loss needs the finite-difference model, which this version has not'),
+    row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
+         unit='kg', low=1e-5, high=1.0),
+    row('projectile.length', _RIG.projectile.length,
+         'Length L_r of the projectile; shown only, since it is rigid',
+         unit='m', low=1e-4, high=0.5),
+    row('projectile.youngs_modulus', _RIG.projectile.youngs_modulus,
+         'Modulus E_r of the projectile; shown only, since it is rigid',
+         unit='Pa', low=1e6, high=1e12),
+    row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
+    row('model', 'travelling_wave', 'Model of the layer', choices=('travelling_wave',),
+         hint='no other model runs in real time in this version'),
+    row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
+         unit='s', low=0.05, high=3600.0, or_zero=True),
+    row('throw.max_events', 20,
+         'Contacts after which a throw is over; a lossless bounce has no end',
+         low=1, high=1000),
+    row('rate.state', 1000.0, 'Rate of `~/joint_states`', unit='Hz', low=10.0, high=5000.0),
+    row('rate.field', 50.0, 'Rate of `~/layer/strain` and `~/layer/velocity`, at most rate.state',
+         unit='Hz', low=0.1, high=1000.0),
+    row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
+         low=1e-4, high=10.0),
+    row('max_strain', 0.1, 'Strain beyond which the layer is reported as no longer linear',
+         low=1e-3, high=1.0),
+    row('recommendation.objective', 'peak', 'What to look for: the most energy per throw',
+         choices=('peak',), hint='no other objective is in this version'),
+    row('recommendation.vary', 'both', 'What of the layer may be changed',
+         choices=('thickness', 'wave_speed', 'both')),
+    row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider', **_THICKNESS),
+    row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider', **_THICKNESS),
+    row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider', **_WAVE_SPEED),
+    row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider', **_WAVE_SPEED),
+    row('recommended.thickness', math.nan, 'Best thickness', unit='m'),
+    row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
+    row('recommended.youngs_modulus', math.nan, 'Modulus of the best layer', unit='Pa'),
+    row('recommended.mass_ratio', math.nan, 'Projectile over layer mass, mu, of the best layer'),
+    row('recommended.speed_ratio', math.nan, 'c_s / (L_s f), kappa, of the best layer'),
+    row('recommended.energy_transfer', math.nan, 'Energy transfer factor alpha it gives'),
+    row('recommended.ejection_time', math.nan, 'Ejection time t_e it gives', unit='s'),
+    row('recommended.ejection_speed', math.nan, 'Ejection speed V_e it gives', unit='m/s'),
+    row('recommended.peak_strain', math.nan, 'Largest strain of the layer it gives'),
+    row('recommended.peak_acceleration', math.nan,
+         'Largest acceleration of the projectile it gives', unit='m/s2'),
+    row('recommended.peak_force', math.nan, 'Largest force on the plate it gives', unit='N'),
+    row('recommended.plate_work', math.nan, 'Work of the plate in one throw it takes', unit='J'),
+)  # fmt: skip
+
+
+def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
+    """
+    Add to `changes` what they imply.
+
+    A layer's name implies the layer's values, and a value that is not the named layer's makes it
+    `custom`. Harmonic motion implies no damping, and damping that the motion is underdamped.
+    What was asked for is never replaced.
+    """
+    implied: dict[str, Value] = {}
+    if 'layer.name' in changes:
+        implied.update(LAYERS.get(str(changes['layer.name']), {}))
+    elif _departures(settings['layer.name'], changes):
+        implied['layer.name'] = CUSTOM
+    motion = changes.get('engine.motion')
+    if motion == 'harmonic':
+        implied['engine.damping_ratio'] = 0.0
+    elif settings['engine.motion'] == 'harmonic':
+        if motion == 'underdamped':
+            implied['engine.damping_ratio'] = _RIG.engine.damping_ratio
+        elif changes.get('engine.damping_ratio'):
+            implied['engine.motion'] = 'underdamped'
+    return {**changes, **{name: implied[name] for name in implied if name not in changes}}
+
+
+def check_together(settings: Settings, changed: Collection[str]) -> None:
+    """
+    Refuse contradictions among values that were set at once.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        The complete settings after the change.
+    changed : collection of str
+        What was set at once; a pair counts only if both are in it.
+
+    Raises
+    ------
+    ParameterError
+        Quoting both values.
+
+    """
+    if 'layer.name' in changed:
+        layer = settings['layer.name']
+        for name in _departures(layer, {name: settings[name] for name in changed}):
+            raise ParameterError(
+                f'{name} of {layer} is {LAYERS[layer][name]:g}, got {settings[name]:g}; '
+                f'leave one of the two out, or set layer.name to {CUSTOM!r}',
+                name,
+                'layer.name',
+            )
+    if {'engine.motion', 'engine.damping_ratio'} <= set(changed):
+        damping = settings['engine.damping_ratio']
+        if settings['engine.motion'] == 'harmonic' and damping > 0.0:
+            raise ParameterError(
+                f"engine.motion 'harmonic' has no damping, got engine.damping_ratio {damping:g}; "
+                "leave one of the two out, or set engine.motion to 'underdamped'",
+                'engine.damping_ratio',
+                'engine.motion',
+            )
+    for low, high, together in (
+        ('recommendation.thickness_min', 'recommendation.thickness_max', False),
+        ('recommendation.wave_speed_min', 'recommendation.wave_speed_max', False),
+        ('rate.field', 'rate.state', True),
+    ):
+        if {low, high} <= set(changed):
+            smaller, larger = settings[low], settings[high]
+            if smaller > larger or (smaller == larger and not together):
+                bound = 'at most' if together else 'below'
+                raise ParameterError(
+                    f'{low} must be {bound} {high}, got {smaller:g} and {larger:g}', low, high
+                )
+
+
+TWIN = Table(
+    node='twin',
+    entries=_ENTRIES,
+    hints={
+        'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
+        'set layer.wave_speed'
+    },
+    imply=imply,
+    check_together=check_together,
+)
+"""The parameters of the twin."""
+
+
+def rig_of(settings: Settings) -> Rig:
+    """
+    Make the rig that the settings describe.
+
+    Examples
+    --------
+    >>> rig_of(TWIN.defaults()) == Rig()
+    True
+
+    """
+    values = dict(settings)
+    if values['engine.motion'] == 'harmonic':
+        values['engine.damping_ratio'] = 0.0
+    parts: dict[str, dict[str, Any]] = {'engine': {}, 'layer': {}, 'projectile': {}}
+    for name, value in values.items():
+        group, _, field = name.partition('.')
+        if group in parts and name not in ('engine.motion', 'layer.name'):
+            parts[group][field] = value
+    return Rig(
+        engine=Engine(**parts['engine']),
+        layer=Layer(**parts['layer']),
+        projectile=Projectile(**parts['projectile']),
+        gravity=values['gravity'],
+    )
+
+
+def _departures(layer: str, values: Mapping[str, Any]) -> list[str]:
+    """Name the values that are not those of the named layer."""
+    known = LAYERS.get(layer, {})
+    return [name for name, value in known.items() if values.get(name, value) != value]
