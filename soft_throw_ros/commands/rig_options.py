@@ -5,21 +5,13 @@ from __future__ import annotations
 
 import argparse
 
-from soft_throw_ros.configuration import (
-    BY_NAME,
-    change,
-    defaults,
-    files,
-    ParameterError,
-    TABLE,
-    Value,
-)
+from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
 
 OPTIONS = {
     entry.name: '--layer'
     if entry.name == 'layer.name'
     else '--' + entry.name.rpartition('.')[2].replace('_', '-')
-    for entry in TABLE
+    for entry in TWIN.entries
     if entry.is_of_rig and entry.name != 'model'
 }
 """The parameters that describe a rig, and what their options are called."""
@@ -34,7 +26,7 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
         'parameters of the rig', 'as those of the twin; each replaces what the file says'
     )
     for name, option in OPTIONS.items():
-        entry = BY_NAME[name]
+        entry = TWIN.by_name[name]
         default = f'{entry.default:g}' if isinstance(entry.default, float) else entry.default
         text = f'{entry.meaning}; {entry.rule} (default {default})'
         group.add_argument(
@@ -59,9 +51,9 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     """
     given = vars(arguments)
     request = {name: given[name] for name in OPTIONS if name in given}
-    settings = files.read(given['config']) if 'config' in given else defaults()
+    settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
     try:
-        settings.update(change(settings, request))
+        settings.update(TWIN.change(settings, request))
     except ParameterError as error:
         options = (f'argument {OPTIONS[name]}: ' for name in error.names if name in request)
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None

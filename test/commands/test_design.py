@@ -9,7 +9,7 @@ import types
 import pytest
 from soft_throw_ros.commands import design
 from soft_throw_ros.commands.rig_options import add_rig_options, OPTIONS, read_settings
-from soft_throw_ros.configuration import defaults, LAYERS, ParameterError, TABLE
+from soft_throw_ros.configuration import LAYERS, ParameterError, TWIN
 
 
 @pytest.fixture
@@ -63,10 +63,10 @@ def test_help_lists_every_task(capsys):
 
 
 def test_every_parameter_of_the_rig_is_an_option(capsys):
-    of_rig = {entry.name for entry in TABLE if entry.is_of_rig} - {'model'}
+    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig} - {'model'}
     assert OPTIONS.keys() == of_rig
     assert len(set(OPTIONS.values())) == len(OPTIONS)
-    assert read() == defaults()
+    assert read() == TWIN.defaults()
 
 
 def test_options_replace_what_the_file_says(tmp_path):
