@@ -13,27 +13,20 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
 import gc
-import os
-import signal
 import sys
 import threading
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
-from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
 from soft_throw_ros.core.stepper import steps_per_crossing, warm_up
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.advice import Advice, advise, matters
 from soft_throw_ros.nodes.conversions import statuses_to_msg, throw_result_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.realtime import Clock, NodeClock, POLL, SystemClock, Ticker
+from soft_throw_ros.nodes.process import Program, run
+from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.nodes.reports import Observer
 from soft_throw_ros.nodes.worker import LatestWins
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
@@ -49,14 +42,10 @@ STOP_TIME = 0.3
 NOTICE_TIME = 2.0
 """Kernels that take longer than this are being compiled, not loaded. [s]"""
 
-EXIT_TIME = 0.6
-"""After this the process ends, whatever the middleware still waits for. [s]"""
-
-
 USAGE = 'usage: twin [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 
 
-class Twin(Node):
+class Twin(Program):
     """
     A throwing rig.
 
@@ -103,6 +92,16 @@ class Twin(Node):
         except BaseException:
             super().destroy_node()
             raise
+
+    @property
+    def exit_code(self) -> int | None:
+        """1 if the ticks have come to an end by themselves."""
+        return None if self.ticker.is_alive else 1
+
+    def start(self) -> None:
+        """Tick."""
+        self.ticker.start()
+        self.get_logger().info('ready')
 
     def destroy_node(self) -> None:
         """Stop the threads, publish what waits, and let go of everything."""
@@ -311,24 +310,18 @@ def main(args: list[str] | None = None) -> int:
     if '--help' in arguments or '-h' in arguments:
         print(USAGE)
         return 0
-    _on_signals(signal.default_int_handler)  # until the twin runs
-    twin = None
-    code = 0
-    try:
-        _init(arguments)
-        with _notice_of_compilation():
-            twin = Twin(arguments=arguments)  # which refuses parameters first
+    return run('twin', _make, arguments, usage=USAGE)
+
+
+def _make(arguments: Sequence[str]) -> Twin:
+    with _notice_of_compilation():
+        twin = Twin(arguments=arguments)  # which refuses parameters first
+        try:
             prepare_process()
-        code = _run(twin)
-    except KeyboardInterrupt:
-        pass
-    except ParameterError as error:
-        print(f'twin: {error}', file=sys.stderr)
-        code = 2
-    finally:
-        _on_signals(signal.SIG_IGN)
-        _shut_down(twin, code)
-    return code
+        except KeyboardInterrupt:
+            twin.destroy_node()
+            raise
+    return twin
 
 
 def prepare_process() -> None:
@@ -352,48 +345,3 @@ def _notice_of_compilation() -> Iterator[None]:
         yield
     finally:
         notice.cancel()
-
-
-def _init(arguments: Sequence[str]) -> None:
-    """Begin with ROS, or say in one line what is wrong with the arguments."""
-    files.read_arguments(arguments)  # for its words, before ROS has its own
-    set_logger_level('rcl', LoggingSeverity.FATAL)  # it would say the same in a line of its own
-    try:
-        left = remove_ros_args(args=['twin', *arguments])[1:]
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        reason = str(error).partition(', at /')[0]
-        raise ParameterError(f'ROS does not take the arguments: {reason}') from error
-    finally:
-        set_logger_level('rcl', LoggingSeverity.UNSET)
-    if left:
-        raise ParameterError(f'no such argument: {" ".join(left)}; {USAGE}')
-
-
-def _run(twin: Twin) -> int:
-    """Tick, and serve, until a signal comes."""
-    is_stopping = threading.Event()
-    _on_signals(lambda *_: is_stopping.set())
-    executor = SingleThreadedExecutor()
-    executor.add_node(twin)
-    twin.ticker.start()
-    twin.get_logger().info('ready')
-    while not is_stopping.is_set() and twin.ticker.is_alive:
-        executor.spin_once(timeout_sec=POLL)
-    return 0 if is_stopping.is_set() else 1
-
-
-def _shut_down(twin: Twin | None, code: int) -> None:
-    """Let go of everything, in bounded time: the middleware may wait for a stopped subscriber."""
-    deadline = threading.Timer(EXIT_TIME, os._exit, (code,))
-    deadline.daemon = True
-    deadline.start()
-    if twin is not None:
-        twin.destroy_node()
-    rclpy.try_shutdown()
-    deadline.cancel()
-
-
-def _on_signals(handler: Any) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handler)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node as a process: from its arguments to its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import os
+import signal
+import sys
+import threading
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from soft_throw_ros.configuration import files, ParameterError
+
+POLL = 0.1
+"""Longest wait, after which it is looked whether to stop. [s]"""
+
+EXIT_TIME = 0.6
+"""After this the process ends, whatever the middleware still waits for. [s]"""
+
+
+class Program(Node):
+    """A node that is more than its callbacks; to be derived from."""
+
+    @property
+    def exit_code(self) -> int | None:
+        """What to end with, None to go on."""
+        return None
+
+    def start(self) -> None:
+        """Begin with what does not happen in the executor."""
+
+    def close(self) -> None:
+        """Bring to an end what must not be cut short, such as a file."""
+
+
+def run(
+    name: str,
+    make: Callable[[Sequence[str]], Program],
+    arguments: Sequence[str],
+    *,
+    usage: str,
+) -> int:
+    """
+    Run a node until SIGINT or SIGTERM, or until it comes to an end by itself.
+
+    Parameters
+    ----------
+    name : str
+        Of the executable, to begin a message with.
+    make : callable
+        Makes the node from the arguments, once ROS has begun.
+    arguments : sequence of str
+        Those of ROS.
+    usage : str
+        What to say if there is something else among them.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, the node's own
+        if it has come to an end by itself.
+
+    """
+    on_signals(signal.default_int_handler)  # until the node runs
+    node = None
+    code = 0
+    try:
+        _init(name, arguments, usage)
+        node = make(arguments)
+        code = _spin(node)
+    except KeyboardInterrupt:
+        pass
+    except ParameterError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        code = 2
+    finally:
+        on_signals(signal.SIG_IGN)
+        _shut_down(node, code)
+    return code
+
+
+def on_signals(handler: Any) -> None:
+    """Handle both signals that ask a process to end."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _init(name: str, arguments: Sequence[str], usage: str) -> None:
+    """Begin with ROS, or say in one line what is wrong with the arguments."""
+    files.read_arguments(arguments)  # for its words, before ROS has its own
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # it would say the same in a line of its own
+    try:
+        left = remove_ros_args(args=[name, *arguments])[1:]
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        reason = str(error).partition(', at /')[0]
+        raise ParameterError(f'ROS does not take the arguments: {reason}') from error
+    finally:
+        set_logger_level('rcl', LoggingSeverity.UNSET)
+    if left:
+        raise ParameterError(f'no such argument: {" ".join(left)}; {usage}')
+
+
+def _spin(node: Program) -> int:
+    """Serve until a signal comes, or the node has an exit code."""
+    is_stopping = threading.Event()
+    on_signals(lambda *_: is_stopping.set())
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    node.start()
+    code = None
+    while code is None and not is_stopping.is_set():
+        executor.spin_once(timeout_sec=POLL)
+        code = node.exit_code
+    return code or 0
+
+
+def _shut_down(node: Program | None, code: int) -> None:
+    """Let go of everything, in bounded time: the middleware may wait for a stopped subscriber."""
+    if node is not None:
+        node.close()
+    deadline = threading.Timer(EXIT_TIME, os._exit, (code,))
+    deadline.daemon = True
+    deadline.start()
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
+    deadline.cancel()
