@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterator
 import fcntl
 import os
 from pathlib import Path
+import subprocess
 import tempfile
+import threading
 import time
 from typing import Any, TypeVar
 import warnings
@@ -32,6 +34,9 @@ with warnings.catch_warnings():
 
 TIMEOUT = 20.0
 """Longest wait for anything; reached only when something is wrong. [s]"""
+
+PATIENCE = 60.0
+"""Longest wait for another process, compilation included. [s]"""
 
 AnyNode = TypeVar('AnyNode', bound=Node)
 
@@ -165,3 +170,68 @@ def ros(domain_id: int) -> Iterator[Ros]:
     ros = Ros(domain_id)
     yield ros
     ros.close()
+
+
+class Process:
+    """A process, and what it has written."""
+
+    def __init__(self, command: list[str], **kwargs: Any) -> None:
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **kwargs
+        )
+        self.lines: list[str] = []
+        self._said = threading.Condition()
+        self._is_over = False
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def wait_for(self, text: str) -> None:
+        """Wait until it has written a line with `text`."""
+        with self._said:
+            self._said.wait_for(lambda: self._is_over or self._has(text), PATIENCE)
+        assert self._has(text), '\n'.join(self.lines)
+
+    def end(self, number: int) -> int:
+        """Send a signal, and return the exit code."""
+        self.process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> int:
+        """Wait for its end, and return the exit code."""
+        code = self.process.wait(PATIENCE)
+        self._thread.join(PATIENCE)
+        return code
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait(PATIENCE)
+        self._thread.join(PATIENCE)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+    def _has(self, text: str) -> bool:
+        return any(text in line for line in self.lines)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._said:
+                self.lines.append(line.rstrip())
+                self._said.notify_all()
+        with self._said:
+            self._is_over = True
+            self._said.notify_all()
+
+
+@pytest.fixture
+def start(domain_id: int) -> Iterator[Callable[..., Process]]:
+    """Start processes, and end them in any case."""
+    started: list[Process] = []
+
+    def start(*command: str, **kwargs: Any) -> Process:
+        started.append(Process(list(command), **kwargs))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.close()

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
 import signal
-import subprocess
 import sys
 import threading
 from typing import Any
@@ -18,71 +16,7 @@ from sensor_msgs.msg import JointState
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.twin import main
 
-TIMEOUT = 60.0
-"""Longest wait for anything, compilation included; reached only when something is wrong. [s]"""
-
 COMMAND = [sys.executable, '-m', 'soft_throw_ros', 'twin']
-
-
-class Process:
-    """A process, and what it has written."""
-
-    def __init__(self, command: list[str]) -> None:
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        self.lines: list[str] = []
-        self._said = threading.Condition()
-        self._is_over = False
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def wait_for(self, text: str) -> None:
-        """Wait until it has written a line with `text`."""
-        with self._said:
-            self._said.wait_for(lambda: self._is_over or self._has(text), TIMEOUT)
-        assert self._has(text), '\n'.join(self.lines)
-
-    def end(self, number: int) -> int:
-        """Send a signal, and return the exit code."""
-        self.process.send_signal(number)
-        code = self.process.wait(TIMEOUT)
-        self._thread.join(TIMEOUT)
-        return code
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait(TIMEOUT)
-        self._thread.join(TIMEOUT)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
-
-    def _has(self, text: str) -> bool:
-        return any(text in line for line in self.lines)
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._said:
-                self.lines.append(line.rstrip())
-                self._said.notify_all()
-        with self._said:
-            self._is_over = True
-            self._said.notify_all()
-
-
-@pytest.fixture
-def start(domain_id: int) -> Iterator[Callable[..., Process]]:
-    """Start processes, and end them in any case."""
-    started: list[Process] = []
-
-    def start(*command: str) -> Process:
-        started.append(Process(list(command)))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.close()
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -185,7 +119,7 @@ def test_bad_argument_is_one_line_and_exit_code_2(
     file.write_text(BAD_FILE)
     arguments = [argument.format(file=file) for argument in arguments]
     twin = start(*COMMAND, '--ros-args', *arguments)
-    assert twin.process.wait(TIMEOUT) == 2
+    assert twin.wait() == 2
     twin.close()
     (line,) = [line for line in twin.lines if 'compiling' not in line]
     assert line.startswith('twin: ')
@@ -195,7 +129,7 @@ def test_bad_argument_is_one_line_and_exit_code_2(
 
 def test_argument_that_is_none_of_ros_is_refused(start: Any) -> None:
     twin = start(*COMMAND, '--thickness', '3')
-    assert twin.process.wait(TIMEOUT) == 2
+    assert twin.wait() == 2
     twin.close()
     assert twin.lines[0].startswith('twin: no such argument: --thickness 3; usage: twin')
 
