@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service of a publisher, as rosbag2 writes it into a bag; without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import yaml
+
+INFINITE = 2**63 - 1
+"""A time that is never over. [ns]"""
+
+_SECOND = 1_000_000_000
+
+# In the order of the numbers that rmw gives them, which older bags have instead of names.
+_CHOICES = {
+    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
+    'reliability': ('system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
+    'durability': ('system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
+    'liveliness': (
+        'system_default',
+        'automatic',
+        'manual_by_node',
+        'manual_by_topic',
+        'unknown',
+        'best_available',
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Qos:
+    """
+    What a publisher offers.
+
+    Parameters
+    ----------
+    history : {'system_default', 'keep_last', 'keep_all', 'unknown'}
+        What it keeps to send again.
+    depth : int
+        How many messages it keeps.
+    reliability : {'system_default', 'reliable', 'best_effort', 'unknown', 'best_available'}
+        Whether it sends again what was lost.
+    durability : {'system_default', 'transient_local', 'volatile', 'unknown', 'best_available'}
+        Whether late subscribers get what it keeps.
+    deadline, lifespan, liveliness_lease_duration : int
+        `INFINITE` by default. [ns]
+    liveliness : {'system_default', 'automatic', 'manual_by_node', 'manual_by_topic', ...}
+        How it shows that it is alive.
+    avoid_ros_namespace_conventions : bool
+        Whether its topic is called the same in DDS.
+
+    Raises
+    ------
+    ValueError
+        Quoting what is none of the choices.
+
+    """
+
+    history: str = 'keep_last'
+    depth: int = 10
+    reliability: str = 'reliable'
+    durability: str = 'volatile'
+    deadline: int = INFINITE
+    lifespan: int = INFINITE
+    liveliness: str = 'automatic'
+    liveliness_lease_duration: int = INFINITE
+    avoid_ros_namespace_conventions: bool = False
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in choices:
+                raise ValueError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what stands for it in version 9 of `metadata.yaml`."""
+        return {
+            field.name: _time(value)
+            if type(value := getattr(self, field.name)) is int and field.name != 'depth'
+            else value
+            for field in fields(self)
+        }
+
+
+def to_yaml(profiles: Iterable[Qos]) -> str:
+    """Write profiles as the text that the channel of an MCAP file has."""
+    written = [profile.to_dict() for profile in profiles]
+    return yaml.safe_dump(written, sort_keys=False).strip() if written else ''
+
+
+def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, ...]:
+    """
+    Read profiles as any version of rosbag2 writes them.
+
+    Parameters
+    ----------
+    profiles : str or sequence of mapping
+        `offered_qos_profiles` of a channel, or of `metadata.yaml`, where it is a text before
+        version 9. The policies are names, or numbers before version 9.
+
+    Raises
+    ------
+    ValueError
+        Quoting what is no profile.
+
+    Examples
+    --------
+    >>> from_yaml('[{history: 1, depth: 3, reliability: 2}]')[0].reliability
+    'best_effort'
+
+    """
+    try:
+        items = yaml.safe_load(profiles) if isinstance(profiles, str) else profiles
+        return tuple(_profile(item) for item in items or ())
+    except (yaml.YAMLError, RecursionError, TypeError, AttributeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f'no profiles of quality of service, {reason}: {profiles!r}') from None
+
+
+def _profile(item: Mapping[str, Any]) -> Qos:
+    values = {field.name: item[field.name] for field in fields(Qos) if field.name in item}
+    for name, value in values.items():
+        if name in _CHOICES:
+            values[name] = _choice(_CHOICES[name], value)
+        elif isinstance(value, Mapping):
+            values[name] = _nanoseconds(value)
+        elif name == 'avoid_ros_namespace_conventions':
+            values[name] = bool(value)
+        else:
+            values[name] = int(value)
+    return Qos(**values)
+
+
+def _choice(choices: Sequence[str], value: Any) -> str:
+    """Name a policy; one that rosbag2 may have by now, and we do not know, is unknown."""
+    if isinstance(value, int):
+        return choices[value] if 0 <= value < len(choices) else 'unknown'
+    return value if value in choices else 'unknown'
+
+
+def _time(nanoseconds: int) -> dict[str, int]:
+    return {'sec': nanoseconds // _SECOND, 'nsec': nanoseconds % _SECOND}
+
+
+def _nanoseconds(time: Mapping[str, Any]) -> int:
+    return min(int(time['sec']) * _SECOND + int(time['nsec']), INFINITE)

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Definitions of message types, as a bag carries them: with all that they depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+import json
+from pathlib import Path
+import re
+
+_TYPE = re.compile(r'([A-Za-z]\w*)/msg/([A-Za-z]\w*)')
+
+_FIELD_TYPE = re.compile(
+    r'^[ \t]*([A-Za-z]\w*(?:/[A-Za-z]\w*){0,2})(?:<=\d+)?(?:\[(?:<?=?\d+)?\])?[ \t]+[A-Za-z]',
+    re.MULTILINE,
+)
+
+_PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'} | {
+    f'{sign}int{bits}' for sign in ('', 'u') for bits in (8, 16, 32, 64)
+}
+
+_SEPARATOR = '=' * 80
+
+
+class SchemaError(ValueError):
+    """A message type has no definition where it was looked for; the message says where."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schema:
+    """
+    What a message type is.
+
+    Parameters
+    ----------
+    text : str
+        Its `.msg` file, and after separators those of the types it consists of, as MCAP's
+        encoding `ros2msg` wants them.
+    type_hash : str
+        `RIHS01_...`; empty where there is none, as in ROS 2 Humble.
+
+    """
+
+    text: str
+    type_hash: str
+
+
+def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
+    """
+    Find the definition of a type among what is installed.
+
+    Parameters
+    ----------
+    type_name : str
+        As `sensor_msgs/msg/JointState`.
+    prefixes : iterable of path_like
+        Where ROS packages are installed, as in `AMENT_PREFIX_PATH`; the first that has a type
+        wins.
+
+    Raises
+    ------
+    SchemaError
+        Naming the type that is not there, and where it was looked for.
+
+    """
+    folders = [Path(prefix) / 'share' for prefix in prefixes]
+
+    def text_of(name: str) -> str:
+        return _path_of(name, folders).read_text(encoding='utf-8')
+
+    try:
+        text = assemble(type_name, text_of)
+        description = _path_of(type_name, folders).with_suffix('.json')
+        return Schema(text=text, type_hash=_hash_of(type_name, description))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SchemaError(f'{type_name}: its definition cannot be read, {error}') from None
+
+
+def assemble(type_name: str, text_of: Callable[[str], str | None]) -> str:
+    """
+    Put the text of a type and the texts of those it consists of together, each once.
+
+    Parameters
+    ----------
+    type_name : str
+        As `sensor_msgs/msg/JointState`.
+    text_of : callable
+        Returns the `.msg` text of a type by such a name, or None; `get` of a dict will do.
+
+    Raises
+    ------
+    SchemaError
+        Naming the type that has no text, or what is no name of a type.
+
+    """
+    done = {type_name}
+
+    def texts(name: str) -> Iterator[str]:
+        package = _split(name)[0]
+        text = text_of(name)
+        if text is None:
+            needed = '' if name == type_name else f', which {type_name} needs'
+            raise SchemaError(f'no definition of {name}{needed}')
+        yield text
+        for short in _dependencies(text, package):
+            full = '/msg/'.join(short.split('/'))
+            if full not in done:
+                done.add(full)
+                yield f'\n{_SEPARATOR}\nMSG: {short}\n'
+                yield from texts(full)
+
+    return ''.join(texts(type_name))
+
+
+def _dependencies(text: str, package: str) -> list[str]:
+    """List the types that fields have, as `package/Type`, in the order that rosbag2 takes."""
+    found = set()
+    for name in _FIELD_TYPE.findall(text):
+        if name not in _PRIMITIVES:
+            first, _, rest = name.partition('/')
+            found.add(f'{first}/{rest.removeprefix("msg/")}' if rest else f'{package}/{name}')
+    return sorted(found)
+
+
+def _split(type_name: str) -> tuple[str, str]:
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        raise SchemaError(f'a message type is named as std_msgs/msg/String, got {type_name!r}')
+    return match[1], match[2]
+
+
+def _path_of(type_name: str, folders: list[Path]) -> Path:
+    package, name = _split(type_name)
+    for folder in folders:
+        path = folder / package / 'msg' / f'{name}.msg'
+        if path.is_file():
+            return path
+    raise SchemaError(
+        f'no definition of {type_name} in {", ".join(map(str, folders)) or "no folder at all"}'
+    )
+
+
+def _hash_of(type_name: str, path: Path) -> str:
+    if not path.is_file():
+        return ''
+    try:
+        hashes = json.loads(path.read_text(encoding='utf-8'))['type_hashes']
+        return next(str(item['hash_string']) for item in hashes if item['type_name'] == type_name)
+    except (ValueError, KeyError, TypeError, StopIteration):
+        raise SchemaError(f'{path}: no hash of {type_name} in it') from None
