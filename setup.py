@@ -43,8 +43,19 @@ setup(
     entry_points={'console_scripts': scripts},
     python_requires='>=3.10',
     # ROS is not named: a ROS machine brings its own, and requirements/ has it from PyPI.
-    install_requires=['numba', 'numpy', 'pyyaml', 'scipy'],
+    install_requires=[
+        'lz4',
+        'mcap>=1.5',
+        'mcap-ros2-support>=0.5',
+        'numba',
+        'numpy',
+        'pyyaml',
+        'scipy',
+        'tqdm',
+        'zstandard',
+    ],
     extras_require={
+        'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
         'plot': ['matplotlib'],
         'test': [
             'colcon-common-extensions',

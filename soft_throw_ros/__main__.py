@@ -13,6 +13,7 @@ import sys
 # Name: module with a main(args), and what it is for. The only such list: setup.py reads it too,
 # so nothing may be imported here but the standard library.
 EXECUTABLES = {
+    'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
     'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
 }

@@ -23,7 +23,19 @@ ROOT = Path(__file__).parents[1]
 CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.yaml')}
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
-ON_PYPI = {'numba': 'numba', 'numpy': 'numpy', 'scipy': 'scipy', 'yaml': 'pyyaml'}
+# What is imported: what pip calls it, and rosdep, where lz4 and zstandard come with mcap.
+ON_PYPI = {
+    'lz4': ('lz4', 'mcap-ros2-support'),
+    'mcap': ('mcap>=1.5', 'mcap-ros2-support'),
+    'mcap_ros2': ('mcap-ros2-support>=0.5', 'mcap-ros2-support'),
+    'numba': ('numba', 'python3-numba'),
+    'numpy': ('numpy', 'python3-numpy'),
+    'scipy': ('scipy', 'python3-scipy'),
+    'tqdm': ('tqdm', 'python3-tqdm'),
+    'yaml': ('pyyaml', 'python3-yaml'),
+    'zstandard': ('zstandard', 'mcap-ros2-support'),
+}
+OPTIONAL = {'dask', 'distributed', 'matplotlib', 'rerun', 'xarray'}
 # Nothing is downloaded: what the build needs and what the package needs are there already.
 OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
@@ -133,14 +145,13 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
-    of_ros = imported - ON_PYPI.keys() - {'soft_throw_ros'}
+    of_ros = imported - ON_PYPI.keys() - OPTIONAL - {'soft_throw_ros'}
+    needed = [ON_PYPI[name] for name in imported & ON_PYPI.keys()]
 
     declared = {element.text for element in MANIFEST.findall('exec_depend')}
     required = metadata.get_all('Requires-Dist')
-    assert declared == of_ros | {f'python3-{name}' for name in imported & ON_PYPI.keys()}
-    assert {line for line in required if 'extra' not in line} == {
-        ON_PYPI[name] for name in imported & ON_PYPI.keys()
-    }
+    assert declared == of_ros | {key for _, key in needed}
+    assert {line for line in required if 'extra' not in line} == {name for name, _ in needed}
 
 
 def test_wheel_has_config_and_one_command(wheel):

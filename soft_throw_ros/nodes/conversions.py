@@ -10,7 +10,16 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.twin.results import Floats, Release, ThrowResult
 from std_msgs.msg import Float64MultiArray
 
@@ -26,6 +35,50 @@ def time_to_msg(time_ns: int) -> Time:
 def msg_to_time(msg: Time) -> int:
     """Join to nanoseconds."""
     return int(msg.sec) * _SECOND + int(msg.nanosec)
+
+
+def profile_to_qos(profile: QoSProfile) -> Qos:
+    """Return a profile as it stands in a bag."""
+    values = {name: getattr(profile, name).name.lower() for name in _POLICIES}
+    times = {name: getattr(profile, name).nanoseconds for name in _TIMES}
+    return Qos(
+        depth=profile.depth,
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+        **values,
+        **times,
+    )
+
+
+def qos_to_profile(qos: Qos) -> QoSProfile:
+    """
+    Return the profile that a bag tells of.
+
+    What a bag does not know, since the middleware did not tell its recorder, becomes what rclpy
+    takes by default.
+
+    """
+    values = {
+        name: policy[getattr(qos, name).upper()]
+        for name, policy in _POLICIES.items()
+        if getattr(qos, name) != 'unknown'
+    }
+    times = {name: Duration(nanoseconds=getattr(qos, name)) for name in _TIMES}
+    return QoSProfile(
+        depth=max(qos.depth, 1),
+        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
+        **values,
+        **times,
+    )
+
+
+_POLICIES = {
+    'history': HistoryPolicy,
+    'reliability': ReliabilityPolicy,
+    'durability': DurabilityPolicy,
+    'liveliness': LivelinessPolicy,
+}
+
+_TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
 
 def msg_to_array(msg: Float64MultiArray) -> tuple[list[str], Floats]:

@@ -37,6 +37,11 @@ class Topic:
     qos: QoSProfile
     content: str
 
+    @property
+    def type_name(self) -> str:
+        """Name of the type, as `std_msgs/msg/String`."""
+        return f'{self.type.__module__.partition(".")[0]}/msg/{self.type.__name__}'
+
     def publisher(self, node: Node) -> Publisher:
         """Make the publisher of a node."""
         return node.create_publisher(self.type, self.name, self.qos)
@@ -111,6 +116,13 @@ DIAGNOSTICS = Topic(
     content='How well the twin keeps time, and what waits, at 1 Hz',
 )
 
+STATUS = Topic(
+    name='~/status',
+    type=DiagnosticArray,
+    qos=_latched(),
+    content='Whether the recorder records, and where, on change',
+)
+
 TOPICS = (
     JOINT_STATES,
     STRAIN,
@@ -127,6 +139,9 @@ THROW = '~/throw'
 RESET = '~/reset'
 APPLY_RECOMMENDATION = '~/apply_recommendation'
 
+START = '~/start'
+STOP = '~/stop'
+
 FRAME = 'rig'
 """z up, from the plate's rest position."""
 
@@ -141,6 +156,6 @@ def markdown() -> str:
         if topic.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL:
             qos.append('transient local')
         qos.append(f'keep last {topic.qos.depth}')
-        kind = f'{topic.type.__module__.partition(".")[0]}/{topic.type.__name__}'
+        kind = topic.type_name.replace('/msg', '')
         rows.append(f'| `{topic.name}` | {kind} | {", ".join(qos)} | {topic.content} |')
     return '\n'.join(rows) + '\n'

@@ -9,13 +9,17 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
+from rclpy.qos import DurabilityPolicy, HistoryPolicy
 from rclpy.serialization import deserialize_message
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import (
     msg_to_array,
     msg_to_throw_result,
     msg_to_time,
     msg_to_values,
+    profile_to_qos,
+    qos_to_profile,
     rig_to_values,
     status_to_msg,
     throw_result_to_msg,
@@ -23,6 +27,7 @@ from soft_throw_ros.nodes.conversions import (
     values_to_rig,
 )
 from soft_throw_ros.recording.cdr import ArrayEncoder
+from soft_throw_ros.recording.qos import from_yaml, Qos, to_yaml
 from soft_throw_ros.twin.results import Release, State, ThrowResult
 from std_msgs.msg import Float64MultiArray
 
@@ -91,3 +96,21 @@ def test_array_comes_back_through_ros() -> None:
     labels, decoded = msg_to_array(deserialize_message(encoded, Float64MultiArray))
     assert labels == ['t', 'y']
     np.testing.assert_array_equal(decoded, values)
+
+
+@pytest.mark.parametrize('topic', topics.TOPICS, ids=lambda topic: topic.name)
+def test_profile_comes_back(topic) -> None:
+    qos = profile_to_qos(topic.qos)
+    assert (qos.reliability, qos.durability) == (
+        topic.qos.reliability.name.lower(),
+        topic.qos.durability.name.lower(),
+    )
+    assert profile_to_qos(qos_to_profile(qos)) == qos
+    assert from_yaml(to_yaml([qos])) == (qos,)
+
+
+def test_profile_that_is_not_known_in_full_can_be_offered() -> None:
+    profile = qos_to_profile(Qos(history='unknown', depth=0, durability='transient_local'))
+    assert profile.history is HistoryPolicy.KEEP_LAST
+    assert profile.depth == 1
+    assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL

@@ -1,0 +1,452 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Record topics into a bag, and show them live in Rerun.
+
+One thread takes what has come, every few milliseconds; another writes it; a third sends it to the
+process that shows it. The executor has the services, and looks for topics that appear.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+import gc
+from pathlib import Path
+import sys
+import threading
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from soft_throw_ros.configuration import files, ParameterError, RECORDER, Settings, TWIN
+from soft_throw_ros.configuration.recorder import refuse_nothing
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.conversions import status_to_msg, statuses_to_msg
+from soft_throw_ros.nodes.parameters import NodeParameters
+from soft_throw_ros.nodes.process import Program, run
+from soft_throw_ros.nodes.taps import distribution, Taps
+from soft_throw_ros.recording.background import BackgroundWriter
+from soft_throw_ros.recording.bag import BagError, BagWriter, Message
+from soft_throw_ros.recording.cdr import decode, MessageError
+from soft_throw_ros.recording.feed import Feed
+from soft_throw_ros.twin import journal
+from std_srvs.srv import Trigger
+
+DRAIN_TIME = 0.01
+"""How often messages are taken. [s]"""
+
+DISCOVERY_TIME = 0.2
+"""How often it is looked for new topics. [s]"""
+
+USAGE = 'usage: recorder [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
+
+
+class Recording:
+    """
+    From start to stop: what is taken, where it goes, and what became of it.
+
+    Parameters
+    ----------
+    recorder : Node
+        What subscribes.
+    settings : mapping of str to value
+        Of the recorder.
+
+    Attributes
+    ----------
+    taps : Taps
+        What is taken.
+    writer : BackgroundWriter or None
+        Where it is written.
+    feed : Feed or None
+        Where it is shown.
+
+    """
+
+    def __init__(self, recorder: Node, settings: Settings) -> None:
+        self.taps = Taps(recorder, settings['topics'])
+        self.writer: BackgroundWriter | None = None
+        self.feed: Feed | None = None
+        self._settings = settings
+        self._clock = recorder.get_clock()
+        self._began = time.monotonic()
+        self._twins: dict[str, Any] = {}
+        if settings['storage'] == 'mcap':
+            self.writer = BackgroundWriter(self._open_bag, capacity=settings['buffer'])
+            text = files.render(settings, table=RECORDER, title='How this was recorded.')
+            self.writer.attach('recorder.yaml', text.encode(), 'application/yaml')
+        if settings['rerun.sink'] != 'none':
+            self.feed = Feed(self._inspect_command())
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def bag(self) -> Path | None:
+        """Where the bag is; None if there is none, or none yet."""
+        written = self.writer.bag if self.writer is not None else None
+        return written.folder if written is not None else None
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing is written at present; empty if all is well."""
+        return self.writer.trouble if self.writer is not None else ''
+
+    @property
+    def received(self) -> int:
+        """How many messages came."""
+        return sum(tap.received for tap in self.taps)
+
+    def losses(self) -> dict[str, int]:
+        """Return how many messages of which topics were published and are not in the bag."""
+        lost = Counter({tap.channel.topic: tap.lost for tap in self.taps})
+        if self.writer is not None:
+            for channel, count in self.writer.lost().items():
+                lost[channel.topic] += count
+        return {topic: count for topic, count in sorted(lost.items()) if count}
+
+    def stop(self) -> None:
+        """
+        Take what has come, and bring bag and viewer to an end.
+
+        Raises
+        ------
+        BagError
+            If the end of the bag could not be written.
+
+        """
+        self._is_stopping.set()
+        self._thread.join()
+        self.taps.close()
+        try:
+            if self.writer is not None:
+                lost = {topic: str(count) for topic, count in self.losses().items()}
+                self.writer.add_metadata(
+                    'losses', {'total': str(sum(self.losses().values())), **lost}
+                )
+                self.writer.close()
+        finally:
+            if self.feed is not None:
+                self.feed.close()
+
+    def summary(self) -> str:
+        """Say what was recorded, and what was not."""
+        seconds = time.monotonic() - self._began
+        losses = self.losses()
+        text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
+        if losses:
+            text += f' ({", ".join(f"{topic} {count}" for topic, count in losses.items())})'
+        if self.bag is not None:
+            text += f', in {self.bag}'
+        if self.trouble:
+            text += f'; the end is missing: {self.trouble}'
+        if self.feed is not None and self.feed.dropped:
+            text += f'; {self.feed.dropped} not shown'
+        return text
+
+    def _open_bag(self) -> BagWriter:
+        settings = self._settings
+        return BagWriter(
+            _path(settings),
+            distribution=distribution(),
+            compression=settings['compression'],
+            max_size=settings['split.size'],
+            max_duration=settings['split.duration'],
+            sync=settings['sync'],
+        )
+
+    def _run(self) -> None:
+        """Take what has come, until told to stop, and then once more."""
+        while not self._is_stopping.wait(DRAIN_TIME):
+            self._take()
+        self._take()
+
+    def _take(self) -> None:
+        messages = self.taps.drain(self._clock)
+        if not messages:
+            return
+        if self.feed is not None:
+            self.feed.put(messages)
+        if self.writer is not None:
+            self.writer.put(messages)
+            for message in messages:
+                if message.channel.topic.endswith('/journal'):
+                    self._read_journal(self.writer, message)
+
+    def _read_journal(self, writer: BackgroundWriter, message: Message) -> None:
+        """Write down what a twin tells of itself, at first and on change."""
+        channel = message.channel
+        try:
+            text = decode(channel.type, channel.schema, message.data)
+            entry = journal.decode(text.data)
+            settings, versions = entry['settings'], entry['versions']
+        except (MessageError, journal.JournalError, AttributeError, KeyError):
+            return  # an entry that has none, or somebody else's topic
+        told = (settings, versions)
+        if self._twins.get(channel.topic) == told:
+            return
+        node = channel.topic.removesuffix('/journal')
+        if channel.topic not in self._twins:
+            text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
+            writer.attach(
+                f'{node.strip("/").replace("/", "_")}.yaml', text.encode(), 'application/yaml'
+            )
+        self._twins[channel.topic] = told
+        writer.add_metadata(f'parameters of {node}', _texts(settings))
+        writer.add_metadata(f'versions of {node}', _texts(versions))
+
+    def _inspect_command(self) -> list[str]:
+        """Return what shows the stream."""
+        settings = self._settings
+        command = [
+            settings['rerun.python'] or sys.executable,
+            '-m',
+            'soft_throw_ros',
+            'inspect',
+            '-',
+        ]
+        if settings['rerun.sink'] == 'file':
+            path = _path(settings) if self.bag is None else self.bag / self.bag.name
+            return [*command, '--save', f'{path}.rrd']
+        return [*command, '--sink', settings['rerun.sink'], '--port', str(settings['rerun.port'])]
+
+
+class Recorder(Program):
+    """
+    What records.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line, to say where a bad parameter stands.
+    **kwargs
+        As for `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    recording : Recording or None
+        None while it is stopped.
+
+    Raises
+    ------
+    ParameterError
+        In one line, if a parameter is refused, or the bag that is named is there already.
+
+    """
+
+    def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__('recorder', **kwargs)
+        self.recording: Recording | None = None
+        self._last = 'nothing has been recorded yet'
+        try:
+            self.parameters = NodeParameters(self, RECORDER, self._on_changed, arguments=arguments)
+            if self.parameters.settings['start']:
+                self._check(self.parameters.settings)
+            self._status = topics.STATUS.publisher(self)
+            self._diagnostics = topics.DIAGNOSTICS.publisher(self)
+            self.create_service(Trigger, topics.START, self._on_start)
+            self.create_service(Trigger, topics.STOP, self._on_stop)
+            steady = RosClock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(DISCOVERY_TIME, self._on_discovery, clock=steady)
+            self.create_timer(1.0, self._on_second, clock=steady)
+        except BaseException:
+            super().destroy_node()
+            raise
+
+    def start(self) -> None:
+        """Record, if that is wanted from the beginning."""
+        gc.collect()
+        gc.freeze()
+        if self.parameters.settings['start']:
+            self.begin()
+        else:
+            self._report()
+        self.get_logger().info('ready')
+
+    def close(self) -> None:
+        """Finish what is being recorded."""
+        if self.recording is not None:
+            self.end()
+
+    def destroy_node(self) -> None:
+        """Finish what is being recorded, and let go of everything."""
+        self.close()
+        super().destroy_node()
+
+    def begin(self) -> None:
+        """
+        Record.
+
+        Raises
+        ------
+        ParameterError
+            If there would be nothing to do, or the bag that is named is there already.
+
+        """
+        self._check(self.parameters.settings)
+        self.recording = Recording(self, self.parameters.settings)
+        self._on_discovery()
+        self._report()
+        if self.recording.trouble:
+            self.get_logger().error(self.recording.trouble)
+        else:
+            self.get_logger().info(self._message())
+
+    def end(self) -> None:
+        """Record no more."""
+        recording, self.recording = self.recording, None
+        assert recording is not None
+        try:
+            recording.stop()
+        except BagError as error:
+            self.get_logger().error(str(error))
+        self._last = recording.summary()
+        self._report()
+        self.get_logger().info(self._last)
+
+    def _check(self, settings: Settings) -> None:
+        refuse_nothing(settings)
+        if settings['storage'] == 'mcap' and settings['name'] and _path(settings).exists():
+            raise ParameterError(
+                f'{_path(settings)} exists, and a bag is never overwritten; choose another name, '
+                f'or none, got name {settings["name"]!r}',
+                'name',
+            )
+
+    def _on_changed(self, changes: dict[str, Any]) -> None:
+        when = ', when recording is started again' if self.recording is not None else ''
+        for name, value in changes.items():
+            self.get_logger().info(f'{name} is now {value}{when}')
+
+    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.recording is not None:
+            response.message = f'already {self._message()}; call {topics.STOP} first'
+            return response
+        try:
+            self.begin()
+        except ParameterError as error:
+            response.message = str(error)
+        else:
+            response.success = True
+            response.message = self._message()
+        return response
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.recording is None:
+            response.message = f'nothing is being recorded; {self._last}'
+        else:
+            self.end()
+            response.success = True
+            response.message = self._last
+        return response
+
+    def _on_discovery(self) -> None:
+        recording = self.recording
+        if recording is not None:
+            for topic in recording.taps.discover():
+                reason = recording.taps.refused[topic]
+                self.get_logger().warning(f'{topic} is not recorded: {reason}')
+
+    def _on_second(self) -> None:
+        """Publish how recording goes, and say what is wrong."""
+        now = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(statuses_to_msg(now, self._statuses()))
+        if self.recording is not None and self.recording.trouble:
+            lost = sum(self.recording.losses().values())
+            self.get_logger().error(f'{self.recording.trouble}; {lost} messages lost so far')
+
+    def _report(self) -> None:
+        """Publish whether it records; late subscribers get it too."""
+        now = self.get_clock().now().nanoseconds
+        self._status.publish(statuses_to_msg(now, self._statuses()[:1]))
+
+    def _message(self) -> str:
+        """Say what is going on."""
+        recording = self.recording
+        if recording is None:
+            return f'stopped: {self._last}'
+        if recording.writer is None:
+            return 'showing only'
+        return f'recording into {recording.bag}' if recording.bag else 'recording nothing'
+
+    def _statuses(self) -> list[DiagnosticStatus]:
+        recording = self.recording
+        if recording is None:
+            return [self._status_of('bag', self._message(), is_recording=False)]
+        losses = recording.losses()
+        lost = sum(losses.values())
+        statuses = [
+            self._status_of(
+                'bag',
+                recording.trouble or self._message(),
+                bad=bool(recording.trouble),
+                is_recording=True,
+                bag=recording.bag or '',
+                messages=recording.received,
+                topics=len(list(recording.taps)),
+            ),
+            self._status_of('losses', f'{lost} messages lost', bad=lost > 0, lost=lost, **losses),
+        ]
+        feed = recording.feed
+        if feed is not None:
+            statuses.append(
+                self._status_of(
+                    'viewer',
+                    feed.trouble or f'{feed.dropped} messages not shown',
+                    bad=bool(feed.trouble or feed.dropped),
+                    dropped=feed.dropped,
+                    starts=feed.starts,
+                )
+            )
+        return statuses
+
+    def _status_of(
+        self, task: str, message: str, *, bad: bool = False, **values: Any
+    ) -> DiagnosticStatus:
+        return status_to_msg(
+            f'{self.get_name()}: {task}',
+            hardware_id=self.get_fully_qualified_name(),
+            message=message,
+            values=values,
+            level=DiagnosticStatus.WARN if bad else DiagnosticStatus.OK,
+        )
+
+
+def _path(settings: Settings) -> Path:
+    """Return where a bag goes that is opened now."""
+    name = settings['name'] or f'{datetime.now().astimezone():soft_throw_%Y_%m_%d-%H_%M_%S}'
+    folder = Path(settings['folder']).expanduser()
+    if settings['name']:
+        return folder / name
+    names = [name, *(f'{name}_{number}' for number in range(2, 100))]
+    return next((folder / name for name in names if not (folder / name).exists()), folder / name)
+
+
+def _texts(values: Mapping[str, Any]) -> dict[str, str]:
+    return {name: str(value) for name, value in values.items()}
+
+
+def main(args: list[str] | None = None) -> int:
+    """
+    Record until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a signal, 2 if an argument or a parameter is refused.
+
+    """
+    arguments = sys.argv[1:] if args is None else args
+    if '--help' in arguments or '-h' in arguments:
+        print(USAGE)
+        return 0
+    return run('recorder', lambda given: Recorder(arguments=given), arguments, usage=USAGE)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write a bag in a thread of its own, so that no disk holds up those who have messages."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+import threading
+import time
+
+from soft_throw_ros.recording.bag import BagError, BagWriter, Channel, Message
+
+FLUSH_TIME = 0.5
+"""How often what is written is made to last; also how often a bad disk is tried again. [s]"""
+
+_PAUSE = 0.1
+"""How long messages wait to be written. [s]"""
+
+_OVERHEAD = 500
+"""What a message takes in memory besides its data. [bytes]"""
+
+
+class BackgroundWriter:
+    """
+    A bag, and the thread that writes it.
+
+    Parameters
+    ----------
+    open_bag : callable
+        Makes the bag, or raises BagError; then it is called again every `FLUSH_TIME`.
+    capacity : int
+        How much may wait for the disk. What comes beyond is dropped. [bytes]
+
+    Attributes
+    ----------
+    bag : BagWriter or None
+        None while it could not be made.
+    trouble : str
+        Why nothing is written at present; empty if all is well.
+
+    Raises
+    ------
+    BagError
+        By `close`, if the end of the bag could not be written.
+
+    """
+
+    def __init__(self, open_bag: Callable[[], BagWriter], *, capacity: int) -> None:
+        self.bag: BagWriter | None = None
+        self.trouble = ''
+        self._open_bag = open_bag
+        self._capacity = capacity
+        self._dropped: Counter[Channel] = Counter()
+        self._waiting: deque[Message | Callable[[BagWriter], None]] = deque()
+        self._early: list[Callable[[BagWriter], None]] = []
+        self._came = 0  # [bytes]
+        self._went = 0  # [bytes]
+        self._error: BagError | None = None
+        self._is_closing = threading.Event()
+        self._keep()
+        self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, messages: Iterable[Message]) -> None:
+        """Have messages written, or dropped if too much waits already."""
+        for message in messages:
+            size = len(message.data) + _OVERHEAD
+            if self._came - self._went + size > self._capacity:
+                self._dropped[message.channel] += 1
+            else:
+                self._came += size
+                self._waiting.append(message)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Have named texts written."""
+        self._waiting.append(lambda bag: bag.add_metadata(name, values))
+
+    def attach(self, name: str, data: bytes, media_type: str) -> None:
+        """Have a file written into the bag."""
+        self._waiting.append(lambda bag: bag.attach(name, data, media_type, time=time.time_ns()))
+
+    def lost(self) -> Counter[Channel]:
+        """Return how many messages could not be written, by their channels."""
+        bag = self.bag
+        return Counter(self._dropped.copy()) + Counter(bag.lost.copy() if bag else {})
+
+    def close(self) -> None:
+        """Write what waits, and finish the bag."""
+        self._is_closing.set()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        next_time = time.monotonic() + FLUSH_TIME
+        while not self._is_closing.wait(_PAUSE):
+            self._write()
+            if time.monotonic() >= next_time:
+                next_time = time.monotonic() + FLUSH_TIME
+                self._keep()
+        self._write()
+        if self.bag is not None:
+            try:
+                self.bag.close()
+            except BagError as error:
+                self._error = error
+
+    def _write(self) -> None:
+        """Write what waits; the bag itself counts what it cannot write."""
+        waiting, bag = self._waiting, self.bag
+        while waiting:
+            item = waiting.popleft()
+            try:
+                if isinstance(item, Message):
+                    self._went += len(item.data) + _OVERHEAD
+                    if bag is None:
+                        self._dropped[item.channel] += 1
+                    else:
+                        bag.write(item)
+                elif bag is None:
+                    self._early.append(item)
+                else:
+                    item(bag)
+            except BagError as error:
+                self.trouble = str(error)
+
+    def _keep(self) -> None:
+        """Have all that is written kept, or, if that could not be done, try again."""
+        try:
+            if self.bag is None:
+                self.bag = self._open_bag()
+                for item in self._early:
+                    item(self.bag)
+            self.bag.flush()
+        except BagError as error:
+            self.trouble = str(error)
+        else:
+            self.trouble = ''
