@@ -8,21 +8,19 @@ may be cut off, damaged or somebody else's: the reader says what is wrong, and g
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import fcntl
 import heapq
 import itertools
-import operator
 import os
 from pathlib import Path
 import re
-import tempfile
+import shutil
 import textwrap
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 import zlib
 
 from mcap import records as mcap
@@ -30,116 +28,54 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
-import numpy as np
 from soft_throw_ros import __version__
-from soft_throw_ros.recording import qos as qualities
-from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording import qos
+from soft_throw_ros.recording.mcap_file import (
+    Block,
+    Channels,
+    Known,
+    LATEST,
+    McapFile,
+    no_mcap,
+    Selection,
+)
+from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.records import (
+    check_length,
     DamageError,
-    decompress,
-    File,
-    Found,
     Gap,
     HEAD,
     LIMIT,
     MAGIC,
-    MESSAGE,
+    MESSAGE_HEAD,
     parse,
-    scan,
     split,
     unpack,
-    unpack_start,
 )
 import yaml
-import zstandard
-
-METADATA_VERSION = 9
-"""Of `metadata.yaml`, as in ROS 2 Jazzy and later."""
 
 CHUNK_SIZE = 256 * 2**10
 """How much is compressed at once, unless a single message is larger. [bytes]"""
 
-COMPRESSIONS = {
+SPARE = 8 * 2**20
+"""How much room a disk that was full must have before a next file is begun. [bytes]"""
+
+_COMPRESSIONS = {
     'none': CompressionType.NONE,
     'lz4': CompressionType.LZ4,
     'zstd': CompressionType.ZSTD,
 }
-"""What the chunks of a bag may be compressed by."""
 
 _LIBRARY = f'soft_throw_ros {__version__}'
 _PROFILE = 'ros2'
-_NEVER = 2**63
-_FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)
-_CHUNK = bytes([Opcode.CHUNK])
-_ZSTD = b'\x28\xb5\x2f\xfd'
-_SUFFIXES = ('.mcap', '.mcap.zstd')
-_NUMBER = re.compile(r'(\d+)')
+_METADATA = 'metadata.yaml'
+_INFORMATION = 'rosbag2_bagfile_information'  # its only key
+_VERSION = 9  # its version, that of ROS 2 Jazzy and later
 _LONGEST_METADATA = 16 * 2**20  # [bytes]
-_NO_MCAP = 'is no MCAP file'
-_NO_BAG = 'is no bag: there is no MCAP file in it'
+_ROSBAG2 = 'rosbag2'  # the MCAP metadata that say the same
+_SUFFIXES = ('.mcap', '.mcap.zstd')
+_NEVER = LATEST + 1
 _Loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-_ROSBAG2 = 'rosbag2'
-_INFORMATION = 'rosbag2_bagfile_information'
-
-
-class BagError(ValueError):
-    """A bag cannot be read or written; the message names its path, and what would be right."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Channel:
-    """
-    A topic in a bag; two of them are the same if they are one object.
-
-    Parameters
-    ----------
-    topic : str
-        Its full name.
-    type : str
-        As `sensor_msgs/msg/JointState`.
-    schema : str
-        Definition of the type and all it depends on; `schemas.find_schema` finds it.
-    type_hash : str
-        `RIHS01_...`, or empty.
-    qos : tuple of Qos
-        What its publishers offered.
-    schema_encoding : str
-        How the schema is written; others than `ros2msg` are kept as they are.
-
-    """
-
-    topic: str
-    type: str
-    schema: str
-    type_hash: str = ''
-    qos: tuple[Qos, ...] = ()
-    schema_encoding: str = 'ros2msg'
-
-
-class Message(NamedTuple):
-    """
-    A message, as it came.
-
-    Parameters
-    ----------
-    channel : Channel
-        Where it belongs.
-    data : bytes
-        Serialised, CDR.
-    log_time : int
-        When it was received. [ns]
-    publish_time : int
-        When it was published. [ns]
-    sequence : int
-        Its number at the publisher; the lower 32 bits are kept.
-
-    """
-
-    channel: Channel
-    data: bytes
-    log_time: int
-    publish_time: int
-    sequence: int = 0
 
 
 class BagWriter:
@@ -200,31 +136,34 @@ class BagWriter:
         self.folder = Path(folder)
         self.counts: dict[Channel, int] = {}
         self.lost: dict[Channel, int] = {}
-        if compression not in COMPRESSIONS:
-            choices = ', '.join(COMPRESSIONS)
+        if compression not in _COMPRESSIONS:
+            choices = ', '.join(_COMPRESSIONS)
             raise BagError(f'compression must be one of {choices}, got {compression!r}')
         for name, value in {'max_size': max_size, 'max_duration': max_duration}.items():
             if not 0 <= value < _NEVER:
                 raise BagError(f'{name} must be finite and not negative, got {value!r}')
         self._distribution = distribution
-        self._compression = COMPRESSIONS[compression]
+        self._compression = _COMPRESSIONS[compression]
         self._max_size = max_size or _NEVER
         self._max_duration = round(max_duration * 1e9) or _NEVER
         self._sync = sync
-        self._files: list[_Span] = []
+        self._files: list[_FileInformation] = []
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: list[Attachment] = []
         self._failure = ''
+        # Of the open file; nothing if there is none
         self._writer: Writer | None = None
-        self._ids: dict[Channel, int] = {}  # of the file that is open; empty if there is none
-        self._pending: dict[Channel, int] = {}  # messages that are not in the file yet
-        self._room = CHUNK_SIZE
-        self._first, self._last = _NEVER, 0  # log times of what is pending
+        self._ids: dict[Channel, int] = {}
+        self._schemas: dict[tuple[str, str, str], int] = {}
         self._until = 0  # the log time from which on a next file is due
+        # Of the chunk that is being filled, message by message
+        self._channels: list[Channel] = []
+        self._times: list[int] = []
+        self._room = CHUNK_SIZE
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
-            raise BagError(f'{folder} exists; a bag is never overwritten') from None
+            raise BagError(f'{folder} exists, and a bag is never overwritten') from None
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
         self._lock = _lock(self.folder)
@@ -263,42 +202,51 @@ class BagWriter:
                 f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
                 f'got {log_time} and {publish_time}'
             )
-        size = len(data) + MESSAGE.size
-        if size > self._room or log_time >= self._until or channel not in self._ids:
-            self._prepare(channel, log_time, size)
-        self._writer.add_message(  # type: ignore[union-attr]
-            self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
-        )
+        size = len(data) + MESSAGE_HEAD.size
+        number = self._ids.get(channel)
+        if number is None or size > self._room or log_time >= self._until:
+            number = self._prepare(channel, log_time, size)
+        self._add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
         self._room -= size
-        self._pending[channel] += 1
-        if log_time < self._first:
-            self._first = log_time
-        if log_time > self._last:
-            self._last = log_time
+        self._channels.append(channel)
+        self._times.append(log_time)
 
     def add_channel(self, channel: Channel) -> None:
-        """Have a channel in the bag, even if no message comes; `write` does it otherwise."""
+        """Have a channel in the bag even if no message comes; `write` adds it otherwise."""
         self.counts.setdefault(channel, 0)
         if channel not in self._ids:
             with self._guard():
-                self._register(channel)
+                self._define(channel)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write named texts; those given last by a name are repeated in files that follow."""
+        """Write named texts; the last ones of a name are repeated in files that follow."""
         self._metadata[name] = dict(values)
         with self._guard():
-            self._open_writer().add_metadata(name, dict(values))
+            self._open_writer().add_metadata(name, self._metadata[name])
 
     def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
-        """Write a file into the bag; it is repeated in files that follow."""
-        attachment = Attachment(time, time, name, media_type, data)
-        self._attachments.append(attachment)
+        """
+        Write a file into the bag; it is repeated in files that follow.
+
+        Parameters
+        ----------
+        name : str
+            Of the file.
+        data : bytes
+            What is in it.
+        media_type : str
+            What kind of file it is, as `application/yaml`.
+        time : int
+            When it was attached. [ns]
+
+        """
+        self._attachments.append(Attachment(time, time, name, media_type, data))
         with self._guard():
-            self._add_attachment(attachment)
+            self._add_attachment(self._attachments[-1])
 
     def flush(self) -> None:
         """
-        Have all that came kept whatever happens; after an error, try again.
+        Have all that came kept whatever happens; after an error, try to go on in a next file.
 
         Raises
         ------
@@ -324,7 +272,7 @@ class BagWriter:
 
     def close(self) -> None:
         """
-        Finish the bag; once it is closed, do nothing.
+        Finish the bag; if it is closed already, do nothing.
 
         Raises
         ------
@@ -356,8 +304,8 @@ class BagWriter:
             raise BagError(self._failure)
         return self._writer
 
-    def _prepare(self, channel: Channel, log_time: int, size: int) -> None:
-        """Make that a message can be added."""
+    def _prepare(self, channel: Channel, log_time: int, size: int) -> int:
+        """Make that a message can be added; return the number of its channel."""
         try:
             self._open_writer()
             if self._until and log_time >= self._until:
@@ -368,111 +316,101 @@ class BagWriter:
                     self.split()
             if not self._until:
                 self._until = log_time + self._max_duration
-            if channel not in self._ids:
-                with self._guard():
-                    self._register(channel)
+            self.add_channel(channel)
         except BagError:
             self.lost[channel] = self.lost.get(channel, 0) + 1
             raise
+        return self._ids[channel]
 
     def _begin_file(self) -> None:
         """Open the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        self._files.append(_Span(path.name))
         try:
+            if self._failure and shutil.disk_usage(self.folder).free < SPARE:
+                raise BagError(self._failure)
             self._output = _Output(path)
+            self._files.append(_FileInformation(path.name))
             try:
                 self._start_file()
-            except BaseException:
+            except OSError:
+                self._files.pop()
                 self._output.discard()
                 raise
         except OSError as error:
-            self._files.pop()
-            self._failure = f'{path}: {error.strerror}'
             self._writer, self._ids = None, {}
+            self._failure = f'{path}: {error.strerror}'
             raise BagError(self._failure) from None
+        self._failure = ''
 
     def _start_file(self) -> None:
-        writer = Writer(
-            self._output,  # type: ignore[arg-type]  # has what a writer needs of a stream
-            chunk_size=_NEVER,
+        self._writer = Writer(
+            self._output,  # type: ignore[arg-type]  # all that a writer needs of a stream
+            chunk_size=_NEVER,  # it is not for the writer to say when a chunk ends
             compression=self._compression,
         )
-        writer.start(_PROFILE, _LIBRARY)
-        writer.add_metadata(_ROSBAG2, {'serialized_metadata': self._information()})
-        self._writer, self._ids, self._schemas = writer, {}, {}
+        self._add_message = self._writer.add_message
+        self._ids, self._schemas, self._until = {}, {}, 0
+        self._begin_chunk()
+        self._writer.start(_PROFILE, _LIBRARY)
+        self._writer.add_metadata(_ROSBAG2, {'serialized_metadata': self._information()})
         for name, values in self._metadata.items():
-            writer.add_metadata(name, values)
+            self._writer.add_metadata(name, values)
         for attachment in self._attachments:
             self._add_attachment(attachment)
         for channel in self.counts:
-            self._register(channel)
+            self._define(channel)
         self._write_information()
         self._keep()
-        self._room, self._until = CHUNK_SIZE, 0
 
-    def _register(self, channel: Channel) -> None:
-        """Define a channel in the open file."""
+    def _define(self, channel: Channel) -> None:
+        """Define a channel: for its chunk, and once more outside of it."""
         writer = self._open_writer()
-        key = (channel.type, channel.schema, channel.schema_encoding)
+        schema = _schema(channel, 0)
         builder = RecordBuilder()
+        key = (schema.name, schema.encoding, channel.schema)
         if key not in self._schemas:
-            schema = mcap.Schema(
-                id=writer.register_schema(
-                    channel.type, channel.schema_encoding, channel.schema.encode()
-                ),
-                name=channel.type,
-                encoding=channel.schema_encoding,
-                data=channel.schema.encode(),
-            )
+            schema.id = writer.register_schema(schema.name, schema.encoding, schema.data)
             schema.write(builder)
             self._schemas[key] = schema.id
-        definition = _definition(channel, 0, self._schemas[key])
-        definition.id = writer.register_channel(
-            definition.topic,
-            definition.message_encoding,
-            definition.schema_id,
-            definition.metadata,
+        record = _record(channel, 0, self._schemas[key])
+        record.id = writer.register_channel(
+            record.topic, record.message_encoding, record.schema_id, record.metadata
         )
-        definition.write(builder)
+        record.write(builder)
+        self._room -= builder.count
         self._output.write(builder.end())
-        self._ids[channel] = definition.id
-        self._pending[channel] = 0
-        self.counts.setdefault(channel, 0)
+        self._ids[channel] = record.id
 
     def _add_attachment(self, attachment: Attachment) -> None:
-        self._open_writer().add_attachment(
-            create_time=attachment.create_time,
-            log_time=attachment.log_time,
-            name=attachment.name,
-            media_type=attachment.media_type,
-            data=attachment.data,
-        )
+        self._open_writer().add_attachment(**vars(attachment))
 
     def _end_chunk(self) -> None:
         """Hand what is pending to the system."""
-        if self._first == _NEVER:
+        if not self._times:
             return
         with self._guard():
             self._open_writer().flush()
         file = self._files[-1]
-        file.first = min(file.first, self._first)
-        file.last = max(file.last, self._last)
-        for channel, count in self._pending.items():
+        file.first = min(file.first, *self._times)
+        file.last = max(file.last, *self._times)
+        file.count += len(self._times)
+        for channel, count in Counter(self._channels).items():
             self.counts[channel] += count
-            file.count += count
         self._keep()
+        self._begin_chunk()
 
     def _keep(self) -> None:
-        """Begin a new chunk; what is in the file stays there."""
+        """Have all that is in the file stay there."""
         self._output.keep()
         self._files[-1].size = self._output.size
-        self._pending = dict.fromkeys(self._ids, 0)
-        self._first, self._last = _NEVER, 0
+
+    def _begin_chunk(self) -> None:
+        self._channels.clear()
+        self._times.clear()
         self._room = CHUNK_SIZE
 
     def _end_file(self) -> None:
-        """Complete the open file, and the list of files."""
+        """Complete the open file, and what is said of it."""
         writer = self._open_writer()
         with self._guard():
             writer.add_metadata(_ROSBAG2, {'serialized_metadata': self._information()})
@@ -481,35 +419,34 @@ class BagWriter:
                 os.fsync(self._output.fileno())
             self._keep()
             self._output.close()
-            self._writer, self._ids = None, {}
             self._write_information()
+        self._writer, self._ids = None, {}
 
     @contextlib.contextmanager
     def _guard(self) -> Iterator[None]:
-        """Give the open file up if the system refuses something."""
+        """Give the open file up if the system refuses something, and count what is lost."""
         try:
             yield
         except OSError as error:
-            for channel, count in self._pending.items():
-                if count:
-                    self.lost[channel] = self.lost.get(channel, 0) + count
+            for channel, count in Counter(self._channels).items():
+                self.lost[channel] = self.lost.get(channel, 0) + count
             self._failure = f'{self.folder / self._files[-1].name}: {error.strerror}'
             self._output.abandon()
-            self._writer, self._ids, self._pending = None, {}, {}
-            self._first, self._last = _NEVER, 0
+            self._writer, self._ids = None, {}
+            self._begin_chunk()
             raise BagError(self._failure) from None
 
     def _information(self) -> str:
-        """Return what rosbag2 wants to know, as YAML."""
-        count = sum(file.count for file in self._files)
-        first = min((file.first for file in self._files if file.count), default=_NEVER - 1)
-        last = max((file.last for file in self._files if file.count), default=first)
+        """Return what rosbag2 wants to know of a bag, as YAML."""
+        files = [file for file in self._files if file.count]
+        first = min((file.first for file in files), default=LATEST)
+        last = max((file.last for file in files), default=first)
         information = {
-            'version': METADATA_VERSION,
+            'version': _VERSION,
             'storage_identifier': 'mcap',
             'duration': {'nanoseconds': last - first},
             'starting_time': {'nanoseconds_since_epoch': first},
-            'message_count': count,
+            'message_count': sum(file.count for file in files),
             'topics_with_message_count': [
                 {
                     'topic_metadata': {
@@ -519,36 +456,25 @@ class BagWriter:
                         'offered_qos_profiles': [profile.to_dict() for profile in channel.qos],
                         'type_description_hash': channel.type_hash,
                     },
-                    'message_count': number,
+                    'message_count': count,
                 }
-                for channel, number in self.counts.items()
+                for channel, count in self.counts.items()
             ],
             'compression_format': '',
             'compression_mode': '',
             'relative_file_paths': [file.name for file in self._files],
-            'files': [
-                {
-                    'path': file.name,
-                    'starting_time': {
-                        'nanoseconds_since_epoch': file.first if file.count else _NEVER - 1
-                    },
-                    'duration': {'nanoseconds': file.last - file.first if file.count else 0},
-                    'message_count': file.count,
-                }
-                for file in self._files
-            ],
+            'files': [file.to_dict() for file in self._files],
             'custom_data': {},
             'ros_distro': self._distribution,
         }
-        return yaml.dump(information, Dumper=_Dumper, sort_keys=False)
+        return yaml.safe_dump(information, sort_keys=False)
 
     def _write_information(self) -> None:
         """Replace `metadata.yaml` at once."""
-        text = textwrap.indent(self._information(), '  ')
-        path = self.folder / 'metadata.yaml'
+        path = self.folder / _METADATA
         temporary = path.with_suffix('.yaml.tmp')
         with temporary.open('w', encoding='utf-8') as file:
-            file.write(f'{_INFORMATION}:\n{text}')
+            file.write(f'{_INFORMATION}:\n{textwrap.indent(self._information(), "  ")}')
             file.flush()
             if self._sync:
                 os.fsync(file.fileno())
@@ -556,21 +482,22 @@ class BagWriter:
 
 
 @dataclass
-class _Span:
-    """A file of a bag, and the log times of its messages. [ns]"""
+class _FileInformation:
+    """A file of a bag: its size, and how many messages of which log times. [ns]"""
 
     name: str
-    first: int = _NEVER
-    last: int = 0
-    count: int = 0
     size: int = 0
+    count: int = 0
+    first: int = LATEST
+    last: int = 0
 
-
-class _Dumper(yaml.SafeDumper):
-    """Writes YAML without aliases, which other readers of bags may not know."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            'path': self.name,
+            'starting_time': {'nanoseconds_since_epoch': self.first},
+            'duration': {'nanoseconds': max(self.last - self.first, 0)},
+            'message_count': self.count,
+        }
 
 
 class _Output:
@@ -603,18 +530,18 @@ class _Output:
 
     def abandon(self) -> None:
         """Close the file, without the part of a record that may be at its end."""
-        with contextlib.suppress(OSError):
-            self._file.truncate(self._kept)
-        with contextlib.suppress(OSError):
-            self._file.close()
+        if not self._file.closed:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._kept)
+            self.close()
 
     def close(self) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def discard(self) -> None:
         """Leave no file behind."""
-        with contextlib.suppress(OSError):
-            self._file.close()
+        self.close()
         with contextlib.suppress(OSError):
             self._path.unlink()
 
@@ -646,16 +573,25 @@ def is_being_written(path: str | Path) -> bool:
     return False
 
 
-def _definition(channel: Channel, channel_id: int, schema_id: int) -> mcap.Channel:
+def _schema(channel: Channel, number: int) -> mcap.Schema:
+    return mcap.Schema(
+        id=number,
+        name=channel.type,
+        encoding=channel.schema_encoding,
+        data=channel.schema.encode(),
+    )
+
+
+def _record(channel: Channel, number: int, schema: int) -> mcap.Channel:
     return mcap.Channel(
-        id=channel_id,
+        id=number,
         topic=channel.topic,
         message_encoding='cdr',
         metadata={
-            'offered_qos_profiles': qualities.to_yaml(channel.qos),
+            'offered_qos_profiles': qos.to_yaml(channel.qos),
             'topic_type_hash': channel.type_hash,
         },
-        schema_id=schema_id,
+        schema_id=schema,
     )
 
 
@@ -717,107 +653,8 @@ class StreamWriter:
         return bytes(self._builder.end()) + MAGIC
 
     def _write_definition(self, channel: Channel, number: int) -> None:
-        mcap.Schema(
-            id=number,
-            name=channel.type,
-            encoding=channel.schema_encoding,
-            data=channel.schema.encode(),
-        ).write(self._builder)
-        _definition(channel, number, number).write(self._builder)
-
-
-class _Channels:
-    """The channels of a file, by their numbers in it."""
-
-    def __init__(self, known: dict[tuple[Any, ...], Channel]) -> None:
-        self._known = known  # in all files of a bag, by what they are
-        self._schemas: dict[int, mcap.Schema] = {}
-        self._records: dict[int, mcap.Channel] = {}
-        self._checked: set[tuple[type, int]] = set()
-        self._channels: dict[int, Channel] = {}
-
-    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool) -> None:
-        """Take a definition; one that had a checksum wins over one that had none."""
-        key = (type(record), record.id)
-        if key in self._checked and not is_checked:
-            return
-        if is_checked:
-            self._checked.add(key)
-        if isinstance(record, mcap.Schema):
-            self._schemas[record.id] = record
-        else:
-            self._records[record.id] = record
-        self._channels.clear()
-
-    def get(self, number: int) -> Channel | None:
-        """
-        Return a channel, or None if there is none.
-
-        Raises
-        ------
-        BagError
-            If it is not one of ROS 2.
-
-        """
-        channel = self._channels.get(number)
-        if channel is None and number in self._records:
-            channel = self._make(self._records[number])
-            if channel is not None:
-                self._channels[number] = channel
-        return channel
-
-    def all(self) -> dict[int, Channel]:
-        """Return all channels."""
-        found = {number: self.get(number) for number in self._records}
-        return {number: channel for number, channel in found.items() if channel is not None}
-
-    def _make(self, record: mcap.Channel) -> Channel | None:
-        if record.message_encoding != 'cdr':
-            raise BagError(
-                f'{record.topic} has messages in {record.message_encoding!r}; those of ROS 2 '
-                "are in 'cdr'"
-            )
-        schema = self._schemas.get(record.schema_id)
-        if schema is None:
-            return None
-        quality = record.metadata.get('offered_qos_profiles', '')
-        try:
-            profiles = qualities.from_yaml(quality)
-        except ValueError:
-            profiles = ()  # others write what they like
-        channel = Channel(
-            topic=record.topic,
-            type=schema.name,
-            schema=schema.data.decode(errors='replace'),
-            type_hash=record.metadata.get('topic_type_hash', ''),
-            qos=profiles,
-            schema_encoding=schema.encoding,
-        )
-        return self._known.setdefault(tuple(vars(channel).values()), channel)
-
-
-class _Block(NamedTuple):
-    """Messages that stand together in a file, and between which log times they are. [ns]"""
-
-    offset: int
-    end: int
-    first: int
-    last: int
-    channels: frozenset[int]  # whose messages these may be; empty if that is not known
-    kind: str = 'chunk'  # or 'cut', a chunk whose end is missing, or 'bare', in no chunk
-
-
-@dataclass
-class _Index:
-    """What is where in a file."""
-
-    file: File
-    channels: _Channels
-    blocks: list[_Block] = field(default_factory=list)
-    metadata: list[int] = field(default_factory=list)
-    attachments: list[int] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
-    gaps: list[Gap] = field(default_factory=list)
+        _schema(channel, number).write(self._builder)
+        _record(channel, number, number).write(self._builder)
 
 
 class BagReader:
@@ -827,24 +664,25 @@ class BagReader:
     Parameters
     ----------
     path : path_like
-        A folder with `metadata.yaml`, or with MCAP files; or a single `.mcap` or `.mcap.zstd`.
+        A folder with `metadata.yaml`, or with MCAP files; or a single file, `.mcap` or
+        `.mcap.zstd`.
     by_scan : bool
-        Whether to look at every record, and trust no index.
+        Whether to look at all that is in the files first, instead of believing their indexes.
 
     Attributes
     ----------
     path : Path
         As given.
+    files : list of McapFile
+        In the order in which they were written.
     channels : tuple of Channel
-        Topics, in the order in which files have them; one object each, in all files.
+        The topics; one object each, in all files.
     counts : dict of Channel to int
-        How many messages they have.
+        How many messages there are.
     start_time, end_time : int
         Log times of the first and the last message; 0 if there is none. [ns]
     distribution : str
-        Of ROS, if the bag says so.
-    gaps : list of Gap
-        What could not be read, as far as is known by now.
+        Of ROS; empty if the bag does not say.
 
     Raises
     ------
@@ -855,23 +693,32 @@ class BagReader:
 
     def __init__(self, path: str | Path, *, by_scan: bool = False) -> None:
         self.path = Path(path)
-        self.distribution = ''
-        self.gaps: list[Gap] = []
-        self._messages_are_compressed = False
-        self._indexes: list[_Index] = []
-        known: dict[tuple[Any, ...], Channel] = {}
-        with contextlib.ExitStack() as stack:
-            for name in self._files():
-                file = _open(name, by_scan=by_scan)
-                stack.callback(file.close)
-                index = None if by_scan else _read_summary(file, _Channels(known))
-                self._indexes.append(index or _scan(file, _Channels(known)))
-            self.counts = self._count()
-            self._stack = stack.pop_all()
+        self.files: list[McapFile] = []
+        self._gaps: list[Gap] = []
+        self._unpacked = 0  # [bytes]
+        information = self._read_information() if self.path.is_dir() else {}
+        self.distribution = str(information.get('ros_distro') or '')
+        mode = str(information.get('compression_mode') or '').lower()
+        known: Known = {}
+        try:
+            for file in self._paths(information):
+                self.files.append(
+                    McapFile(
+                        file, known, by_scan=by_scan, has_compressed_messages=mode == 'message'
+                    )
+                )
+        except BagError:
+            self.close()
+            raise
+        self.counts: dict[Channel, int] = {}
+        for channel, count in itertools.chain(*(file.counts.items() for file in self.files)):
+            self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
-        blocks = [block for index in self._indexes for block in index.blocks]
+        blocks = [block for file in self.files for block in file.blocks]
         self.start_time = min((block.first for block in blocks), default=0)
         self.end_time = max((block.last for block in blocks), default=0)
+        if self.gaps and is_being_written(self.path):
+            self._gaps.append(Gap(self.path, 0, 0, 'the bag is being written'))
 
     def __enter__(self) -> BagReader:
         return self
@@ -881,7 +728,8 @@ class BagReader:
 
     def close(self) -> None:
         """Close the files."""
-        self._stack.close()
+        for file in self.files:
+            file.close()
 
     @property
     def message_count(self) -> int:
@@ -889,36 +737,36 @@ class BagReader:
         return sum(self.counts.values())
 
     @property
+    def gaps(self) -> list[Gap]:
+        """What could not be read, as far as is known by now."""
+        return self._gaps + [gap for file in self.files for gap in file.gaps]
+
+    @property
     def damage(self) -> str:
-        """What is wrong with the bag, as far as is known by now; empty if nothing is."""
-        more = f', and {len(self.gaps) - 1} more' if len(self.gaps) > 1 else ''
-        return f'{self.gaps[0]}{more}' if self.gaps else ''
+        """What is wrong with the bag, in short, as far as is known by now; empty if nothing is."""
+        gaps = self.gaps
+        more = f'; and {len(gaps) - 1} more' if len(gaps) > 1 else ''
+        return f'{gaps[0]}{more}' if gaps else ''
 
     @property
     def metadata(self) -> list[Metadata]:
-        """Named texts, as they follow each other; what a next file repeats is left out."""
+        """Named texts as they follow each other, without those that a next file repeats."""
+        found: list[Metadata] = []
         last: dict[str, Metadata] = {}
-        found = []
-        for index in self._indexes:
-            for offset in index.metadata:
-                record = self._parsed(index, offset)
-                if isinstance(record, Metadata) and record.name != _ROSBAG2:
-                    if last.get(record.name) != record:
-                        found.append(record)
-                    last[record.name] = record
+        for record in itertools.chain(*(file.metadata() for file in self.files)):
+            if record.name != _ROSBAG2 and last.get(record.name) != record:
+                last[record.name] = record
+                found.append(record)
         return found
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yield files that were written into the bag; what a next file repeats is left out."""
+        """Yield files that were written into the bag, without those that a next one repeats."""
         seen = set()
-        for index in self._indexes:
-            for offset in index.attachments:
-                record = self._parsed(index, offset)
-                if isinstance(record, Attachment):
-                    key = (record.name, len(record.data), zlib.crc32(record.data))
-                    if key not in seen:
-                        yield record
-                    seen.add(key)
+        for record in itertools.chain(*(file.attachments() for file in self.files)):
+            key = (record.name, len(record.data), zlib.crc32(record.data))
+            if key not in seen:
+                seen.add(key)
+                yield record
 
     def messages(
         self,
@@ -931,7 +779,7 @@ class BagReader:
 
         Parameters
         ----------
-        topics : collection of str, optional
+        topics : str or collection of str, optional
             Of these only.
         start, end : int, optional
             From `start` on, and before `end`. [ns]
@@ -939,206 +787,87 @@ class BagReader:
         Raises
         ------
         BagError
-            If the order of the files is so far from that of the times that sorting would take
-            too much memory.
+            If messages are so far from the order of time that sorting them would take too much
+            memory.
 
         """
-        wanted = _Wanted(
-            {topics} if isinstance(topics, str) else topics,
-            0 if start is None else start,
-            _NEVER if end is None else end,
+        selection = Selection(
+            topics={topics} if isinstance(topics, str) else topics,
+            start=0 if start is None else start,
+            end=LATEST + 1 if end is None else end,
         )
-        streams = []
-        for index in self._indexes:
-            channels = wanted.channels(index)
-            for block in index.blocks:
-                if wanted.may_be_in(block, channels):
-                    streams.append(self._in_order(len(streams), index, block, channels, wanted))
+        blocks = [(file, block) for file in self.files for block in file.select(selection)]
+        streams = [
+            self._sorted(number, file, block, selection)
+            for number, (file, block) in enumerate(blocks)
+        ]
         for *_, message in heapq.merge(*streams):
             if message is not None:
                 yield message
 
-    def messages_as_written(self) -> Iterator[Message]:
-        """Yield all messages as the files have them."""
-        wanted = _Wanted(None, 0, _NEVER)
-        for index in self._indexes:
-            channels = wanted.channels(index)
-            for block in index.blocks:
-                data = self._data(index, block)
-                for position in self._positions(index, block, data, channels, wanted)[1]:
-                    yield self._message(data, position, channels)
-
-    def _in_order(
-        self,
-        number: int,
-        index: _Index,
-        block: _Block,
-        channels: dict[int, Channel],
-        wanted: _Wanted,
+    def _sorted(
+        self, number: int, file: McapFile, block: Block, selection: Selection
     ) -> Iterator[tuple[int, int, int, Message | None]]:
-        """Yield when a block begins, and, if there is a next one, its messages by time."""
+        """Yield a sign that a block is due, and, if there is a next one, its messages."""
         yield block.first, number, -1, None
-        data = self._data(index, block)
-        wanted.take(len(data), self.path)
-        times, positions = self._positions(index, block, data, channels, wanted)
-        order: Iterable[int] = range(len(times))
-        if any(map(operator.gt, times, itertools.islice(times, 1, None))):
-            order = np.argsort(np.frombuffer(times, np.uint64), kind='stable').tolist()
-        for place in order:
-            message = self._message(data, positions[place], channels)
-            yield times[place], number, place, message
-        wanted.give_back(len(data))
-
-    def _positions(
-        self,
-        index: _Index,
-        block: _Block,
-        data: bytes,
-        channels: dict[int, Channel],
-        wanted: _Wanted,
-    ) -> tuple[array[int], array[int]]:
-        """Find the messages that are wanted; return their log times, and where they begin."""
-        times, positions = array('Q'), array('Q')
+        data = file.unpack(block)
+        if self._unpacked + len(data) > LIMIT and self._unpacked:
+            raise BagError(
+                f'{self.path}: its messages are too far from the order of time, there is more '
+                f'than {LIMIT} bytes of them at once to sort; sort it before, as by `mcap sort`'
+            )
+        self._unpacked += len(data)
         try:
-            for opcode, position, end in split(data):
-                if opcode == Opcode.MESSAGE and end - position >= MESSAGE.size:
-                    _, _, number, _, log_time, _ = MESSAGE.unpack_from(data, position)
-                    if number in channels and wanted.start <= log_time < wanted.end:
-                        times.append(log_time)
-                        positions.append(position)
-        except DamageError as error:
-            if block.kind != 'cut':
-                self._note(index, block, error)
-        return times, positions
+            messages = file.messages(block, data, selection, by_time=True)
+            for place, message in enumerate(messages):
+                yield message.log_time, number, place, message
+        finally:
+            self._unpacked -= len(data)
 
-    def _message(self, data: bytes, position: int, channels: dict[int, Channel]) -> Message:
-        _, length, number, sequence, log_time, publish_time = MESSAGE.unpack_from(data, position)
-        body = data[position + MESSAGE.size : position + HEAD.size + length]
-        if self._messages_are_compressed:
-            try:
-                body = decompress('zstd', body, zstandard.frame_content_size(body))
-            except (DamageError, zstandard.ZstdError) as error:
-                raise BagError(f'{self.path}: a message cannot be unpacked, {error}') from None
-        return Message(channels[number], body, log_time, publish_time, sequence)
-
-    def _data(self, index: _Index, block: _Block) -> bytes:
-        """Return the records of a block as one piece; nothing if they are damaged."""
-        if block.kind == 'bare':
-            return index.file.read(block.offset, block.end - block.offset)
-        if block.kind == 'cut':
-            begin = block.offset + HEAD.size
-            return unpack_start(index.file.read(begin, min(block.end - begin, LIMIT)))
-        record = self._parsed(index, block.offset)
-        try:
-            return unpack(record) if isinstance(record, mcap.Chunk) else b''
-        except DamageError as error:
-            self._note(index, block, error)
-            return b''
-
-    def _parsed(self, index: _Index, offset: int) -> mcap.McapRecord | None:
-        try:
-            found = index.file.record(offset)
-            return parse(found.opcode, found.body)
-        except DamageError as error:
-            self._note(index, _Block(offset, offset, 0, 0, frozenset()), error)
-            return None
-
-    def _note(self, index: _Index, block: _Block, error: DamageError) -> None:
-        """Remember what is damaged, once."""
-        gap = Gap(index.file.path, block.offset, block.end - block.offset, str(error))
-        if gap not in self.gaps:
-            self.gaps.append(gap)
-
-    def _count(self) -> dict[Channel, int]:
-        counts: dict[Channel, int] = {}
-        for index in self._indexes:
-            self.gaps += index.gaps
-            channels = index.channels.all()
-            for channel in channels.values():
-                counts.setdefault(channel, 0)
-            for number, count in index.counts.items():
-                if number in channels:
-                    counts[channels[number]] += count
-                else:
-                    reason = f'{count} messages of a channel that nothing defines ({number})'
-                    self.gaps.append(Gap(index.file.path, 0, 0, reason))
-        return counts
-
-    def _files(self) -> list[Path]:
-        """List the files of the bag, and note what `metadata.yaml` says."""
-        if not self.path.is_dir():
-            return [self.path]
-        information = self._information()
-        self.distribution = str(information.get('ros_distro') or '')
-        storage = information.get('storage_identifier', 'mcap')
-        if storage != 'mcap':
-            raise BagError(f'{self.path}: {_not_mcap(str(storage))}')
-        self._messages_are_compressed = (
-            str(information.get('compression_mode')).lower() == 'message'
-        )
-        names = information.get('relative_file_paths')
-        names = names if isinstance(names, list) else []
-        listed = [self.path / Path(str(name)).name for name in names]
-        missing = [path for path in listed if not path.is_file()]
-        self.gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
-        if listed and not missing:
-            return listed
-        found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
-        if not found:
-            others = ''.join(path.suffix for path in self.path.glob('*.db3'))
-            raise BagError(f'{self.path}: {_not_mcap("sqlite3") if others else _NO_BAG}')
-        return sorted(found, key=_by_number)
-
-    def _information(self) -> dict[str, Any]:
-        path = self.path / 'metadata.yaml'
+    def _read_information(self) -> dict[str, Any]:
+        """Read `metadata.yaml`; what is not there is left to the files."""
+        path = self.path / _METADATA
         try:
             with path.open('rb') as file:
                 text = file.read(_LONGEST_METADATA)
             information = yaml.load(text, Loader=_Loader)[_INFORMATION]
-            if not isinstance(information, dict):
-                raise TypeError
         except FileNotFoundError:
-            self.gaps.append(Gap(path, 0, 0, 'the file is missing'))
-        except (OSError, yaml.YAMLError, TypeError, KeyError, ValueError, RecursionError):
-            self.gaps.append(Gap(path, 0, 0, 'the file cannot be read'))
+            self._gaps.append(Gap(path, 0, 0, 'the file is missing'))
+        except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
+            self._gaps.append(Gap(path, 0, 0, 'the file cannot be read'))
         else:
-            return information
+            if isinstance(information, dict):
+                return information
+            self._gaps.append(Gap(path, 0, 0, 'the file does not describe a bag'))
         return {}
 
+    def _paths(self, information: Mapping[str, Any]) -> list[Path]:
+        """List the files of the bag."""
+        if not self.path.is_dir():
+            return [self.path]
+        storage = str(information.get('storage_identifier', 'mcap'))
+        if storage != 'mcap':
+            raise BagError(f'{self.path} {no_mcap(storage)}')
+        names = information.get('relative_file_paths')
+        listed = [self.path / Path(str(name)).name for name in names or ()]
+        missing = [path for path in listed if not path.is_file()]
+        if listed and not missing:
+            return listed
+        self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
+        found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
+        if found:
+            return sorted(found, key=_by_number)
+        other = next(self.path.glob('*.db3'), None)
+        reason = 'is no bag, there is no MCAP file in it' if other is None else no_mcap('sqlite3')
+        raise BagError(f'{self.path} {reason}')
 
-class _Wanted:
-    """Which messages are read, and how much may be unpacked at once."""
 
-    def __init__(self, topics: Collection[str] | None, start: int, end: int) -> None:
-        self._topics = topics
-        self.start = start
-        self.end = end
-        self._taken = 0
-
-    def channels(self, index: _Index) -> dict[int, Channel]:
-        return {
-            number: channel
-            for number, channel in index.channels.all().items()
-            if self._topics is None or channel.topic in self._topics
-        }
-
-    def may_be_in(self, block: _Block, channels: Collection[int]) -> bool:
-        return (
-            block.first < self.end
-            and block.last >= self.start
-            and not (block.channels and block.channels.isdisjoint(channels))
-        )
-
-    def take(self, size: int, path: Path) -> None:
-        self._taken += size
-        if self._taken > size and self._taken > LIMIT:
-            raise BagError(
-                f'{path}: more than {LIMIT} bytes of chunks have the same log times, too many to '
-                'sort; order the bag first (`mcap sort`)'
-            )
-
-    def give_back(self, size: int) -> None:
-        self._taken -= size
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """Sort `bag_2` before `bag_10`."""
+    return [
+        (int(part), '') if part.isdecimal() else (0, part)
+        for part in re.split(r'(\d+)', path.name, flags=re.ASCII)
+    ]
 
 
 def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message | Metadata]:
@@ -1159,42 +888,44 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
         whole record, for whoever writes it may be killed.
 
     """
-    channels = _Channels({})
+    channels = Channels({})
     try:
         if _read_exactly(stream, len(MAGIC)) != MAGIC:
             raise DamageError('it does not begin as MCAP does')
         while head := _read_exactly(stream, HEAD.size):
+            if len(head) < HEAD.size:
+                raise DamageError('it ends within a record')
             opcode, length = HEAD.unpack(head)
-            if length > LIMIT:
-                raise DamageError(f'a record of {length} bytes, more than the {LIMIT} allowed')
+            check_length(opcode, length)
             body = _read_exactly(stream, length)
             if len(body) < length:
                 raise DamageError('it ends within a record')
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            if opcode == Opcode.FOOTER:
                 return
-            yield from _items(opcode, body, channels)
-    except DamageError as error:
+            yield from _items(parse(opcode, body), channels)
+    except ValueError as error:
         raise BagError(f'{name}: {error}') from None
 
 
-def _items(
-    opcode: int, body: bytes, channels: _Channels, *, is_inner: bool = False
-) -> Iterator[Message | Metadata]:
-    """Yield what is in a record of a stream."""
-    if opcode == Opcode.MESSAGE:
-        record = parse(opcode, body)
-        channel = channels.get(record.channel_id)
-        if channel is None:
-            raise DamageError(f'a message of a channel that nothing defines ({record.channel_id})')
-        yield Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        channels.add(parse(opcode, body), is_checked=False)
-    elif opcode == Opcode.METADATA:
-        yield parse(opcode, body)
-    elif opcode == Opcode.CHUNK and not is_inner:
-        data = unpack(parse(opcode, body))
-        for inner, begin, end in split(data):
-            yield from _items(inner, data[begin + HEAD.size : end], channels, is_inner=True)
+def _items(record: mcap.McapRecord | None, channels: Channels) -> Iterator[Message | Metadata]:
+    """Yield what is in a record."""
+    match record:
+        case mcap.Message():
+            channel = channels.get(record.channel_id)
+            if channel is None:
+                raise DamageError(f'nothing defines channel {record.channel_id} of a message')
+            yield Message(
+                channel, record.data, record.log_time, record.publish_time, record.sequence
+            )
+        case mcap.Schema() | mcap.Channel():
+            channels.add(record)
+        case Metadata():
+            yield record
+        case mcap.Chunk():
+            data = unpack(record)
+            for opcode, begin, end in split(data):
+                if opcode != Opcode.CHUNK:
+                    yield from _items(parse(opcode, data[begin + HEAD.size : end]), channels)
 
 
 def _read_exactly(stream: BinaryIO, size: int) -> bytes:
@@ -1204,197 +935,3 @@ def _read_exactly(stream: BinaryIO, size: int) -> bytes:
         pieces.append(piece)
         size -= len(piece)
     return pieces[0] if len(pieces) == 1 else b''.join(pieces)
-
-
-def _open(path: Path, *, by_scan: bool) -> File:
-    """Open an MCAP file, a compressed one too, or say what is wrong with it."""
-    try:
-        if not path.exists():
-            raise BagError(f'{path}: no such file or folder')
-        if not path.is_file():
-            raise BagError(f'{path}: is no file')
-        stream: BinaryIO = path.open('rb')
-        begin = stream.read(16)
-        if begin.startswith(_ZSTD):
-            stream.seek(0)
-            stream = _decompressed(stream)
-            begin = stream.read(16)
-        reason = _reason_against(begin)
-        if reason and (not by_scan or reason != _NO_MCAP):
-            stream.close()
-            raise BagError(f'{path}: {reason}')
-        return File(path, stream)
-    except (OSError, zstandard.ZstdError) as error:
-        raise BagError(f'{path}: {getattr(error, "strerror", None) or error}') from None
-
-
-def _decompressed(stream: BinaryIO) -> BinaryIO:
-    """Return a file with what another is compressed from."""
-    target = tempfile.TemporaryFile()  # noqa: SIM115
-    with zstandard.ZstdDecompressor().stream_reader(
-        stream, read_across_frames=True, closefd=True
-    ) as reader:
-        while piece := reader.read(2**20):
-            if not target.tell() and not piece.startswith(MAGIC):
-                break
-            target.write(piece)
-    target.seek(0)
-    return target
-
-
-def _reason_against(begin: bytes) -> str:
-    """Say why a file that begins so is no MCAP file; nothing if it is one."""
-    if begin.startswith(MAGIC):
-        return ''
-    if not begin:
-        return 'is empty; a recorder that was killed leaves at least a few bytes'
-    if begin.startswith(b'SQLite format 3'):
-        return _not_mcap('sqlite3')
-    if begin.startswith(b'#ROSBAG'):
-        return _not_mcap('ROS 1')
-    return _NO_MCAP
-
-
-def _not_mcap(storage: str) -> str:
-    return (
-        f'is a bag in {storage}, not in MCAP; rosbags can convert it: rosbags-convert --src BAG '
-        '--dst NEW_BAG --dst-storage mcap'
-    )
-
-
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    """Sort `a_2` before `a_10`."""
-    return [(int(text), '') if text.isdigit() else (0, text) for text in _NUMBER.split(path.name)]
-
-
-def _read_summary(file: File, channels: _Channels) -> _Index | None:
-    """Read the index at the end of a file; None if it is not there, or not complete."""
-    index = _Index(file, channels)
-    statistics, chunks, summary_start = None, [], 0
-    try:
-        footer = file.record(file.size - _FOOTER_SIZE)
-        record = parse(footer.opcode, footer.body)
-        if isinstance(record, mcap.Footer):
-            summary_start = record.summary_start
-        size = footer.offset - summary_start
-        if not summary_start or not 0 < size <= LIMIT:
-            return None
-        data = file.read(summary_start, file.size - len(MAGIC) - summary_start)
-        if record.summary_crc and record.summary_crc != zlib.crc32(data[:-4]):
-            return None
-        for opcode, begin, end in split(data[:size]):
-            record = parse(opcode, data[begin + HEAD.size : end])
-            if isinstance(record, mcap.Schema | mcap.Channel):
-                channels.add(record, is_checked=True)
-            elif isinstance(record, mcap.ChunkIndex):
-                chunks.append(record)
-            elif isinstance(record, mcap.MetadataIndex):
-                index.metadata.append(record.offset)
-            elif isinstance(record, mcap.AttachmentIndex):
-                index.attachments.append(record.offset)
-            elif isinstance(record, mcap.Statistics):
-                statistics = record
-    except DamageError:
-        return None
-    index.blocks = [
-        _Block(
-            chunk.chunk_start_offset,
-            chunk.chunk_start_offset + chunk.chunk_length,
-            chunk.message_start_time,
-            chunk.message_end_time,
-            frozenset(chunk.message_index_offsets),
-        )
-        for chunk in sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)
-    ]
-    if (
-        statistics is None
-        or (statistics.message_count and not chunks)
-        or statistics.chunk_count != len(chunks)
-        or statistics.metadata_count != len(index.metadata)
-        or statistics.attachment_count != len(index.attachments)
-        or not channels.all().keys() >= statistics.channel_message_counts.keys()
-    ):
-        return None
-    index.counts = statistics.channel_message_counts
-    return index
-
-
-def _scan(file: File, channels: _Channels) -> _Index:
-    """Make an index by looking at every record of a file."""
-    index = _Index(file, channels)
-    for item in scan(file):
-        if isinstance(item, Found):
-            _add(index, item)
-            continue
-        index.gaps.append(item)
-        if item.offset + item.size == file.size and file.read(item.offset, 1) == _CHUNK:
-            begin = item.offset + HEAD.size
-            data = unpack_start(file.read(begin, min(item.size, LIMIT)))
-            _add_block(index, data, item.offset, file.size, kind='cut')
-    return index
-
-
-def _add(index: _Index, found: Found) -> None:
-    """Add a record to an index."""
-    try:
-        if found.opcode == Opcode.CHUNK:
-            chunk = parse(found.opcode, found.body)
-            data = unpack(chunk)
-            checked = bool(chunk.uncompressed_crc)
-            _add_block(index, data, found.offset, found.end, kind='chunk', is_checked=checked)
-        elif found.opcode == Opcode.MESSAGE:
-            _add_bare_message(index, found)
-        elif found.opcode == Opcode.METADATA:
-            index.metadata.append(found.offset)
-        elif found.opcode == Opcode.ATTACHMENT:
-            index.attachments.append(found.offset)
-        elif found.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            index.channels.add(parse(found.opcode, found.body), is_checked=False)
-    except DamageError as error:
-        size = found.end - found.offset
-        index.gaps.append(Gap(index.file.path, found.offset, size, str(error)))
-
-
-def _add_bare_message(index: _Index, found: Found) -> None:
-    """Add a message that is in no chunk, to those right before it if there are some."""
-    message = parse(found.opcode, found.body)
-    index.counts[message.channel_id] = index.counts.get(message.channel_id, 0) + 1
-    time, number = message.log_time, message.channel_id
-    block = _Block(found.offset, found.end, time, time, frozenset([number]), 'bare')
-    if index.blocks:
-        last = index.blocks[-1]
-        if last.kind == 'bare' and last.end == found.offset < last.offset + CHUNK_SIZE:
-            block = _Block(
-                last.offset,
-                found.end,
-                min(last.first, time),
-                max(last.last, time),
-                last.channels | {number},
-                'bare',
-            )
-            index.blocks.pop()
-    index.blocks.append(block)
-
-
-def _add_block(
-    index: _Index, data: bytes, offset: int, end: int, *, kind: str, is_checked: bool = False
-) -> None:
-    """Add the messages of a chunk to an index."""
-    counts: Counter[int] = Counter()
-    first, last = _NEVER, 0
-    try:
-        for opcode, begin, stop in split(data):
-            if opcode == Opcode.MESSAGE and stop - begin >= MESSAGE.size:
-                _, _, number, _, log_time, _ = MESSAGE.unpack_from(data, begin)
-                counts[number] += 1
-                first, last = min(first, log_time), max(last, log_time)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                record = parse(opcode, data[begin + HEAD.size : stop])
-                index.channels.add(record, is_checked=is_checked)
-    except DamageError as error:
-        if kind != 'cut':
-            index.gaps.append(Gap(index.file.path, offset, end - offset, str(error)))
-    if counts:
-        index.blocks.append(_Block(offset, end, first, last, frozenset(counts), kind))
-        for number, count in counts.items():
-            index.counts[number] = index.counts.get(number, 0) + count

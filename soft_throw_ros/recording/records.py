@@ -2,13 +2,14 @@
 """
 The records of an MCAP file that may be cut off, damaged or hostile.
 
-The records themselves are those of the library `mcap`. Its readers trust every length that a file
-claims, so what finds records, and unpacks chunks, is here, and checks each of them.
+The records themselves are those of the library `mcap`. Its readers believe every length that a
+file claims; so what finds records, and unpacks chunks, is here, and checks each of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from io import BytesIO
 import os
 from pathlib import Path
@@ -17,7 +18,7 @@ import struct
 from typing import BinaryIO, NamedTuple
 import zlib
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]  # it has no types
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
@@ -42,14 +43,17 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC as MAGIC
 import zstandard
 
-LIMIT = 512 * 2**20
-"""Of a record, and of what a chunk unpacks to; more is taken for damage. [bytes]"""
+LIMIT = 256 * 2**20
+"""Of a message, attachment or chunk, unpacked too; more is taken for damage. [bytes]"""
+
+_SMALL_LIMIT = 16 * 2**20
+"""Of all other records. [bytes]"""
 
 HEAD = struct.Struct('<BQ')
-"""What every record begins with: its opcode, and the length of what follows."""
+"""What a record begins with: its opcode, and the length of what follows."""
 
-MESSAGE = struct.Struct('<BQHIQQ')
-"""What a message record begins with: head, channel, sequence, log time, publish time."""
+MESSAGE_HEAD = struct.Struct('<BQHIQQ')
+"""What a message begins with: the same, and channel, sequence, log time and publish time."""
 
 _TYPES: dict[int, type[McapRecord]] = {
     Opcode.ATTACHMENT: Attachment,
@@ -69,20 +73,38 @@ _TYPES: dict[int, type[McapRecord]] = {
     Opcode.SUMMARY_OFFSET: SummaryOffset,
 }
 
+_LARGE = (Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.CHUNK)
+
+_INDEX_HEAD = struct.Struct('<HI')
+
 _PRIVATE = 0x80
 """From this opcode on, records are of whoever wrote them, and skipped."""
 
-_HEAD_PATTERN = re.compile(rb'(?=[\x03-\x06\x09\x0c\x0f].{4}\x00{4})', re.DOTALL)
-"""How a record begins that is worth looking for: one that is not only an index of others."""
+_HEADS = re.compile(
+    b'(?=[%s].{4}\0{4})'
+    % bytes(
+        [
+            Opcode.SCHEMA,
+            Opcode.CHANNEL,
+            Opcode.MESSAGE,
+            Opcode.CHUNK,
+            Opcode.ATTACHMENT,
+            Opcode.METADATA,
+            Opcode.DATA_END,
+        ]
+    ),
+    re.DOTALL,
+)
+"""How records begin with which reading can go on after damage."""
 
-_WINDOW = 2**20
-"""How much is searched at once. [bytes]"""
+_CHUNK = bytes([Opcode.CHUNK])
 
-_FOOTER_LENGTH = 20
+_PIECE = 2**20
+"""How much is searched or unpacked at once. [bytes]"""
 
 
 class DamageError(ValueError):
-    """Bytes are not the record that they should be; the message says why."""
+    """Bytes are not what they should be; the message says why."""
 
 
 class Gap(NamedTuple):
@@ -97,6 +119,8 @@ class Gap(NamedTuple):
         Where it begins, and how long it is. [bytes]
     reason : str
         What is wrong with it.
+    messages : int
+        How many messages were in it, as far as is known.
 
     """
 
@@ -104,9 +128,12 @@ class Gap(NamedTuple):
     offset: int
     size: int
     reason: str
+    messages: int = 0
 
     def __str__(self) -> str:
-        return f'{self.path}: {self.size} bytes at {self.offset}: {self.reason}'
+        place = f'{self.size} bytes at {self.offset}: ' if self.size else ''
+        count = f' ({self.messages} messages)' if self.messages else ''
+        return f'{self.path}: {place}{self.reason}{count}'
 
 
 class Found(NamedTuple):
@@ -115,19 +142,19 @@ class Found(NamedTuple):
 
     Parameters
     ----------
-    opcode : int
-        Its kind.
+    record : McapRecord or None
+        None if it is private to whoever wrote it.
     offset, end : int
-        Where it begins, and where the next one may. [bytes]
-    body : bytes
-        What follows its head.
+        Where it begins, and where the next one does. [bytes]
+    is_sure : bool
+        Whether its contents confirm where it ends.
 
     """
 
-    opcode: int
+    record: McapRecord | None
     offset: int
     end: int
-    body: bytes
+    is_sure: bool
 
 
 class File:
@@ -137,9 +164,9 @@ class File:
     Parameters
     ----------
     path : Path
-        What it is called in messages.
+        What it is called.
     stream : binary file
-        Open for reading; belongs to this object from now on.
+        Open for reading; from now on it belongs to this object.
 
     """
 
@@ -148,14 +175,18 @@ class File:
         self.size = os.fstat(stream.fileno()).st_size
         self._stream = stream
 
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
     def read(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from `offset` on, or as many as there are."""
-        data = os.pread(self._stream.fileno(), min(size, max(self.size - offset, 0)), offset)
-        while 0 < len(data) < size and (
-            more := os.pread(self._stream.fileno(), size - len(data), offset + len(data))
-        ):
-            data += more
-        return data
+        end = min(offset + size, self.size)
+        pieces = []
+        while offset < end and (piece := os.pread(self._stream.fileno(), end - offset, offset)):
+            pieces.append(piece)
+            offset += len(piece)
+        return pieces[0] if len(pieces) == 1 else b''.join(pieces)
 
     def head(self, offset: int) -> tuple[int, int]:
         """
@@ -171,7 +202,7 @@ class File:
         if len(head) < HEAD.size:
             raise DamageError('the file ends within a record')
         opcode, length = HEAD.unpack(head)
-        if opcode not in _TYPES and opcode < _PRIVATE:
+        if not _is_opcode(opcode):
             raise DamageError(f'no record begins with {opcode:#04x}')
         end = offset + HEAD.size + length
         if end > self.size:
@@ -181,14 +212,32 @@ class File:
     def record(self, offset: int) -> Found:
         """Return the record at `offset`, or raise DamageError."""
         opcode, end = self.head(offset)
+        if opcode >= _PRIVATE:
+            return Found(None, offset, end, is_sure=False)
         begin = offset + HEAD.size
-        if end - begin > LIMIT:
-            raise DamageError(f'a record of {end - begin} bytes, more than the {LIMIT} allowed')
-        return Found(opcode, offset, end, self.read(begin, end - begin))
+        if opcode == Opcode.MESSAGE_INDEX:
+            size = IndexSize.of(self.read(begin, _INDEX_HEAD.size), end - begin)
+            return Found(size, offset, end, is_sure=True)
+        check_length(opcode, end - begin)
+        record, is_sure = _parse(opcode, self.read(begin, end - begin))
+        return Found(record, offset, end, is_sure)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+
+@dataclass
+class IndexSize(McapRecord):
+    """How many messages of a channel are in the chunk before; a MessageIndex says where too."""
+
+    channel_id: int
+    count: int
+
+    @classmethod
+    def of(cls, body: bytes, length: int) -> IndexSize:
+        """Make it from the beginning of a MessageIndex, or raise DamageError."""
+        if len(body) == _INDEX_HEAD.size:
+            channel_id, size = _INDEX_HEAD.unpack(body)
+            if size == length - len(body):
+                return cls(channel_id, size // 16)
+        raise DamageError('the index there says two different lengths')
 
 
 class _ExactStream(ReadDataStream):
@@ -201,36 +250,55 @@ class _ExactStream(ReadDataStream):
         return data
 
 
-def parse(opcode: int, body: bytes) -> McapRecord:
+def check_length(opcode: int, length: int) -> None:
+    """Raise DamageError if a record claims to be longer than it can be."""
+    limit = LIMIT if opcode in _LARGE else _SMALL_LIMIT
+    if length > limit:
+        raise DamageError(f'a record claims to have {length} bytes, more than {limit}')
+
+
+def parse(opcode: int, body: bytes) -> McapRecord | None:
     """
-    Make a record from its bytes.
+    Make a record of what follows its head; None if it is private to whoever wrote it.
 
     Raises
     ------
     DamageError
-        If they are none.
+        If it is none.
 
     """
+    if not _is_opcode(opcode):
+        raise DamageError(f'no record begins with {opcode:#04x}')
+    return _parse(opcode, body)[0] if opcode < _PRIVATE else None
+
+
+def _is_opcode(opcode: int) -> bool:
+    return opcode in _TYPES or opcode >= _PRIVATE
+
+
+def _parse(opcode: int, body: bytes) -> tuple[McapRecord, bool]:
+    """Make a record, and tell whether its length agrees with what is in it."""
     kind = _TYPES[opcode]
     stream = _ExactStream(BytesIO(body))
     try:
         if kind is Message:
-            return Message.read(stream, len(body))
+            return Message.read(stream, len(body)), False
         record: McapRecord = kind.read(stream)  # type: ignore[attr-defined]
-    except (EndOfFile, UnicodeDecodeError):
-        raise DamageError(f'a {kind.__name__} record is damaged') from None
-    if kind is Chunk and stream.count != len(body):
-        raise DamageError('a Chunk record has two different lengths')
+    except (EndOfFile, OverflowError, UnicodeDecodeError):
+        raise DamageError(f'the {kind.__name__} record there is damaged') from None
+    is_sure = stream.count == len(body)
+    if kind is Chunk and not is_sure:
+        raise DamageError('the chunk there says two different lengths')
     if kind is Attachment:
         (checksum,) = struct.unpack_from('<I', body, len(body) - 4)
         if checksum and checksum != zlib.crc32(body[:-4]):
-            raise DamageError('the checksum of an attachment is wrong')
-    return record
+            raise DamageError('the checksum of the attachment there is wrong')
+    return record, is_sure
 
 
 def unpack(chunk: Chunk) -> bytes:
     """
-    Return the records of a chunk, as one piece.
+    Return the records of a chunk, one after another.
 
     Raises
     ------
@@ -238,85 +306,92 @@ def unpack(chunk: Chunk) -> bytes:
         If they are not what was packed, as far as length and checksum tell.
 
     """
-    size = chunk.uncompressed_size
-    if size > LIMIT:
-        raise DamageError(f'a chunk of {size} bytes, more than the {LIMIT} that are read')
-    try:
-        data = decompress(chunk.compression, chunk.data, size)
-    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-        raise DamageError(f'a chunk cannot be unpacked: {error}') from None
-    if len(data) != size:
-        raise DamageError(f'a chunk of {size} bytes unpacks to {len(data)}')
+    data = decompress(chunk.compression, chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise DamageError('the checksum of a chunk is wrong')
+        raise DamageError('the checksum of the chunk there is wrong')
     return data
 
 
+def decompress(compression: str, data: bytes, size: int) -> bytes:
+    """
+    Decompress `size` bytes.
+
+    Raises
+    ------
+    DamageError
+        If that is not what `data` give, or more than `LIMIT`.
+
+    """
+    check_length(Opcode.CHUNK, size)
+    try:
+        match compression:
+            case '':
+                unpacked = data
+            case 'zstd':
+                # What the frame claims to hold would be believed
+                unpacked = b''
+                if zstandard.frame_content_size(data) in (-1, size):
+                    unpacked = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+            case 'lz4':
+                decompressor = lz4.frame.LZ4FrameDecompressor()
+                unpacked = decompressor.decompress(data, max_length=size + 1)
+            case _:
+                raise DamageError(f'compressed by {compression!r}, which is not zstd or lz4')
+    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+        raise DamageError(f'cannot be decompressed: {error}') from None
+    if len(unpacked) != size:
+        raise DamageError(f'what is compressed there are not {size} bytes')
+    return unpacked
+
+
 def unpack_start(body: bytes) -> bytes:
-    """Return what can be had of the chunk whose record is cut off, without a checksum."""
+    """Return what can be had of a chunk whose record is cut off, without a checksum."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        return b''.join(_pieces(chunk))
-    except (EndOfFile, struct.error, ValueError, zstandard.ZstdError, RuntimeError):
+    except (EndOfFile, OverflowError, struct.error, UnicodeDecodeError):
         return b''
+    match chunk.compression:
+        case '':
+            return bytes(chunk.data)
+        case 'zstd':
+            reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+            return _join(lambda: reader.read(_PIECE))
+        case 'lz4':
+            decompressor = lz4.frame.LZ4FrameDecompressor()
+            rest = iter([chunk.data])
+            return _join(lambda: decompressor.decompress(next(rest, b''), max_length=_PIECE))
+    return b''
 
 
-def decompress(compression: str, data: bytes, size: int) -> bytes:
-    """Decompress to `size` bytes, or to some others, but never to more than one beyond."""
-    if compression == '':
-        return data
-    if compression == 'zstd':
-        # What the frame claims would be believed
-        claimed = zstandard.frame_content_size(data)
-        if claimed not in (-1, size):
-            raise DamageError(f'a chunk of {size} bytes claims to unpack to {claimed}')
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-    if compression == 'lz4':
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
-    raise DamageError(f'a chunk is compressed by {compression!r}, not by zstd or lz4')
-
-
-def _pieces(chunk: Chunk) -> Iterator[bytes]:
-    """Decompress piece by piece, up to where the data end."""
-    if chunk.compression == '':
-        yield chunk.data
-    elif chunk.compression == 'zstd':
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-            yield from _up_to_limit(lambda: reader.read(_WINDOW))
-    elif chunk.compression == 'lz4':
-        decompressor = lz4.frame.LZ4FrameDecompressor()
-        data = iter([chunk.data])
-        yield from _up_to_limit(
-            lambda: decompressor.decompress(next(data, b''), max_length=_WINDOW)
-        )
-
-
-def _up_to_limit(read: Callable[[], bytes]) -> Iterator[bytes]:
-    for _ in range(LIMIT // _WINDOW):
+def _join(read: Callable[[], bytes]) -> bytes:
+    """Read as much as can be had, up to `LIMIT`."""
+    pieces = []
+    for _ in range(LIMIT // _PIECE):
         try:
             piece = read()
         except (zstandard.ZstdError, RuntimeError, EOFError):
-            return
+            break
         if not piece:
-            return
-        yield piece
+            break
+        pieces.append(piece)
+    return b''.join(pieces)
 
 
 def split(data: bytes) -> Iterator[tuple[int, int, int]]:
     """
-    Find the records in the data of a chunk.
+    Find the records that stand one after another.
 
     Yields
     ------
     opcode : int
-        The kind of the record.
+        The kind of a record.
     offset, end : int
         Where it begins in `data`, and where the next one does.
 
     Raises
     ------
     DamageError
-        At the end, if the last one is cut off.
+        In the end, if the last one is cut off.
 
     """
     offset, size = 0, len(data)
@@ -328,37 +403,39 @@ def split(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, offset, end
         offset = end
     if offset != size:
-        raise DamageError('a record in a chunk is cut off')
+        raise DamageError('records end within one')
 
 
 def scan(file: File) -> Iterator[Found | Gap]:
     """
     Find the records of a file one by one, up to its footer, and go on after what is damaged.
 
+    Chunks are not looked into, unless one is needed to go on with.
+
     Yields
     ------
     Found
-        A record; the bodies of chunks are not looked into.
+        A record.
     Gap
-        Something that is none.
+        What is none. If there is no footer, one of these comes last.
 
     """
     scanner = _Scanner(file)
     offset = len(MAGIC) if file.read(0, len(MAGIC)) == MAGIC else 0
-    found: Found | None = None
+    is_whole = True
     while offset < file.size:
         try:
             found = scanner.record(offset)
         except DamageError as error:
             end = scanner.next_record(offset)
             yield Gap(file.path, offset, end - offset, str(error))
-            offset, found = end, None
+            offset, is_whole = end, False
             continue
         yield found
-        offset = found.end
-        if found.opcode == Opcode.FOOTER:
+        if isinstance(found.record, Footer):
             return
-    if found is not None:
+        offset, is_whole = found.end, True
+    if is_whole:
         yield Gap(file.path, file.size, 0, 'the file has no end')
 
 
@@ -370,49 +447,46 @@ class _Scanner:
         self._has_chunks = False
 
     def record(self, offset: int) -> Found:
-        """Return the record at `offset`, or raise DamageError."""
+        """Return the record at `offset`, where one should be, or raise DamageError."""
+        self._has_chunks |= self._file.read(offset, 1) == _CHUNK
         found = self._file.record(offset)
-        self._has_chunks |= found.opcode == Opcode.CHUNK
-        if found.opcode in _TYPES:
-            parse(found.opcode, found.body)
-        if found.opcode == Opcode.CHUNK:
-            return found  # what is in it has a checksum
-        if not self._may_begin(found.end):
-            raise DamageError(f'no record follows one of {len(found.body)} bytes')
+        if not found.is_sure and not self._may_begin(found.end):
+            raise DamageError('a record there is damaged, or the next one')
         return found
 
     def next_record(self, offset: int) -> int:
-        """Return where the next record begins after a damaged one, or the end of the file."""
+        """Return where a record begins after the damaged one at `offset`, or the file ends."""
         try:
             _, end = self._file.head(offset)
             self.record(end)
         except DamageError:
-            pass
-        else:
-            return end
-        begin = offset + 1
-        while begin < self._file.size:
-            window = self._file.read(begin, _WINDOW + HEAD.size)
-            for match in _HEAD_PATTERN.finditer(window):
-                if self._is_sure(begin + match.start()):
-                    return begin + match.start()
-            begin += _WINDOW
+            return self._search(offset + 1)
+        return end
+
+    def _search(self, offset: int) -> int:
+        while offset < self._file.size:
+            piece = self._file.read(offset, _PIECE + HEAD.size)
+            for match in _HEADS.finditer(piece):
+                if self._is_record(offset + match.start()):
+                    return offset + match.start()
+            offset += _PIECE
         return self._file.size
 
-    def _is_sure(self, offset: int) -> bool:
+    def _is_record(self, offset: int) -> bool:
+        """Tell whether a record begins there, for certain."""
         try:
             opcode, end = self._file.head(offset)
             if not self._may_begin(end):
                 return False
             if opcode == Opcode.MESSAGE:
-                # In a file with chunks it is within one that is damaged
-                return not self._has_chunks and end - offset >= MESSAGE.size
-            record = parse(opcode, self._file.record(offset).body)
-            if isinstance(record, Chunk):
-                unpack(record)
+                # In a file with chunks it stands in one that is damaged
+                return not self._has_chunks and end - offset >= MESSAGE_HEAD.size
+            found = self._file.record(offset)
+            if isinstance(found.record, Chunk):
+                unpack(found.record)
         except DamageError:
             return False
-        return True
+        return found.is_sure
 
     def _may_begin(self, offset: int) -> bool:
         """Tell whether a record may begin there, or the file ends."""
@@ -420,4 +494,4 @@ class _Scanner:
         if len(head) < HEAD.size:
             return True
         opcode, length = HEAD.unpack(head)
-        return (opcode in _TYPES or opcode >= _PRIVATE) and length < 2**48 or head == MAGIC
+        return _is_opcode(opcode) and length <= LIMIT
