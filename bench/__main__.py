@@ -3,7 +3,8 @@
 Compare with other ways to get the same numbers, in Markdown tables.
 
 Trust the ratios: all that stands in one table ran in turns on one machine. Errors are measured,
-too. It takes a few minutes; PART is one or more of throw, landscape, second and twin.
+too. It takes a few minutes; PART is one or more of throw, landscape, second, twin and
+recorder.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ PARTS = {
     'landscape': 'bench.landscape',
     'second': 'bench.one_second',
     'twin': 'bench.twin_node',
+    'recorder': 'bench.recorder_node',
 }
+OF_ROS = ('twin', 'recorder')
 
 
 def main() -> None:
@@ -38,8 +41,8 @@ def main() -> None:
     print(_machine())
     for name in chosen:
         before = os.getloadavg()[0]
-        if name == 'twin' and importlib.util.find_spec('rclpy') is None:
-            lines = ['The twin against an rclpy timer: left out, rclpy is not installed.']
+        if name in OF_ROS and importlib.util.find_spec('rclpy') is None:
+            lines = [f'{name}: left out, rclpy is not installed.']
         else:
             lines = importlib.import_module(PARTS[name]).rows()
         print('', *lines, '', sep='\n')
