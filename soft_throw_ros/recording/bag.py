@@ -29,7 +29,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
-from soft_throw_ros.recording import qos
+from soft_throw_ros.recording import qos, yaml_text
 from soft_throw_ros.recording.mcap_file import (
     Block,
     Channels,
@@ -52,7 +52,6 @@ from soft_throw_ros.recording.records import (
     split,
     unpack,
 )
-import yaml
 
 CHUNK_SIZE = 256 * 2**10
 """How much is compressed at once, unless a single message is larger. [bytes]"""
@@ -71,11 +70,9 @@ _PROFILE = 'ros2'
 _METADATA = 'metadata.yaml'
 _INFORMATION = 'rosbag2_bagfile_information'  # its only key
 _VERSION = 9  # its version, that of ROS 2 Jazzy and later
-_LONGEST_METADATA = 16 * 2**20  # [bytes]
 _ROSBAG2 = 'rosbag2'  # the MCAP metadata that say the same
 _SUFFIXES = ('.mcap', '.mcap.zstd')
 _NEVER = LATEST + 1
-_Loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 
 class BagWriter:
@@ -467,7 +464,7 @@ class BagWriter:
             'custom_data': {},
             'ros_distro': self._distribution,
         }
-        return yaml.safe_dump(information, sort_keys=False)
+        return yaml_text.dump(information)
 
     def _write_information(self) -> None:
         """Replace `metadata.yaml` at once."""
@@ -828,13 +825,12 @@ class BagReader:
         """Read `metadata.yaml`; what is not there is left to the files."""
         path = self.path / _METADATA
         try:
-            with path.open('rb') as file:
-                text = file.read(_LONGEST_METADATA)
-            information = yaml.load(text, Loader=_Loader)[_INFORMATION]
+            with path.open(encoding='utf-8') as file:
+                information = yaml_text.load(file.read(yaml_text.LONGEST + 1))[_INFORMATION]
         except FileNotFoundError:
             self._gaps.append(Gap(path, 0, 0, 'the file is missing'))
-        except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
-            self._gaps.append(Gap(path, 0, 0, 'the file cannot be read'))
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            self._gaps.append(Gap(path, 0, 0, f'the file cannot be read, {error}'))
         else:
             if isinstance(information, dict):
                 return information

@@ -261,9 +261,8 @@ class McapFile:
             return self._file.read(block.offset, block.end - block.offset)
         if block.kind == 'cut':
             return self._unpack_start(block.offset)
-        record = self._record(block.offset)
         try:
-            return unpack(record) if isinstance(record, mcap.Chunk) else b''
+            return self._unpack_chunk(block.offset)
         except DamageError as error:
             self._note(block.offset, block.end, error)
             return b''
@@ -306,6 +305,11 @@ class McapFile:
                     self._note(block.offset, block.end, error)
                     continue
             yield Message(numbers[number], body, log_time, publish_time, sequence)
+
+    def messages_as_written(self) -> Iterator[Message]:
+        """Yield all messages in the order in which they stand in the file."""
+        for block in self.blocks:
+            yield from self.messages(block, self.unpack(block), Selection(), by_time=False)
 
     def _begin(self) -> None:
         """Know nothing."""
@@ -494,6 +498,12 @@ class McapFile:
                     'bare',
                 )
         self.blocks.append(block)
+
+    def _unpack_chunk(self, offset: int) -> bytes:
+        record = self._file.record(offset).record
+        if not isinstance(record, mcap.Chunk):
+            raise DamageError('no chunk is where the index says one')
+        return unpack(record)
 
     def _unpack_start(self, offset: int) -> bytes:
         return unpack_start(self._file.read(offset + HEAD.size, LIMIT))

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+import functools
 from typing import Any
 
-import yaml
+from soft_throw_ros.recording import yaml_text
 
 INFINITE = 2**63 - 1
 """A time that is never over. [ns]"""
@@ -88,7 +89,7 @@ class Qos:
 def to_yaml(profiles: Iterable[Qos]) -> str:
     """Write profiles as the text that the channel of an MCAP file has."""
     written = [profile.to_dict() for profile in profiles]
-    return yaml.safe_dump(written, sort_keys=False).strip() if written else ''
+    return yaml_text.dump(written).strip() if written else ''
 
 
 def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, ...]:
@@ -113,14 +114,30 @@ def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, 
 
     """
     try:
-        items = yaml.safe_load(profiles) if isinstance(profiles, str) else profiles
-        return tuple(_profile(item) for item in items or ())
-    except (yaml.YAMLError, RecursionError, TypeError, AttributeError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise ValueError(f'no profiles of quality of service, {reason}: {profiles!r}') from None
+        if isinstance(profiles, str):
+            return _from_text(profiles)
+        return _from_items(profiles)
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
+        raise ValueError(
+            f'no profiles of quality of service, {error}: {profiles!r:.200}'
+        ) from None
+
+
+@functools.lru_cache(maxsize=1000)
+def _from_text(text: str) -> tuple[Qos, ...]:
+    """Read a text, which every file of a bag, and many channels, have alike."""
+    return _from_items(yaml_text.load(text))
+
+
+def _from_items(items: Any) -> tuple[Qos, ...]:
+    if not isinstance(items or [], list):
+        raise ValueError('no list')
+    return tuple(_profile(item) for item in items or ())
 
 
 def _profile(item: Mapping[str, Any]) -> Qos:
+    if not isinstance(item, Mapping):
+        raise ValueError(f'{item!r} is no mapping')
     values = {field.name: item[field.name] for field in fields(Qos) if field.name in item}
     for name, value in values.items():
         if name in _CHOICES:

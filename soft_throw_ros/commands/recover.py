@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Repair a bag that a crash has cut off, or a disk has damaged, by writing what is left anew."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.recording.recovery import recover, Report
+
+_SHOWN = 10  # places that are named one by one
+
+
+def main(args: list[str] | None = None) -> int:
+    """
+    Run the command.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Its arguments; those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 if all was recovered, 1 if something was not.
+
+    Raises
+    ------
+    SystemExit
+        With exit code 2 if nothing was, after a line that says why.
+
+    """
+    parser = argparse.ArgumentParser(
+        description='Repair a bag that a crash has cut off, or a disk has damaged: write what is '
+        'left into a new bag. The old one is not changed.',
+        epilog='Exit code: 0 if all was recovered, 1 if something was not, 2 if nothing was.',
+        allow_abbrev=False,
+    )
+    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one file of it')
+    parser.add_argument(
+        '--to', metavar='OUT', help='the new bag (default: beside the old one, BAG_recovered)'
+    )
+    given = parser.parse_args(args)
+    source = Path(given.bag)
+    try:
+        report = recover(source, given.to or _beside(source))
+    except BagError as error:
+        parser.error(str(error))
+    print(text(report), end='')
+    return 1 if report.skipped else 0
+
+
+def _beside(source: Path) -> Path:
+    """Name the new bag after the old one, or after a file of it."""
+    path = source.resolve()
+    name = path.name if path.is_dir() else path.name.partition('.')[0]
+    return path.with_name(f'{name}_recovered')
+
+
+def text(report: Report) -> str:
+    """Write a report for people to read."""
+    width = max(map(len, report.saved))
+    lines = [f'{report.target}: {report.message_count} messages recovered']
+    lines += [f'  {topic:{width}} {count:12}' for topic, count in report.saved.items()]
+    skipped = report.skipped
+    if skipped:
+        size = sum(gap.size for gap in skipped)
+        places = '1 place' if len(skipped) == 1 else f'{len(skipped)} places'
+        lines.append(f'{size} bytes skipped, in {places}:')
+        lines += [f'  {gap}' for gap in skipped[:_SHOWN]]
+        if len(skipped) > _SHOWN:
+            lines.append(f'  and {len(skipped) - _SHOWN} more')
+    return '\n'.join(lines) + '\n'

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make a whole bag of what can be read of one that is cut off or damaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+import shutil
+
+from soft_throw_ros.recording.bag import BagReader, BagWriter, is_being_written
+from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.recording.records import Gap
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """
+    What was recovered.
+
+    Parameters
+    ----------
+    target : Path
+        The new bag.
+    saved : dict of str to int
+        How many messages are in it, by topic.
+    gaps : tuple of Gap
+        What of the old bag is not.
+
+    """
+
+    target: Path
+    saved: dict[str, int]
+    gaps: tuple[Gap, ...]
+
+    @property
+    def message_count(self) -> int:
+        """How many messages were saved."""
+        return sum(self.saved.values())
+
+    @property
+    def skipped(self) -> tuple[Gap, ...]:
+        """The gaps that something was in, not only an end that is missing."""
+        return tuple(gap for gap in self.gaps if gap.size or gap.messages)
+
+
+def recover(source: str | Path, target: str | Path) -> Report:
+    """
+    Write what can be read of a bag into a new one, which every reader opens.
+
+    Every record is looked at, and taken if it is whole: a chunk by its checksum, if it has one.
+    The messages keep their order, times and numbers; metadata and attachments come first.
+
+    Parameters
+    ----------
+    source : path_like
+        A bag, whatever state it is in; it is not changed.
+    target : path_like
+        The new bag. It must not exist.
+
+    Raises
+    ------
+    BagError
+        If nothing can be recovered, the bag is being written, or the new one cannot be; then
+        there is no new one.
+
+    """
+    source, target = Path(source), Path(target)
+    if is_being_written(source):
+        raise BagError(f'{source} is being written; stop the recorder before')
+    if target.resolve().is_relative_to(source.resolve()):
+        raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
+    with BagReader(source, by_scan=True) as reader:
+        if not reader.message_count:
+            raise BagError(f'{reader.damage or source}; there is no message to recover')
+        writer = BagWriter(target, distribution=reader.distribution)
+        try:
+            with writer:
+                _copy(reader, writer)
+        except BaseException:
+            shutil.rmtree(target, ignore_errors=True)
+            raise
+        saved: dict[str, int] = {}
+        for channel, count in writer.counts.items():
+            saved[channel.topic] = saved.get(channel.topic, 0) + count
+        return Report(target=target, saved=saved, gaps=tuple(reader.gaps))
+
+
+def _copy(reader: BagReader, writer: BagWriter) -> None:
+    for channel in reader.channels:
+        writer.add_channel(channel)
+    for metadata in reader.metadata:
+        writer.add_metadata(metadata.name, metadata.metadata)
+    for attachment in reader.attachments():
+        writer.attach(
+            attachment.name, attachment.data, attachment.media_type, time=attachment.log_time
+        )
+    for file in reader.files:
+        writer.split()
+        for message in file.messages_as_written():
+            writer.write(message)

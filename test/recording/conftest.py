@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags to test with."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import get_typestore, Stores
+from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording.schemas import find_schema
+
+PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
+_ONES = np.ones(2)
+BEGIN = 1_700_000_000_000_000_000
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def make_channel(topic: str, type_name: str, **qos: Any) -> Channel:
+    schema = find_schema(type_name, PREFIXES)
+    return Channel(
+        topic=topic,
+        type=type_name,
+        schema=schema.text,
+        type_hash=schema.type_hash,
+        qos=(Qos(**qos),),
+    )
+
+
+class Recording:
+    """A bag, and the messages that were written into it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.messages: list[Message] = []
+        self.states = make_channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
+        self.texts = make_channel(
+            '/twin/journal', 'std_msgs/msg/String', durability='transient_local'
+        )
+
+    @property
+    def files(self) -> list[Path]:
+        return sorted(self.folder.glob('*.mcap'))
+
+    def state(self, number: int) -> Message:
+        """Make the state at a time of so many milliseconds."""
+        time = BEGIN + number * 1_000_000
+        types = TYPES.types
+        stamp = types['builtin_interfaces/msg/Time'](time // 10**9, time % 10**9)
+        values = TYPES.types['sensor_msgs/msg/JointState'](
+            types['std_msgs/msg/Header'](stamp, 'rig'),
+            ['plate', 'projectile'],
+            *(number * array for array in (_ONES, 2.0 * _ONES, -_ONES)),
+        )
+        data = bytes(TYPES.serialize_cdr(values, 'sensor_msgs/msg/JointState'))
+        return Message(self.states, data, time + 50_000, time, number)
+
+    def text(self, number: int, content: str) -> Message:
+        time = BEGIN + number * 1_000_000
+        values = TYPES.types['std_msgs/msg/String'](content)
+        data = bytes(TYPES.serialize_cdr(values, 'std_msgs/msg/String'))
+        return Message(self.texts, data, time + 60_000, time + 10_000, number)
+
+    def make(self, count: int) -> list[Message]:
+        """Make a state every millisecond, and a text every hundred of them."""
+        for number in range(count):
+            self.messages.append(self.state(number))
+            if number % 100 == 0:
+                self.messages.append(self.text(number, f'step {number} äöü'))
+        return self.messages
+
+    def write(self, count: int = 3000, *, flush_every: int = 1000, **options: Any) -> Recording:
+        """Write such messages into the bag, and close it."""
+        with BagWriter(self.folder, distribution='jazzy', **options) as writer:
+            writer.add_metadata('parameters of /twin', {'gravity': '9.81', 'model': 'exact'})
+            writer.attach('twin.yaml', b'twin:\n', 'application/yaml', time=BEGIN)
+            for number, message in enumerate(self.make(count)):
+                writer.write(message)
+                if number % flush_every == flush_every - 1:
+                    writer.flush()
+        return self
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    """Give a bag that is not written yet."""
+    return Recording(tmp_path / 'bag')
+
+
+def content(messages: Any) -> list[tuple[Any, ...]]:
+    """Describe messages by all that a bag keeps of them."""
+    return [(message.channel.topic, *message[1:]) for message in messages]

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service, as other programs write and read it."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+from rosbags.interfaces import (
+    Qos as RosbagsQos,
+)
+from rosbags.interfaces import (
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2.metadata import dump_qos_v8, dump_qos_v9, parse_qos
+from soft_throw_ros.recording.qos import from_yaml, INFINITE, Qos, to_yaml
+
+TIMES = st.one_of(st.just(INFINITE), st.integers(0, INFINITE))
+
+
+@st.composite
+def profiles(draw):
+    """Draw a profile, and the same one as rosbags describes it."""
+    policies = {
+        'history': draw(st.sampled_from(QosHistory)),
+        'reliability': draw(st.sampled_from(QosReliability)),
+        'durability': draw(st.sampled_from(QosDurability)),
+        'liveliness': draw(st.sampled_from(QosLiveliness)),
+    }
+    times = {name: draw(TIMES) for name in ('deadline', 'lifespan', 'liveliness_lease_duration')}
+    others = {
+        'depth': draw(st.integers(0, 2**31)),
+        'avoid_ros_namespace_conventions': draw(st.booleans()),
+    }
+    ours = Qos(
+        **{name: policy.name.lower() for name, policy in policies.items()}, **times, **others
+    )
+    theirs = RosbagsQos(
+        **policies,
+        **{name: QosTime(*divmod(time, 10**9)) for name, time in times.items()},
+        **others,
+    )
+    return ours, theirs
+
+
+@given(st.lists(profiles(), max_size=3))
+def test_profiles_are_written_so_that_others_read_them(pairs):
+    text = to_yaml(ours for ours, _ in pairs)
+    assert parse_qos(text) == [theirs for _, theirs in pairs]
+    assert [ours.to_dict() for ours, _ in pairs] == dump_qos_v9([theirs for _, theirs in pairs])
+
+
+@given(st.lists(profiles(), max_size=3))
+def test_profiles_of_every_version_are_read(pairs):
+    ours = tuple(ours for ours, _ in pairs)
+    theirs = [theirs for _, theirs in pairs]
+    assert from_yaml(to_yaml(ours)) == ours
+    assert from_yaml(dump_qos_v9(theirs)) == ours
+    assert from_yaml(dump_qos_v8(theirs)) == ours
+
+
+def test_profile_of_rosbag2_itself_is_read():
+    # As it is in a bag that ROS 2 Humble has recorded
+    text = """\
+- history: 3
+  depth: 0
+  reliability: 1
+  durability: 2
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false"""
+    assert from_yaml(text) == (Qos(history='unknown', depth=0),)
+
+
+def test_what_a_profile_does_not_say_is_the_default():
+    assert from_yaml('[{depth: 3}]') == (Qos(depth=3),)
+
+
+@pytest.mark.parametrize('nothing', ['', '[]', None, [], '~'])
+def test_no_profiles_are_none(nothing):
+    assert from_yaml(nothing) == ()
+    assert to_yaml(from_yaml(nothing)) == ''
+
+
+def test_policy_of_the_future_is_unknown():
+    read = from_yaml('[{history: keep_best, durability: 17, reliability: -1, depth: 1}]')
+    assert read == (Qos(history='unknown', durability='unknown', reliability='unknown', depth=1),)
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['{', 'depth', '[3]', '7', '[{depth: many}]', '[{deadline: {sec: 1}}]', '[' * 5000, '[[1]]'],
+)
+def test_what_is_no_profile_is_refused_and_quoted(text):
+    with pytest.raises(ValueError, match='no profiles of quality of service, ') as refusal:
+        from_yaml(text)
+    assert repr(text)[:50] in str(refusal.value)
+
+
+def test_policy_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match=r"durability must be one of .*volatile.* got 'latched'"):
+        Qos(durability='latched')
