@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
-from soft_throw_ros.core import method_of_steps, spring_mass, stepper
+from soft_throw_ros.core import method_of_steps, spring_mass, stepper, stepping
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
@@ -279,7 +279,7 @@ def _by_stepper(rig: Rig) -> Prediction:
     plate_speed = Underdamped.of(rig.engine).peak_velocity
     model.reset()
     model.advance_to(first.time)
-    rise = model.state[stepper.PROJECTILE_POSITION] - rig.layer.thickness + rig.static_sag
+    rise = model.state[stepping.PROJECTILE_POSITION] - rig.layer.thickness + rig.static_sag
     projectile_energy = rig.projectile.mass * (0.5 * first.velocity**2 + rig.gravity * rise)
     prediction = {
         **_first(rig, first.time, first.velocity, plate_speed),
@@ -292,7 +292,7 @@ def _by_stepper(rig: Rig) -> Prediction:
         'projectile_energy': float(projectile_energy),
     }
     model.advance_to(ejections[-1].time)
-    height = float(model.state[stepper.PROJECTILE_POSITION])
+    height = float(model.state[stepping.PROJECTILE_POSITION])
     return {**prediction, **_last(rig, ejections, height, plate_speed)}
 
 
@@ -328,7 +328,7 @@ def _first(rig: Rig, time: float, speed: float, plate_speed: float) -> dict[str,
 
 def _last(
     rig: Rig,
-    ejections: Sequence[method_of_steps.Event | stepper.Event],
+    ejections: Sequence[method_of_steps.Event | stepping.Event],
     height: float,
     plate_speed: float,
 ) -> dict[str, float]:
@@ -345,9 +345,9 @@ def _last(
     return description
 
 
-def _follow(model: stepper.Stepper) -> list[stepper.Event]:
+def _follow(model: stepper.Stepper) -> list[stepping.Event]:
     """Step until the projectile falls back on the layer, and return the releases before."""
-    ejections: list[stepper.Event] = []
+    ejections: list[stepping.Event] = []
     for time in np.linspace(0.0, _LONGEST, 101)[1:]:
         model.advance_to(time)
         before_fall = list(

@@ -47,38 +47,48 @@ References
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import numba as nb
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import PlateMotion, Sampled, Underdamped
+from numpy.typing import NDArray
+from soft_throw_ros.core.moving_plate import (
+    DAMPED,
+    end_of_motion,
+    piece_at,
+    PLATE,
+    plate_at,
+    speed_of_piece,
+    take_samples,
+    write_motion,
+)
+from soft_throw_ros.core.plate import PlateMotion, Sampled
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepping import (
+    BACKWARDS,
+    BEYOND_HORIZON,
+    checked_count,
+    MAX_EVENTS,
+    Peaks,
+    PLATE_FORCE,
+    PLATE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    ThrowStepper,
+    TIME,
+    TOO_FAR,
+    TOO_MANY_EVENTS,
+)
 
 Floats = NDArray[np.float64]
-
-(
-    TIME,
-    PLATE_POSITION,
-    PROJECTILE_POSITION,
-    PLATE_VELOCITY,
-    PROJECTILE_VELOCITY,
-    PLATE_FORCE,
-    PROJECTILE_FORCE,
-) = range(7)
-"""Where things stand in `Stepper.state`."""
 
 MAX_STEPS = 8192
 """Most steps per crossing of the wave."""
 
 MAX_STEP_RATE = 2e7
 """Most steps per second of rig time, of which a processor takes 4e8 in a second. [1/s]"""
-
-MAX_EVENTS = 4096
-"""Most releases and landings of one throw."""
-
-FEED_SEGMENTS = 4096
-"""Most measured samples by which `Stepper.feed` can be ahead of `Stepper.advance_to`."""
 
 _MIN_STEPS = 64
 _STEPS_PER_PERIOD = 160.0
@@ -93,12 +103,8 @@ _NOISE = 1e-12  # of the plate's speed, which is no pull
 _EVENTS_PER_STEP = 8  # a mass that chatters faster stays as it is until the next step
 _FRONT_LIFE = 0.3  # in tau / h reflections by the mass, after which a front is noise
 
-_DAMPED, _PIECES = 0, 1  # kinds of plate motion
 _CELL, _OFFSET, _AGE, _SIZE, _NEXT = 0, 1, 2, 3, 7  # columns of fronts, the last two fourfold
 _FRONT_COLUMNS = 11
-_PIECE_ROWS = 7  # start, and six coefficients of the height
-
-_BACKWARDS, _BEYOND_HORIZON, _TOO_MANY_EVENTS, _TOO_FAR = -1, -2, -3, -4
 
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -124,23 +130,10 @@ _CORE = np.dtype(
         ('impedance', 'f8'),
         ('mass', 'f8'),
         ('rest_height', 'f8'),  # of the projectile's lower face [m]
-        ('kind', 'i8'),  # of plate motion
-        ('amplitude', 'f8'),  # of the underdamped plate, ...
-        ('growth', 'f8'),
-        ('turn', 'f8'),
-        ('factor', 'f8'),
-        # where the plate has got to
+        # how the plate moves, and where it has got to
+        *PLATE,
         ('block', 'i8'),
         ('phasor', 'f8', (2,)),  # at the start of the block
-        ('piece', 'i8'),
-        ('pieces', 'i8'),
-        ('horizon', 'f8'),  # until when it is known
-        ('samples', 'i8'),
-        ('recent', 'f8', (2, 5)),  # times and values fed last
-        ('origin', 'f8'),  # of the positions fed
-        ('slope', 'f8'),  # at the start of the next piece
-        ('curvature', 'f8'),
-        ('height', 'f8'),  # of the plate, from the velocities fed
         # where the waves have got to
         ('time', 'f8'),
         ('cell', 'i8'),  # grid point
@@ -182,59 +175,6 @@ _CORE = np.dtype(
     ],
     align=True,
 )
-
-
-class HorizonError(ValueError):
-    """The plate is not known that far ahead (yet)."""
-
-
-class EventLimitError(RuntimeError):
-    """More than `MAX_EVENTS` releases and landings in one throw."""
-
-
-class FeedFullError(RuntimeError):
-    """Measured samples were fed further ahead than is kept."""
-
-
-class Event(NamedTuple):
-    """
-    The projectile left the layer, or came down on it.
-
-    Attributes
-    ----------
-    kind : {'release', 'landing'}
-        Which of the two.
-    time : float
-        Since the start. [s]
-    velocity : float
-        Of the projectile, which neither changes. [m/s]
-
-    """
-
-    kind: Literal['release', 'landing']
-    time: float
-    velocity: float
-
-
-class Peaks(NamedTuple):
-    """
-    Largest values so far.
-
-    Attributes
-    ----------
-    plate_strain, contact_strain : float
-        Magnitude of the strain at the plate, and at the top. [-]
-    acceleration : float
-        Of the projectile, upwards; downwards it is never more than gravity. [m/s2]
-    plate_force : float
-        Of the layer on the plate, as a magnitude. [N]
-
-    """
-
-    plate_strain: float
-    contact_strain: float
-    acceleration: float
-    plate_force: float
 
 
 def steps_per_crossing(rig: Rig) -> int:
@@ -844,15 +784,6 @@ def _run_in_flight(s, waves, count):
 
 
 @_jit
-def _piece_at(s, path, time):
-    """Find the piece of the plate's motion at `time` and go there; return its column."""
-    capacity = path.shape[1]
-    while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
-        s.piece += 1
-    return s.piece % capacity
-
-
-@_jit
 def _phasor_at(s, time):
     """Compute factor e^{lambda t} of the underdamped plate."""
     fading = s.growth * time
@@ -879,7 +810,7 @@ def _fill(s, waves, path, last):
         count = last - s.filled
         j = first - s.base
         N = s.steps
-        if s.kind == _DAMPED:
+        if s.kind == DAMPED:
             block = first // _BLOCK
             k = first - block * _BLOCK
             if block != s.block:
@@ -891,36 +822,9 @@ def _fill(s, waves, path, last):
         else:
             for n in range(count):
                 time = (first + n) * s.step
-                speed = _speed(path, _piece_at(s, path, time), time)
+                speed = speed_of_piece(path, piece_at(s, path, time), time)
                 waves[0, j + n] = speed - waves[1, j + n - N]
         s.filled += count
-
-
-@_jit
-def _speed(path, k, time):
-    """Compute the velocity of the plate from piece k."""
-    u = time - path[0, k]
-    return path[2, k] + u * (
-        2.0 * path[3, k] + u * (3.0 * path[4, k] + u * (4.0 * path[5, k] + u * 5.0 * path[6, k]))
-    )
-
-
-@_jit
-def _plate(s, path, time):
-    """Compute height and velocity of the plate."""
-    if s.kind == _DAMPED:
-        sine = math.sin(s.turn * time)
-        decayed = math.exp(s.growth * time)
-        # as in plate.Underdamped: 1 - cos as 2 sin^2
-        rise = 2.0 * math.sin(0.5 * s.turn * time) ** 2 * decayed - math.expm1(s.growth * time)
-        rise += s.growth / s.turn * decayed * sine
-        return s.amplitude * rise, s.factor * decayed * sine
-    k = _piece_at(s, path, time)
-    u = time - path[0, k]
-    height = path[1, k] + u * (
-        path[2, k] + u * (path[3, k] + u * (path[4, k] + u * (path[5, k] + u * path[6, k])))
-    )
-    return height, _speed(path, k, time)
 
 
 @_jit
@@ -959,27 +863,27 @@ def _advance(time, core, waves, path, fronts, events):
     """Advance to `time`; the number of events so far, or what is wrong."""
     grid = core[0]
     if not time >= core[1].time:
-        return _BACKWARDS
+        return BACKWARDS
     if time > grid.horizon:
-        return _BEYOND_HORIZON
+        return BEYOND_HORIZON
     step = grid.step
     if time >= 4e15 * step:
-        return _TOO_FAR
+        return TOO_FAR
     goal = int(time / step)
     while goal * step > time:
         goal -= 1
     while (goal + 1) * step <= time:
         goal += 1
     if grid.cell > goal or not _march(grid, waves, path, fronts, events, goal):
-        return _TOO_MANY_EVENTS
+        return TOO_MANY_EVENTS
     core[1] = core[0]
     s = core[1]
     s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
     if not _cross(s, waves, fronts, events, s.offset):
-        return _TOO_MANY_EVENTS
+        return TOO_MANY_EVENTS
     i = goal - s.base - s.steps
     m = _within(s, fronts, waves, 1, i, goal + s.steps, -1.0, s.offset)
-    height, speed = _plate(s, path, time)
+    height, speed = plate_at(s, path, time)
     s.time = time
     s.plus[0] = speed - m
     s.minus[0] = m
@@ -1087,82 +991,11 @@ def _stored_energy(core, waves, fronts):
 
 @_jit
 def _feed(core, path, fronts, times, values, of_positions):
-    """
-    Take in measured samples.
-
-    A quartic through five samples gives slope (and curvature) at the middle one. Positions are
-    joined by quintics with those, velocities by cubics.
-    """
+    """Take in measured samples of the plate."""
     s = core[0]
-    recent_times, recent = s.recent[0], s.recent[1]
-    for n in range(times.size):
-        if s.samples == 0:
-            s.origin = values[n] if of_positions else 0.0
-            s.horizon = times[n]
-        for k in range(4):
-            recent_times[k] = recent_times[k + 1]
-            recent[k] = recent[k + 1]
-        recent_times[4] = times[n]
-        recent[4] = values[n] - s.origin
-        s.samples += 1
-        if s.samples < 5:
-            continue
-        first = 2
-        if s.samples == 5:  # nothing is known before the first sample
-            first = 1
-            s.slope, s.curvature = _quartic_slopes(recent_times, recent, 0)
-        for k in range(first, 3):
-            slope, curvature = _quartic_slopes(recent_times, recent, k)
-            column = s.pieces % path.shape[1]
-            piece = path[:, column]
-            D = recent_times[k] - recent_times[k - 1]
-            left = recent[k - 1]
-            rise = recent[k] - left
-            piece[0] = recent_times[k - 1]
-            if of_positions:
-                v, w = s.slope * D, slope * D
-                q, r = s.curvature * D * D, curvature * D * D
-                piece[1] = left
-                piece[2] = s.slope
-                piece[3] = 0.5 * s.curvature
-                piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
-                piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
-                piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
-            else:
-                v, w = s.slope * D, slope * D
-                c = 3.0 * rise - 2.0 * v - w
-                e = v + w - 2.0 * rise
-                piece[1] = s.height
-                piece[2] = left
-                piece[3] = 0.5 * s.slope
-                piece[4] = c / (3.0 * D * D)
-                piece[5] = 0.25 * e / D**3
-                piece[6] = 0.0
-                s.height += D * (left + v * 0.5 + c * _RECIPROCAL[3] + 0.25 * e)
-            s.slope, s.curvature = slope, curvature
-            s.pieces += 1
-            s.horizon = recent_times[k]
-        if s.samples == 5:
-            _start_front(s, fronts, path, 1, 1.0)
+    if take_samples(s, path, times, values, of_positions):
+        _start_front(s, fronts, path, 1, 1.0)
     core[1].horizon = s.horizon
-
-
-@_jit
-def _quartic_slopes(x, y, at):
-    """First and second derivative at x[at] of the quartic through five points (Newton's form)."""
-    c = np.empty(5)
-    for k in range(5):
-        c[k] = y[k]
-    for order in range(1, 5):
-        for k in range(4, order - 1, -1):
-            c[k] = (c[k] - c[k - 1]) / (x[k] - x[k - order])
-    value, slope, curvature = c[4], 0.0, 0.0
-    for k in range(3, -1, -1):
-        u = x[at] - x[k]
-        curvature = curvature * u + 2.0 * slope
-        slope = slope * u + value
-        value = value * u + c[k]
-    return slope, curvature
 
 
 @_jit
@@ -1185,7 +1018,7 @@ def _start_front(s, fronts, path, k, sign):
     )
 
 
-class Stepper:
+class Stepper(ThrowStepper):
     """
     A throw in real time: state and field of the rig at any time, going forward.
 
@@ -1202,14 +1035,6 @@ class Stepper:
     field_points : int
         Heights at which `read_field` and `sample_field` give the layer, 2 or more.
 
-    Attributes
-    ----------
-    state : ndarray, shape (7,)
-        At exactly the time that was asked for last, and always the same array: `TIME` [s],
-        `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's
-        position at rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE`
-        and `PROJECTILE_FORCE` of the layer on each, up [N].
-
     Raises
     ------
     ValueError
@@ -1218,11 +1043,7 @@ class Stepper:
 
     Notes
     -----
-    What comes out at some time depends on that time alone, to the last bit: not on the times
-    that were asked for before, nor (given the samples) on how they were fed. See the module for
-    the scheme and its order.
-
-    Nothing is allocated after construction, except by `feed` and `events`.
+    See the module for the scheme and its order.
 
     Examples
     --------
@@ -1237,6 +1058,9 @@ class Stepper:
 
     """
 
+    _advance = staticmethod(_advance)
+    _sample = staticmethod(_sample_field)
+
     def __init__(
         self,
         rig: Rig,
@@ -1246,23 +1070,19 @@ class Stepper:
         field_points: int = 64,
     ) -> None:
         _check_lossless(rig)
-        self.rig = rig
+        super().__init__(rig, field_points)
         self.steps = (
             steps_per_crossing(rig)
             if steps is None
-            else _checked_count('steps', steps, low=16, high=MAX_STEPS)
+            else checked_count('steps', steps, low=16, high=MAX_STEPS)
         )
-        self.field_points = _checked_count('field_points', field_points, low=2, high=1 << 20)
         self._core = np.zeros(3, _CORE)
         self._waves = np.zeros((2, 4 * self.steps + _ROOM))
         self._fronts = np.zeros((_MAX_FRONTS, _FRONT_COLUMNS))
-        self._events = np.zeros((MAX_EVENTS, 3))
         self._path = self._prepare(motion)
         self._start_fronts = self._fronts.copy()
         self._memory = (self._core, self._waves, self._path, self._fronts, self._events)
-        self._scratch = np.zeros(self.field_points)
-        self._checked: tuple[Floats | None, Floats | None] = (None, None)
-        self.state: Floats = self._core['state'][1]
+        self.state = self._core['state'][1]
         self.state.flags.writeable = False
         self.reset()
 
@@ -1295,285 +1115,47 @@ class Stepper:
         start['contact'] = True
         # at rest the weight is all there is
         start['load'] = start['drop']
-        self._is_fed = False
-        self._fed = ''
-        self._last_fed = -math.inf
-        start['horizon'] = math.inf
-        if motion is None:
-            motion = Underdamped.of(rig.engine)
-        if isinstance(motion, Underdamped):
-            exponent = motion.exponent
-            start['kind'] = _DAMPED
-            start['amplitude'] = motion.amplitude
-            start['growth'] = exponent.real
-            start['turn'] = exponent.imag
-            start['factor'] = motion.velocity_factor
+        self._is_fed = motion == 'measured'
+        path = write_motion(start, motion, rig.engine)
+        if start['kind'] == DAMPED:
             start['kink'] = self.steps
+            exponent = complex(start['growth'], start['turn'])
             turns = np.exp(exponent * step * np.arange(_BLOCK))
             return np.array([turns.real, turns.imag])
-        start['kind'] = _PIECES
         start['kink'] = 1 << 62
-        start['pieces'] = 1  # at rest
         if isinstance(motion, Sampled):
-            return self._lay_out(motion)
-        if motion != 'measured':
-            raise ValueError(
-                "motion must be Underdamped, Sampled, 'measured' or None, "
-                f'got {motion!r}; Sampled.from_velocities takes any other'
-            )
-        self._is_fed = True
-        start['horizon'] = 0.0
-        return np.zeros((_PIECE_ROWS, FEED_SEGMENTS))
-
-    def _lay_out(self, motion: Sampled) -> Floats:
-        """Return the pieces of a sampled motion, a column each."""
-        start = self._core[2]
-        coefficients, knots = motion.path.c, motion.path.x
-        degree = coefficients.shape[0] - 1
-        if coefficients.ndim != 2 or degree > _PIECE_ROWS - 2:
-            raise ValueError(
-                f'a sampled motion must have pieces of degree {_PIECE_ROWS - 2} at most, '
-                f'got coefficients of shape {coefficients.shape}'
-            )
-        if motion.start_time < 0.0:
-            raise ValueError(
-                'a sampled motion must begin at time 0 or later, got a first sample at '
-                f'{motion.start_time:g} s'
-            )
-        count = knots.size - 1
-        path = np.zeros((_PIECE_ROWS, count + 2))
-        path[0, 1:] = knots
-        path[1 : degree + 2, 1:-1] = coefficients[::-1]
-        _start_front(start, self._fronts, path, 1, 1.0)
-        start['pieces'] = count + 1
-        if motion.after == 'error':
-            start['horizon'] = motion.end_time
-            return path
-        start['pieces'] = count + 2
-        path[1, -1] = motion.path(motion.end_time)
-        for order in range(1, 5):  # what stops there
-            derivative = motion.path.derivative(order)(motion.end_time)
-            path[1 + order, -1] = derivative / math.factorial(order)
-        _start_front(start, self._fronts, path, count + 1, -1.0)
-        path[2:, -1] = 0.0
+            _start_front(start, self._fronts, path, 1, 1.0)
+            if motion.after == 'hold':
+                ending = end_of_motion(motion)[:, None]
+                _start_front(start, self._fronts, ending, 0, -1.0)
         return path
 
-    def reset(self) -> None:
-        """Go back to time 0, everything at rest; samples fed are forgotten."""
+    def _put_to_rest(self) -> None:
         self._fronts[:] = self._start_fronts
-        self._fed = ''
-        self._last_fed = -math.inf
         _reset(self._core, self._waves)
-        _advance(0.0, *self._memory)
 
-    def advance_to(self, time: float) -> int:
+    def _take_samples(self, times: Floats, values: Floats, of_positions: bool) -> None:
+        _feed(self._core, self._path, self._fronts, times, values, of_positions)
+
+    def _read_field(self, strain: Floats, velocity: Floats) -> None:
         """
-        Go forward to `time`, however far, and bring `state` there.
+        Write strain and velocity.
 
-        Parameters
-        ----------
-        time : float
-            Since the start, not before the time of the last call. [s]
-
-        Returns
-        -------
-        int
-            Releases and landings so far.
-
-        Raises
-        ------
-        ValueError
-            If `time` is not finite or goes backwards.
-        HorizonError
-            If the plate is not known that far ahead; nothing has changed.
-        EventLimitError
-            If there were too many events on the way; only `reset` helps.
-
-        """
-        count = _advance(float(time), *self._memory)
-        if count < 0:
-            raise self._refusal(count, time)
-        return count  # type: ignore[no-any-return]
-
-    def _refusal(self, status: int, time: float) -> Exception:
-        """Say what is wrong."""
-        if status == _BEYOND_HORIZON:
-            return HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
-        if status == _TOO_MANY_EVENTS:
-            return EventLimitError(
-                f'more than {MAX_EVENTS} releases and landings before {time:g} s'
-            )
-        if status == _TOO_FAR or math.isnan(time):
-            return ValueError(f'time must be finite and within 4e15 steps, got {time:g} s')
-        return ValueError(
-            f'time must not go backwards, got {time!r} s after {float(self.state[TIME])!r} s'
-        )
-
-    def feed(
-        self,
-        times: ArrayLike,
-        *,
-        positions: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
-    ) -> None:
-        """
-        Take in samples of the plate, measured while it runs.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Increasing, from call to call too; the first not negative. [s]
-        positions, velocities : array_like, shape (n,)
-            One of them, the same in every call. Heights count from the first sample. [m], [m/s]
-
-        Raises
-        ------
-        ValueError
-            If the stepper was not made with the motion 'measured', or samples are not finite,
-            not increasing, or not of one kind. None is taken then.
-        FeedFullError
-            If they are more than `FEED_SEGMENTS` ahead of `advance_to`. None is taken then.
-
-        Notes
-        -----
-        Slope and curvature at a sample are those of the quartic through it and two samples on
-        either side. Positions are joined by quintics with a continuous acceleration, fourth order
-        in velocity; velocities by cubics with a continuous acceleration, fourth order too.
-
-        So the plate is known (`horizon`) up to the last sample but two, and before the fifth
-        sample up to the first, before which it is at rest: driven by samples of a live rig, the
-        twin is two samples late.
-
-        """
-        if not self._is_fed:
-            raise ValueError("feed needs a stepper made with motion 'measured'")
-        if (positions is None) == (velocities is None):
-            raise ValueError('feed needs either positions or velocities, got both or neither')
-        kind = 'velocities' if positions is None else 'positions'
-        if self._fed not in ('', kind):
-            raise ValueError(f'{self._fed} were fed before, got {kind}; call reset in between')
-        values = velocities if positions is None else positions
-        times, values = _checked_series(times, values, kind, after=self._last_fed)
-        if not times.size:
-            return
-        grid = self._core[0]
-        ahead = int(grid['pieces'] - grid['piece']) + times.size
-        if ahead > FEED_SEGMENTS:
-            raise FeedFullError(
-                f'samples must not be more than {FEED_SEGMENTS} ahead of advance_to, '
-                f'got {times.size} which makes {ahead}'
-            )
-        _feed(self._core, self._path, self._fronts, times, values, positions is not None)
-        self._fed = kind
-        self._last_fed = float(times[-1])
-
-    def read_field(self, strain: Floats, velocity: Floats) -> None:
-        """
-        Write what the layer does at the present time, from plate to top.
-
-        Parameters
-        ----------
-        strain, velocity : ndarray, shape (field_points,)
-            Of float64, written to: total strain [-], and velocity [m/s].
-
-        Raises
-        ------
-        ValueError
-            If an array does not fit.
-
-        Notes
-        -----
         Both waves are interpolated linearly between grid points, except at plate and top, which
         agree with `state`.
-
         """
-        if self._checked[0] is not strain or self._checked[1] is not velocity:
-            _check_target('strain', strain, (self.field_points,))
-            _check_target('velocity', velocity, (self.field_points,))
-            self._checked = (strain, velocity)
         _read_field(self._core, self._waves, strain, velocity)
 
-    def sample_field(self, times: ArrayLike, out: Floats) -> None:
-        """
-        Go forward through `times`, and write the total strain at each into a row of `out`.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            As for `advance_to`. [s]
-        out : ndarray, shape (n, field_points)
-            Of float64, written to. [-]
-
-        Raises
-        ------
-        ValueError
-            If `out` does not fit; else as `advance_to`, with the rows before it written.
-
-        """
-        times = np.ascontiguousarray(times, dtype=np.float64)
-        if times.ndim != 1:
-            raise ValueError(f'times must be a series, got shape {times.shape}')
-        _check_target('out', out, (times.size, self.field_points))
-        row, status = _sample_field(times, out, self._scratch, *self._memory)
-        if status < 0:
-            raise self._refusal(status, float(times[row]))
-
-    @property
-    def horizon(self) -> float:
-        """Until when the plate is known. [s]"""
-        return float(self._core['horizon'][0])
-
-    @property
-    def in_contact(self) -> bool:
-        """Whether the projectile lies on the layer."""
-        return bool(self._core['contact'][1])
-
-    @property
-    def event_count(self) -> int:
-        """Releases and landings so far."""
-        return int(self._core['events'][1])
-
-    def events(self) -> list[Event]:
-        """Return releases and landings so far."""
-        rows = self._events[: self.event_count].tolist()
-        return [
-            Event('landing' if kind else 'release', time, velocity)
-            for kind, time, velocity in rows
-        ]
-
-    @property
-    def surface_position(self) -> float:
-        """Height of the top of the layer; in contact that of the projectile's lower face. [m]"""
-        return float(self._core['rest_height'][1] + self._core['surface'][1])
-
-    @property
-    def peaks(self) -> Peaks:
-        """Largest values so far, at grid points and events."""
-        now = self._core[1]
-        return self._peaks(now['push'], now['load'])
-
-    @property
-    def first_peaks(self) -> Peaks:
-        """Largest values up to the first release, at grid points and events."""
-        if not self.event_count:
-            return self.peaks
-        now = self._core[1]
-        return self._peaks(now['first_push'], now['first_load'])
-
-    def _peaks(self, push: float, load: float) -> Peaks:
+    def _peaks(self, prefix: str) -> Peaks:
         """Give speeds their units: a wave's speed is strain and force."""
-        layer = self.rig.layer
+        layer, now = self.rig.layer, self._core[1]
+        push, load = float(now[f'{prefix}push']), float(now[f'{prefix}load'])
         return Peaks(
-            plate_strain=float(load) / layer.wave_speed,
-            contact_strain=float(push + self._core['drop'][1]) / layer.wave_speed,
-            acceleration=float(push) / self.rig.relaxation_time,
-            plate_force=float(load) * layer.impedance,
+            plate_strain=load / layer.wave_speed,
+            contact_strain=(push + float(now['drop'])) / layer.wave_speed,
+            acceleration=push / self.rig.relaxation_time,
+            plate_force=load * layer.impedance,
         )
-
-    @property
-    def highest_position(self) -> float:
-        """Highest that the projectile's lower face has been so far. [m]"""
-        return float(self._core['rest_height'][1] + self._core['highest'][1])
 
     @property
     def work(self) -> float:
@@ -1622,55 +1204,3 @@ def _check_lossless(rig: Rig) -> None:
             'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
             f'got {rig.layer.loss_tangent:g}'
         )
-
-
-def _checked_count(name: str, value: Any, *, low: int, high: int) -> int:
-    """Return a whole number within limits, or raise ValueError."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ValueError(f'{name} must be a whole number, got {value!r}')
-    if not low <= value <= high:
-        raise ValueError(f'{name} must be from {low} to {high}, got {value}')
-    return int(value)
-
-
-def _check_target(name: str, array: Any, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless a kernel can write to `array`."""
-    if (
-        not isinstance(array, np.ndarray)
-        or array.dtype != np.float64
-        or array.shape != shape
-        or not (array.flags.c_contiguous and array.flags.writeable)
-    ):
-        got = (
-            f'{array.dtype} of shape {array.shape}'
-            if isinstance(array, np.ndarray)
-            else type(array).__name__
-        )
-        raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')
-
-
-def _checked_series(
-    times: ArrayLike, values: ArrayLike | None, kind: str, *, after: float
-) -> tuple[Floats, Floats]:
-    """Return times and values as arrays, or raise ValueError."""
-    times = np.ascontiguousarray(times, dtype=np.float64)
-    values = np.ascontiguousarray(values, dtype=np.float64)
-    if times.ndim != 1 or times.shape != values.shape:
-        raise ValueError(
-            f'times and {kind} must be series of one length, '
-            f'got shapes {times.shape} and {values.shape}'
-        )
-    for label, array in (('times', times), (kind, values)):
-        if not np.isfinite(array).all():
-            first = int(np.flatnonzero(~np.isfinite(array))[0])
-            raise ValueError(f'{label} must be finite, got {array[first]} at index {first}')
-    if times.size and times[0] < 0.0:
-        raise ValueError(f'times must not be negative, got {times[0]}')
-    backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
-    if backward.size:
-        first = int(backward[0])
-        before = times[first - 1] if first else after
-        raise ValueError(
-            f'times must increase, got {times[first]} after {before} at index {first}'
-        )
-    return times, values

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 
-from soft_throw_ros.core.stepper import (
+from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.stepping import (
     EventLimitError,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
-    Stepper,
 )
 from soft_throw_ros.twin.plan import FIELD_POINTS, Plan
 from soft_throw_ros.twin.results import Event, Release, State, ThrowField, ThrowResult

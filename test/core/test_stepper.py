@@ -12,7 +12,8 @@ from soft_throw_ros.core import stepper as module
 from soft_throw_ros.core.method_of_steps import follow
 from soft_throw_ros.core.plate import peak_velocity_ratio, Sampled, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import (
+from soft_throw_ros.core.stepper import Stepper, steps_per_crossing, warm_up
+from soft_throw_ros.core.stepping import (
     EventLimitError,
     FeedFullError,
     HorizonError,
@@ -22,10 +23,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
-    Stepper,
-    steps_per_crossing,
     TIME,
-    warm_up,
 )
 from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
 
