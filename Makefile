@@ -3,6 +3,8 @@
 #   make                  install
 #   make twin             run the twin;         ARGS='-p layer.thickness:=0.02' follow --ros-args
 #   make throw            predict one throw;    ARGS='--json' and the like
+#   make demo             run the twin in slow motion, record it, and show it in Rerun
+#   make inspect          show a bag in Rerun;  ARGS='BAG'
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
@@ -18,7 +20,7 @@ ARGS ?=
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
 INSTALLED := .venv/$(ROS_DISTRO)/.installed
-TESTABLE := .venv/$(ROS_DISTRO)/.testable
+SHOWABLE := .venv/$(ROS_DISTRO)/.showable
 
 # Nothing leaves this machine unless asked to.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -29,8 +31,8 @@ ifdef AMENT_PREFIX_PATH
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH
 endif
 
-.PRECIOUS: .venv/%/.installed
-.PHONY: install twin throw lint test test-jazzy test-kilted bench figures clean
+.PRECIOUS: .venv/%/.installed .venv/%/.showable
+.PHONY: install twin throw demo inspect lint test test-jazzy test-kilted bench figures clean
 
 install: $(INSTALLED)
 
@@ -39,6 +41,16 @@ twin: $(INSTALLED) $(KERNELS)
 
 throw: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw throw $(ARGS)
+
+# Ctrl-C reaches both; the shell waits until the bag is finished.
+demo: $(SHOWABLE) $(KERNELS)
+	@trap : INT; \
+	$(BIN)/soft-throw recorder --ros-args --params-file config/demo.yaml & \
+	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS); \
+	wait
+
+inspect: $(SHOWABLE) $(KERNELS)
+	$(BIN)/soft-throw inspect $(ARGS)
 
 bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
@@ -70,7 +82,11 @@ clean:
 	.venv/$*/bin/pip install --quiet -r $< -e '.[plot]'
 	touch $@
 
-.venv/%/.testable: .venv/%/.installed
+.venv/%/.showable: .venv/%/.installed
+	.venv/$*/bin/pip install --quiet -e '.[rerun]'
+	touch $@
+
+.venv/%/.testable: .venv/%/.showable
 	.venv/$*/bin/pip install --quiet -e '.[test]'
 	touch $@
 

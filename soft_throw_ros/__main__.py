@@ -14,6 +14,7 @@ import sys
 # so nothing may be imported here but the standard library.
 EXECUTABLES = {
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
+    'recover': ('soft_throw_ros.commands.recover', 'repair a bag that a crash has cut off'),
     'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
 }

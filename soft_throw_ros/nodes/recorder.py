@@ -30,9 +30,10 @@ from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import Program, run
 from soft_throw_ros.nodes.taps import distribution, Taps
 from soft_throw_ros.recording.background import BackgroundWriter
-from soft_throw_ros.recording.bag import BagError, BagWriter, Message
+from soft_throw_ros.recording.bag import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.feed import Feed
+from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.twin import journal
 from std_srvs.srv import Trigger
 

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import profile_to_qos
-from soft_throw_ros.recording.bag import Channel, Message
+from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
 

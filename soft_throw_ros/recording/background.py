@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 import threading
 import time
 
-from soft_throw_ros.recording.bag import BagError, BagWriter, Channel, Message
+from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.message import BagError, Channel, Message
 
 FLUSH_TIME = 0.5
 """How often what is written is made to last; also how often a bad disk is tried again. [s]"""

@@ -18,7 +18,8 @@ import threading
 import time
 from typing import NamedTuple
 
-from soft_throw_ros.recording.bag import Channel, Message, StreamWriter
+from soft_throw_ros.recording.bag import StreamWriter
+from soft_throw_ros.recording.message import Channel, Message
 
 PERIOD = 1.0 / 30.0
 """How often messages are sent. [s]"""

@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes import taps, topics
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.taps import fitting_profile, is_wanted, message_type, Tap, Taps
-from soft_throw_ros.recording.bag import Channel, Message
+from soft_throw_ros.recording.message import Channel, Message
 from std_msgs.msg import String
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

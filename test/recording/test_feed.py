@@ -8,8 +8,8 @@ from pathlib import Path
 import sys
 import time
 
-from soft_throw_ros.recording.bag import Channel, Message
 from soft_throw_ros.recording.feed import Feed
+from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 
 PATIENCE = 20.0
@@ -23,7 +23,8 @@ LATCHED = Channel(
 
 READER = """
 import os, sys
-from soft_throw_ros.recording.bag import Message, read_stream
+from soft_throw_ros.recording.bag import read_stream
+from soft_throw_ros.recording.message import Message
 with open(sys.argv[1], 'a') as file:
     print('start', os.getpid(), file=file, flush=True)
     for item in read_stream(sys.stdin.buffer):
