@@ -152,7 +152,7 @@ class BagWriter:
         self._writer: Writer | None = None
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, str, str], int] = {}
-        self._until = 0  # the log time from which on a next file is due
+        self._until = 0  # the log time from which on a next file is due; 0 if not known yet
         # Of the chunk that is being filled, message by message
         self._channels: list[Channel] = []
         self._times: list[int] = []
@@ -305,12 +305,10 @@ class BagWriter:
         """Make that a message can be added; return the number of its channel."""
         try:
             self._open_writer()
-            if self._until and log_time >= self._until:
-                self.split()
             if size > self._room:
                 self._end_chunk()
-                if self._output.size >= self._max_size:
-                    self.split()
+            if self._until and log_time >= self._until:
+                self.split()
             if not self._until:
                 self._until = log_time + self._max_duration
             self.add_channel(channel)
@@ -393,6 +391,8 @@ class BagWriter:
         file.count += len(self._times)
         for channel, count in Counter(self._channels).items():
             self.counts[channel] += count
+        if self._output.size > self._max_size:
+            self._until = -1
         self._keep()
         self._begin_chunk()
 

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 import os
 from pathlib import Path
+import subprocess
 import sys
 from typing import Any
 
@@ -22,27 +24,33 @@ BEGIN = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
-def make_channel(topic: str, type_name: str, **qos: Any) -> Channel:
-    schema = find_schema(type_name, PREFIXES)
-    return Channel(
-        topic=topic,
-        type=type_name,
-        schema=schema.text,
-        type_hash=schema.type_hash,
-        qos=(Qos(**qos),),
-    )
-
-
 class Recording:
     """A bag, and the messages that were written into it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.messages: list[Message] = []
-        self.states = make_channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
-        self.texts = make_channel(
+        self.states = self.channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
+        self.texts = self.channel(
             '/twin/journal', 'std_msgs/msg/String', durability='transient_local'
         )
+
+    @staticmethod
+    def channel(topic: str, type_name: str, **qos: Any) -> Channel:
+        """Make a channel of a type that is installed."""
+        schema = find_schema(type_name, PREFIXES)
+        return Channel(
+            topic=topic,
+            type=type_name,
+            schema=schema.text,
+            type_hash=schema.type_hash,
+            qos=(Qos(**qos),),
+        )
+
+    @staticmethod
+    def content(messages: Iterable[Message]) -> list[tuple[Any, ...]]:
+        """Describe messages by all that a bag keeps of them."""
+        return [(message.channel.topic, *message[1:]) for message in messages]
 
     @property
     def files(self) -> list[Path]:
@@ -93,6 +101,25 @@ def recording(tmp_path: Path) -> Recording:
     return Recording(tmp_path / 'bag')
 
 
-def content(messages: Any) -> list[tuple[Any, ...]]:
-    """Describe messages by all that a bag keeps of them."""
-    return [(message.channel.topic, *message[1:]) for message in messages]
+@pytest.fixture(scope='session')
+def rerun(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Give a function that runs Rerun, which tells nobody."""
+    program = Path(sys.executable).with_name('rerun')
+    if not program.exists():
+        pytest.skip('Rerun comes with the extra [rerun]')
+    environment = os.environ | {'HOME': str(tmp_path_factory.mktemp('home'))}
+    environment.pop('XDG_CONFIG_HOME', None)
+
+    def run(*arguments: str | Path) -> str:
+        done = subprocess.run(
+            [program, *map(str, arguments)],
+            capture_output=True,
+            check=True,
+            env=environment,
+            text=True,
+            timeout=60,
+        )
+        return done.stdout + done.stderr
+
+    run('analytics', 'disable')
+    return run
