@@ -98,6 +98,11 @@ class Recording:
         return self.writer.trouble if self.writer is not None else ''
 
     @property
+    def is_alive(self) -> bool:
+        """Whether the threads do what they should; a defect may have ended one."""
+        return self._thread.is_alive() and (self.writer is None or self.writer.is_alive)
+
+    @property
     def received(self) -> int:
         """How many messages came."""
         return sum(tap.received for tap in self.taps)
@@ -188,7 +193,7 @@ class Recording:
         except (MessageError, journal.JournalError, AttributeError, KeyError):
             return  # an entry that has none, or somebody else's topic
         told = (settings, versions)
-        if self._twins.get(channel.topic) == told:
+        if self._twins.get(channel.topic) == told or not all(isinstance(x, dict) for x in told):
             return
         node = channel.topic.removesuffix('/journal')
         if channel.topic not in self._twins:
@@ -257,6 +262,11 @@ class Recorder(Program):
         except BaseException:
             super().destroy_node()
             raise
+
+    @property
+    def exit_code(self) -> int | None:
+        """1 if recording has come to an end by itself."""
+        return None if self.recording is None or self.recording.is_alive else 1
 
     def start(self) -> None:
         """Record, if that is wanted from the beginning."""
@@ -443,7 +453,8 @@ def main(args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused.
+        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, 1 if recording
+        has come to an end by itself.
 
     """
     arguments = sys.argv[1:] if args is None else args

@@ -62,6 +62,11 @@ class BackgroundWriter:
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
     def put(self, messages: Iterable[Message]) -> None:
         """Have messages written, or dropped if too much waits already."""
         for message in messages:

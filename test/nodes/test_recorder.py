@@ -244,3 +244,29 @@ def test_twin_and_recorder_share_a_process(ros, recorder, tmp_path) -> None:
     assert notes['versions of /twin']['python'] == sys.version.split()[0]
     assert 'period: 0.2' in files['twin.yaml']
     assert 'name: bag' in files['recorder.yaml']
+
+
+@pytest.mark.parametrize(
+    'line',
+    ['', '[]', '{"kind":"throw","step":1,"settings":5,"versions":[]}', '{"kind":1,"step":null}'],
+)
+def test_journal_of_somebody_else_does_no_harm(ros, recorder, talker, tmp_path, line) -> None:
+    node = recorder(name='bag')
+    publisher = talker.create_publisher(String, '/talk/journal', 100)
+    say(ros, node, publisher, [line, 'after'])
+    assert node.exit_code is None
+    node.close()
+    said = [message.data for message in Recorded(tmp_path / 'bag').messages['/talk/journal']]
+    assert said == [line, 'after']
+
+
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypatch) -> None:
+    node = recorder(name='bag')
+
+    def fail(*_: object) -> None:
+        raise RuntimeError('a defect')
+
+    assert node.exit_code is None
+    monkeypatch.setattr(node.recording.taps, 'drain', fail)
+    ros.spin_until(lambda: node.exit_code == 1, 'the exit code')
