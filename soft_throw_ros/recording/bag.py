@@ -41,7 +41,7 @@ from soft_throw_ros.recording.mcap_file import (
 )
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.records import (
-    check_length,
+    check_head,
     DamageError,
     Gap,
     HEAD,
@@ -69,6 +69,7 @@ _LIBRARY = f'soft_throw_ros {__version__}'
 _PROFILE = 'ros2'
 _METADATA = 'metadata.yaml'
 _INFORMATION = 'rosbag2_bagfile_information'  # its only key
+_FILES = 'relative_file_paths'
 _VERSION = 9  # its version, that of ROS 2 Jazzy and later
 _ROSBAG2 = 'rosbag2'  # the MCAP metadata that say the same
 _SUFFIXES = ('.mcap', '.mcap.zstd')
@@ -459,7 +460,7 @@ class BagWriter:
             ],
             'compression_format': '',
             'compression_mode': '',
-            'relative_file_paths': [file.name for file in self._files],
+            _FILES: [file.name for file in self._files],
             'files': [file.to_dict() for file in self._files],
             'custom_data': {},
             'ros_distro': self._distribution,
@@ -832,7 +833,7 @@ class BagReader:
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._gaps.append(Gap(path, 0, 0, f'the file cannot be read, {error}'))
         else:
-            if isinstance(information, dict):
+            if isinstance(information, dict) and isinstance(information.get(_FILES), list):
                 return information
             self._gaps.append(Gap(path, 0, 0, 'the file does not describe a bag'))
         return {}
@@ -844,8 +845,7 @@ class BagReader:
         storage = str(information.get('storage_identifier', 'mcap'))
         if storage != 'mcap':
             raise BagError(f'{self.path} {no_mcap(storage)}')
-        names = information.get('relative_file_paths')
-        listed = [self.path / Path(str(name)).name for name in names or ()]
+        listed = [self.path / Path(str(name)).name for name in information.get(_FILES, ())]
         missing = [path for path in listed if not path.is_file()]
         if listed and not missing:
             return listed
@@ -892,7 +892,7 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
             if len(head) < HEAD.size:
                 raise DamageError('it ends within a record')
             opcode, length = HEAD.unpack(head)
-            check_length(opcode, length)
+            check_head(opcode, length)
             body = _read_exactly(stream, length)
             if len(body) < length:
                 raise DamageError('it ends within a record')

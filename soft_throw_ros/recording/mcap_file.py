@@ -6,6 +6,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
+import contextlib
 from dataclasses import dataclass
 import itertools
 import operator
@@ -521,22 +522,43 @@ def _open(path: Path, *, is_lenient: bool) -> File:
     try:
         if path.exists() and not path.is_file():
             raise BagError(f'{path} is no file')
-        stream: BinaryIO = path.open('rb')
-        begin = stream.read(16)
-        if begin.startswith(_ZSTD):
-            stream = _decompressed_file(stream)
+        with contextlib.ExitStack() as stack:
+            stream: BinaryIO = stack.enter_context(path.open('rb'))
             begin = stream.read(16)
+            if begin.startswith(_ZSTD):
+                compressed = stream
+                compressed.seek(0)
+                stream = stack.enter_context(tempfile.TemporaryFile())
+                _decompress_file(compressed, stream)
+                stream.seek(0)
+                begin = stream.read(16)
+            _check_begin(path, begin, is_lenient=is_lenient)
+            stack.pop_all()
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
     except zstandard.ZstdError as error:
         raise BagError(f'{path} cannot be decompressed: {error}') from None
+    return File(path, stream)
+
+
+def _decompress_file(source: BinaryIO, target: BinaryIO) -> None:
+    """Decompress what begins as MCAP does, or else only its beginning."""
+    with zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True) as reader:
+        begin = reader.read(16)
+        target.write(begin)
+        while begin.startswith(MAGIC) and (piece := reader.read(2**20)):
+            target.write(piece)
+
+
+def _check_begin(path: Path, begin: bytes, *, is_lenient: bool) -> None:
     if not begin.startswith(MAGIC):
         storage = next((name for name, magic in _OTHERS.items() if begin.startswith(magic)), '')
-        if storage or not begin or not is_lenient:
-            stream.close()
-            reason = 'is no MCAP file' if begin else 'is empty'
-            raise BagError(f'{path} {no_mcap(storage) if storage else reason}')
-    return File(path, stream)
+        if storage:
+            raise BagError(f'{path} {no_mcap(storage)}')
+        if not begin:
+            raise BagError(f'{path} is empty')
+        if not is_lenient:
+            raise BagError(f'{path} is no MCAP file')
 
 
 def no_mcap(storage: str) -> str:
@@ -545,16 +567,3 @@ def no_mcap(storage: str) -> str:
         f'is a bag in {storage}, not in MCAP; convert it, as with rosbags: '
         'rosbags-convert --src BAG --dst NEW_BAG --dst-storage mcap'
     )
-
-
-def _decompressed_file(stream: BinaryIO) -> BinaryIO:
-    """Decompress a file into one without a name, if it begins as MCAP does."""
-    stream.seek(0)
-    target: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115  # whoever gets it closes it
-    with zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True) as reader:
-        begin = reader.read(16)
-        target.write(begin)
-        while begin.startswith(MAGIC) and (piece := reader.read(2**20)):
-            target.write(piece)
-    target.seek(0)
-    return target

@@ -202,8 +202,7 @@ class File:
         if len(head) < HEAD.size:
             raise DamageError('the file ends within a record')
         opcode, length = HEAD.unpack(head)
-        if not _is_opcode(opcode):
-            raise DamageError(f'no record begins with {opcode:#04x}')
+        check_head(opcode, 0)
         end = offset + HEAD.size + length
         if end > self.size:
             raise DamageError('the file ends within a record')
@@ -218,7 +217,7 @@ class File:
         if opcode == Opcode.MESSAGE_INDEX:
             size = IndexSize.of(self.read(begin, _INDEX_HEAD.size), end - begin)
             return Found(size, offset, end, is_sure=True)
-        check_length(opcode, end - begin)
+        check_head(opcode, end - begin)
         record, is_sure = _parse(opcode, self.read(begin, end - begin))
         return Found(record, offset, end, is_sure)
 
@@ -250,8 +249,10 @@ class _ExactStream(ReadDataStream):
         return data
 
 
-def check_length(opcode: int, length: int) -> None:
-    """Raise DamageError if a record claims to be longer than it can be."""
+def check_head(opcode: int, length: int) -> None:
+    """Raise DamageError if no record begins so, or none can be so long."""
+    if not (opcode in _TYPES or opcode >= _PRIVATE):
+        raise DamageError(f'no record begins with {opcode:#04x}')
     limit = LIMIT if opcode in _LARGE else _SMALL_LIMIT
     if length > limit:
         raise DamageError(f'a record claims to have {length} bytes, more than {limit}')
@@ -267,13 +268,8 @@ def parse(opcode: int, body: bytes) -> McapRecord | None:
         If it is none.
 
     """
-    if not _is_opcode(opcode):
-        raise DamageError(f'no record begins with {opcode:#04x}')
+    check_head(opcode, len(body))
     return _parse(opcode, body)[0] if opcode < _PRIVATE else None
-
-
-def _is_opcode(opcode: int) -> bool:
-    return opcode in _TYPES or opcode >= _PRIVATE
 
 
 def _parse(opcode: int, body: bytes) -> tuple[McapRecord, bool]:
@@ -322,7 +318,7 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
         If that is not what `data` give, or more than `LIMIT`.
 
     """
-    check_length(Opcode.CHUNK, size)
+    check_head(Opcode.CHUNK, size)
     try:
         match compression:
             case '':
@@ -493,5 +489,8 @@ class _Scanner:
         head = self._file.read(offset, HEAD.size)
         if len(head) < HEAD.size:
             return True
-        opcode, length = HEAD.unpack(head)
-        return _is_opcode(opcode) and length <= LIMIT
+        try:
+            check_head(*HEAD.unpack(head))
+        except DamageError:
+            return False
+        return True

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from io import BytesIO
 import itertools
 import os
 import resource
@@ -14,14 +15,19 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
 import pytest
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import (
-    Reader as RosbagsReader,
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
 )
 from rosbags.rosbag2 import (
-    StoragePlugin,
+    Reader as RosbagsReader,
 )
 from rosbags.rosbag2 import (
     Writer as RosbagsWriter,
@@ -34,6 +40,8 @@ from soft_throw_ros.recording.bag import (
     BagWriter,
     CHUNK_SIZE,
     is_being_written,
+    read_stream,
+    StreamWriter,
 )
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.qos import Qos, to_yaml
@@ -551,3 +559,298 @@ def test_bag_that_cannot_be_sorted_in_bounded_memory_says_so(tmp_path, monkeypat
         with pytest.raises(BagError, match='too far from the order of time'):
             list(bag.messages())
         assert len(list(bag.messages(end=1))) == 20  # as it is for the time asked for
+
+
+# Bags of others
+
+
+THEIR_BAGS = [
+    *itertools.product([8, 9], [None]),
+    *itertools.product([9], [CompressionMode.FILE, CompressionMode.MESSAGE]),
+    (9, CompressionMode.STORAGE),
+]
+
+
+@pytest.mark.parametrize(('version', 'mode'), THEIR_BAGS)
+def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
+    messages = recording.make(300)
+    profiles = parse_qos(to_yaml([Qos(depth=7, reliability='best_effort')]))
+    bag = RosbagsWriter(tmp_path / 'theirs', version=version, storage_plugin=StoragePlugin.MCAP)
+    if mode is not None:
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        connections = {
+            channel: bag.add_connection(
+                channel.topic, channel.type, typestore=TYPES, offered_qos_profiles=profiles
+            )
+            for channel in (recording.states, recording.texts)
+        }
+        for message in messages:
+            bag.write(connections[message.channel], message.log_time, message.data)
+    for options in ({}, {'by_scan': True}):
+        ours = read(tmp_path / 'theirs', **options)
+        assert [
+            (message.channel.topic, message.data, message.log_time) for message in ours.messages
+        ] == [(message.channel.topic, message.data, message.log_time) for message in messages]
+        assert [channel.type for channel in ours.channels] == [
+            'sensor_msgs/msg/JointState', 'std_msgs/msg/String',
+        ]  # fmt: skip
+        assert {channel.qos for channel in ours.channels} == {
+            (Qos(depth=7, reliability='best_effort'),)
+        }
+        assert ours.counts == [300, 3]
+    if mode is CompressionMode.FILE:
+        (path,) = (tmp_path / 'theirs').glob('*.mcap.zstd')
+        assert len(read(path).messages) == len(messages)
+
+
+@pytest.mark.parametrize('chunked', [True, False])
+@pytest.mark.parametrize('index_types', [IndexType.ALL, IndexType.NONE, IndexType.CHUNK])
+@pytest.mark.parametrize('statistics', [True, False])
+@pytest.mark.parametrize('repeated', [True, False])
+def test_mcap_with_any_index_is_read(tmp_path, chunked, index_types, statistics, repeated):
+    times = [3, 1, 2, 2, 5, 4, 0, 9, 8, 7] * 40
+    with (tmp_path / 'theirs.mcap').open('wb') as file:
+        writer = Writer(
+            file,
+            chunk_size=1000,
+            compression=CompressionType.LZ4,
+            index_types=index_types,
+            use_chunking=chunked,
+            use_statistics=statistics,
+            repeat_channels=repeated,
+            repeat_schemas=repeated,
+            enable_data_crcs=True,
+        )
+        writer.start()
+        channel = writer.register_channel(
+            '/a', 'cdr', writer.register_schema('t/msg/T', 'ros2msg', b'int8 x')
+        )
+        for number, time in enumerate(times):
+            writer.add_message(channel, time, bytes([number % 256]), time, number)
+            if number == 100:
+                writer.add_metadata('name', {'key': 'value'})
+        writer.add_attachment(0, 0, 'file', 'text/plain', b'content')
+        writer.finish()
+    bag = read(tmp_path / 'theirs.mcap')
+    assert [(message.log_time, message.sequence) for message in bag.messages] == sorted(
+        (time, number) for number, time in enumerate(times)
+    )
+    assert bag.span == (0, 9)
+    assert bag.metadata == [Metadata(name='name', metadata={'key': 'value'})]
+    assert [record.data for record in bag.attachments] == [b'content']
+
+
+def cut(text):
+    return text[:300]
+
+
+def rename(text):
+    return text.replace('bag_3.mcap', 'bag_x.mcap')
+
+
+@pytest.mark.parametrize(
+    ('damaged', 'reason'),
+    [
+        (None, 'metadata.yaml: the file is missing'),
+        (cut, 'metadata.yaml: the file does not describe a bag'),
+        ('rosbag2_bagfile_information: [', 'metadata.yaml: the file cannot be read, '),
+        ('rosbag2_bagfile_information: 7', 'metadata.yaml: the file does not describe a bag'),
+        ('- 1', 'metadata.yaml: the file cannot be read, '),
+        ('[' * 10**5, 'metadata.yaml: the file cannot be read, '),
+        ('#' * 2**21, 'metadata.yaml: the file cannot be read, '),
+        ('\0', 'metadata.yaml: the file cannot be read, '),
+        (rename, 'bag_x.mcap: the file is missing'),
+    ],
+)
+def test_folder_without_its_metadata_is_read_and_says_so(recording, damaged, reason):
+    recording.write(2000, max_duration=0.15)
+    assert len(recording.files) > 10  # so that names are not in the order of the alphabet
+    path = recording.folder / 'metadata.yaml'
+    text = path.read_text()
+    path.unlink()
+    if damaged is not None:
+        path.write_text(damaged(text) if callable(damaged) else damaged)
+    with BagReader(recording.folder) as bag:
+        assert recording.content(bag.messages()) == recording.content(recording.messages)
+        assert reason in bag.damage
+
+
+def test_file_that_a_folder_does_not_list_is_left_out(recording):
+    recording.write(300)
+    (recording.folder / 'bag_1.mcap').write_bytes(b'something else')
+    assert len(read(recording.folder).messages) == len(recording.messages)
+
+
+def test_bag_in_sqlite_is_named_with_what_converts_it(tmp_path):
+    with RosbagsWriter(tmp_path / 'bag', version=9) as bag:
+        connection = bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES)
+        bag.write(connection, 7, b'')
+    for path in (tmp_path / 'bag', tmp_path / 'bag/bag.db3'):
+        with pytest.raises(BagError, match='is a bag in sqlite3, not in MCAP; convert it'):
+            BagReader(path)
+    (tmp_path / 'bag/metadata.yaml').unlink()
+    with pytest.raises(BagError, match='is a bag in sqlite3'):
+        BagReader(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize(
+    ('content', 'reason'),
+    [
+        (b'', 'is empty'),
+        (b'#ROSBAG V2.0\n', 'is a bag in ROS 1, not in MCAP; .* rosbags-convert'),
+        (b'time,position\n0,1\n', 'is no MCAP file'),
+        (b'\x89MCAP1\r\n', 'is no MCAP file'),
+        (b'\x28\xb5\x2f\xfd', 'is empty'),  # as far as it can be decompressed
+        (b'\x28\xb5\x2f\xfd' + b'\xff' * 100, 'cannot be decompressed'),
+    ],
+)
+@pytest.mark.parametrize('in_folder', [False, True])
+def test_file_that_is_no_bag_is_named_with_the_reason(tmp_path, content, reason, in_folder):
+    path = tmp_path / 'bag.mcap'
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=rf'bag\.mcap.* {reason}'):
+        BagReader(tmp_path if in_folder else path)
+
+
+def test_path_that_is_no_bag_is_named(tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    with pytest.raises(BagError, match='pipe is no file'):
+        BagReader(tmp_path / 'pipe')
+    with pytest.raises(BagError, match='missing: No such file or directory'):
+        BagReader(tmp_path / 'missing')
+    with pytest.raises(BagError, match='is no bag, there is no MCAP file in it'):
+        BagReader(tmp_path)
+
+
+@pytest.mark.parametrize('encoding', ['json', 'ros1', 'protobuf', ''])
+def test_messages_that_are_not_those_of_ros_are_refused(tmp_path, encoding):
+    with (tmp_path / 'theirs.mcap').open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema('t/T', 'jsonschema', b'{}')
+        channel = writer.register_channel('/a', encoding, schema)
+        writer.add_message(channel, 0, b'{}', 0)
+        writer.finish()
+    with pytest.raises(BagError, match=f"theirs.mcap: /a has messages in '{encoding}', not in"):
+        BagReader(tmp_path / 'theirs.mcap')
+
+
+# Streams
+
+
+@pytest.fixture
+def stream_parts(recording):
+    """Make a stream: its beginning, definitions, blocks of messages, and its end."""
+    messages = recording.make(1000)
+    writer = StreamWriter()
+    parts = [writer.start()]
+    for number in range(0, len(messages), 100):
+        block = messages[number : number + 100]
+        parts += [writer.define(message.channel) for message in block]
+        parts.append(writer.block(block))
+    return [*filter(None, parts), writer.metadata('name', {'key': 'value'}), writer.end()]
+
+
+def split_items(stream):
+    items = list(read_stream(stream))
+    messages = [item for item in items if isinstance(item, Message)]
+    return messages, [item for item in items if not isinstance(item, Message)]
+
+
+def test_stream_comes_out_as_it_went_in(recording, stream_parts):
+    messages, others = split_items(BytesIO(b''.join(stream_parts)))
+    assert recording.content(messages) == recording.content(recording.messages)
+    assert others == [Metadata(name='name', metadata={'key': 'value'})]
+    assert {message.channel.topic: message.channel.schema for message in messages} == {
+        channel.topic: channel.schema for channel in (recording.states, recording.texts)
+    }
+
+
+def test_stream_is_what_mcap_reads(recording, stream_parts):
+    reader = make_reader(BytesIO(b''.join(stream_parts)), decoder_factories=[DecoderFactory()])
+    found = [decoded for *_, decoded in reader.iter_decoded_messages()]
+    assert len(found) == len(recording.messages)
+
+
+def test_parts_of_a_stream_are_whole_records(stream_parts):
+    for part in stream_parts[1:-1]:
+        reader = StreamReader(BytesIO(part + stream_parts[-1]), skip_magic=True)
+        *records, _, _ = (type(record).__name__ for record in reader.records)
+        assert set(records) <= {'Message'} or set(records) <= {'Schema', 'Channel', 'Metadata'}
+
+
+@given(st.sets(st.integers(2, 13)))
+def test_blocks_of_messages_may_be_left_out(dropped):
+    writer = StreamWriter()
+    channels = [
+        Channel(topic=f'/{name}', type='t/msg/T', schema='int8 x') for name in ('a', 'b', 'c')
+    ]
+    stream = writer.start()
+    for number in range(14):
+        channel = channels[min(number // 4, 2)]
+        stream += writer.define(channel)
+        block = writer.block([Message(channel, b'x', number, number)] * 3)
+        stream += b'' if number in dropped else block
+    messages, _ = split_items(BytesIO(stream))
+    assert [message.log_time for message in messages] == [
+        number for number in range(14) if number not in dropped for _ in range(3)
+    ]
+
+
+def test_next_reader_of_a_stream_gets_all_channels(recording):
+    writer = StreamWriter()
+    messages = recording.make(10)
+    for message in messages:
+        writer.start(), writer.define(message.channel), writer.block([message])
+    late, _ = split_items(BytesIO(writer.start() + writer.block(messages)))
+    assert recording.content(late) == recording.content(messages)
+
+
+def test_items_of_a_pipe_come_as_they_are_written(stream_parts):
+    """Nothing is written before what is there already has been read."""
+    source, target = os.pipe()
+    blocks = iter(stream_parts)
+    with os.fdopen(source, 'rb') as pipe, os.fdopen(target, 'wb', buffering=0) as out:
+        out.writelines(itertools.islice(blocks, 3))  # beginning, and the two channels
+        items = read_stream(pipe)
+        for block in itertools.islice(blocks, 5):
+            out.write(block)
+            assert len(list(itertools.islice(items, 100))) == 100
+
+
+def test_bag_can_be_read_as_a_stream(recording):
+    recording.write(compression='lz4')
+    messages, metadata = split_items(BytesIO(recording.files[0].read_bytes()))
+    assert recording.content(messages) == recording.content(recording.messages)
+    assert [record.name for record in metadata] == ['rosbag2', 'parameters of /twin', 'rosbag2']
+
+
+def test_stream_may_end_after_any_record(recording, stream_parts):
+    for number in range(1, len(stream_parts)):
+        messages, _ = split_items(BytesIO(b''.join(stream_parts[:number])))
+        assert (
+            recording.content(messages) == recording.content(recording.messages)[: len(messages)]
+        )
+
+
+@pytest.mark.parametrize(
+    ('damage', 'reason'),
+    [
+        (lambda parts: b'', 'it does not begin as MCAP does'),
+        (lambda parts: b'hello', 'it does not begin as MCAP does'),
+        (lambda parts: b''.join(parts)[:50_000], 'it ends within a record'),
+        (lambda parts: b''.join(parts[:-1])[:-1], 'it ends within a record'),
+        (lambda parts: b''.join([*parts[:5], bytes(9), *parts[5:]]), 'no record .* with 0x00'),
+        (lambda parts: parts[0] + b''.join(parts[4:]), 'nothing defines channel 1'),
+        (lambda parts: parts[0] + b'\5' + b'\xff' * 8, 'claims to have 18446744073709551615'),
+    ],
+)
+def test_stream_that_breaks_off_says_so_after_what_it_gave(
+    recording, stream_parts, damage, reason
+):
+    stream = BytesIO(damage(stream_parts))
+    before = []
+    with pytest.raises(BagError, match=f'standard input: .*{reason}'):
+        before.extend(read_stream(stream, 'standard input'))
+    assert recording.content(before) == recording.content(recording.messages[: len(before)])
