@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who does the work of a sweep: this process, others, a Dask cluster."""
+
+import argparse
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import pytest
+from soft_throw_ros.commands.executors import (
+    add_executor_options,
+    open_executor,
+    WorkersLostError,
+)
+
+ROOT = Path(__file__).parents[2]
+
+CLUSTER = """
+import os
+from pathlib import Path
+import signal
+import sys
+
+from distributed import LocalCluster
+import numpy as np
+from soft_throw_ros.commands import design_map
+from soft_throw_ros.commands.design import main
+
+class KillingBar:
+    '''A progress bar that kills a worker when the first block is done.'''
+
+    killed = 0
+
+    def __init__(self, **_):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def update(self, count):
+        if not KillingBar.killed:
+            KillingBar.killed = next(iter(cluster.workers.values())).pid
+            os.kill(KillingBar.killed, signal.SIGKILL)
+
+if __name__ == '__main__':
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None
+    ) as cluster:
+        here, there = (Path(sys.argv[1]) / name for name in ('here.npz', 'there.npz'))
+        what = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
+        assert main([*what, str(here)]) == 0
+        design_map.tqdm = KillingBar
+        assert main([*what, str(there), '--dask', cluster.scheduler_address]) == 0
+    assert KillingBar.killed
+    with np.load(here) as expected, np.load(there) as got:
+        assert not np.isnan(expected['energy_transfer']).any()
+        for name in expected:
+            np.testing.assert_array_equal(got[name], expected[name])
+"""
+
+
+def open_with(*args):
+    parser = argparse.ArgumentParser()
+    add_executor_options(parser)
+    return open_executor(parser.parse_args(args))
+
+
+def test_one_worker_is_this_process():
+    with open_with() as executor:
+        assert executor is None
+    with open_with('--workers', '1') as executor:
+        assert executor is None
+
+
+def test_workers_are_other_processes_that_leave_ctrl_c_to_this_one():
+    with open_with('--workers', '2') as executor:
+        assert executor.submit(os.getpid).result() != os.getpid()
+        assert executor.submit(signal.getsignal, signal.SIGINT).result() is signal.SIG_IGN
+
+
+def test_killed_worker_is_said_in_one_sentence():
+    with pytest.raises(WorkersLostError, match='killed'), open_with('--workers', '2') as executor:
+        executor.submit(signal.raise_signal, signal.SIGKILL).result()
+
+
+@pytest.mark.parametrize('count', ['0', '-1', '1.5', 'many'])
+def test_bad_number_of_workers_is_quoted(capsys, count):
+    with pytest.raises(SystemExit):
+        open_with(f'--workers={count}')
+    assert f'a whole number of 1 or more, got {count!r}' in capsys.readouterr().err
+
+
+def test_map_is_whole_and_the_same_though_a_dask_worker_is_killed(tmp_path):
+    # On its own, since a cluster leaves threads and warnings behind. It takes some 10 s to start
+    # all these processes.
+    pytest.importorskip('distributed', reason='comes with the extra [dask]')
+    script = tmp_path / 'cluster.py'
+    script.write_text(CLUSTER)
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)],
+        env=os.environ | {'PYTHONPATH': str(ROOT)},
+        cwd=tmp_path,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_dask_that_does_not_answer_is_quoted(monkeypatch):
+    pytest.importorskip('distributed', reason='comes with the extra [dask]')
+    with (
+        pytest.raises(ValueError, match='--dask nowhere: no scheduler answers there'),
+        open_with('--dask', 'nowhere'),
+    ):
+        pass
+
+
+def test_dask_that_is_not_installed_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with (
+        pytest.raises(ValueError, match=r'pip installs with .*\[dask\]'),
+        open_with('--dask', 'x'),
+    ):
+        pass
