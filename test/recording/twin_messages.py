@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a twin publishes, without a node: a session by a clock that never is late."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import sys
+from typing import Any
+import warnings
+
+from rcl_interfaces.msg import Log
+from rclpy.serialization import serialize_message
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.advice import advise
+from soft_throw_ros.nodes.conversions import (
+    statuses_to_msg,
+    throw_result_to_msg,
+    time_to_msg,
+)
+from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.results import Outputs
+from soft_throw_ros.twin.session import Session
+from std_msgs.msg import String
+
+with warnings.catch_warnings():
+    warnings.simplefilter('ignore', DeprecationWarning)
+    import lark  # noqa: F401  rclpy imports it with the first message, and it what is obsolete
+
+BEGIN = 1_700_000_000_000_000_000
+
+_LATE = 40_000  # a state is published so long after it is due, and what follows as much after it
+
+
+class TwinMessages:
+    """
+    A session, and the messages of its outputs so far.
+
+    Parameters
+    ----------
+    node : str
+        Full name of the twin.
+    **request
+        Settings other than the defaults, `__` for the dot.
+
+    """
+
+    def __init__(self, node: str = '/twin', **request: Any) -> None:
+        self.node = node
+        self.messages: list[Message] = []
+        self.outputs: list[Outputs] = []
+        self.channels = {
+            topic.name.removeprefix('~/'): self._channel(topic.name, topic.type_name)
+            for topic in topics.TOPICS
+        }
+        self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
+        self._encode_state = JointStateEncoder(topics.FRAME, topics.JOINTS).encode
+        self._encode_field = ArrayEncoder({'y': 64}).encode
+        self._encode_throw_field = ArrayEncoder({'t': 200, 'y': 64}).encode
+        self.now = BEGIN
+        settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
+        self.session = Session(settings, on_entry=self._on_entry)
+        self.pace = Pace(step=0, time_ns=BEGIN, rate=self.session.rate)
+        self.session.keep_pace(self.pace)
+        self._advise(settings)
+
+    def go(self, steps: int) -> TwinMessages:
+        """Go so many steps on."""
+        for _ in range(steps):
+            self.now = self.pace.deadline(self.session.step)
+            outputs = self.session.advance()
+            self.outputs.append(outputs)
+            self._publish(outputs)
+        return self
+
+    def go_until(self, is_enough: Callable[[Outputs], bool], limit: int = 100_000) -> TwinMessages:
+        """Go on to the step that gives something."""
+        for _ in range(limit):
+            self.go(1)
+            if is_enough(self.outputs[-1]):
+                return self
+        raise AssertionError(f'it has not come in {limit} steps')
+
+    def change(self, **request: Any) -> None:
+        """Change settings."""
+        self.session.change(_named(request))
+        self._advise({**self.session._wanted})
+
+    def _channel(self, name: str, kind: str) -> Channel:
+        schema = find_schema(kind, [sys.prefix])
+        return Channel(
+            topic=name.replace('~', self.node),
+            type=kind,
+            schema=schema.text,
+            type_hash=schema.type_hash,
+        )
+
+    def _publish(self, outputs: Outputs) -> None:
+        self._send('joint_states', self._encode_state(self.now, outputs.state), 1)
+        if outputs.field is not None:
+            self._send('layer/strain', self._encode_field(outputs.field.strain), 2)
+            self._send('layer/velocity', self._encode_field(outputs.field.velocity), 3)
+        for phase in outputs.phases:
+            self._send('phase', serialize_message(String(data=phase.value)), 4)
+        if outputs.throw_field is not None:
+            self._send('throw_field', self._encode_throw_field(outputs.throw_field.strain), 5)
+        for result in outputs.results:
+            status = throw_result_to_msg(result, name='twin: throw', hardware_id=self.node)
+            self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
+            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.sentence())
+            self._send('rosout', serialize_message(line), 7)
+
+    def _advise(self, settings: Any) -> None:
+        status = advise(settings).to_status(name='twin: recommendation', hardware_id=self.node)
+        self._send('recommendation', serialize_message(statuses_to_msg(self.now, [status])), 8)
+
+    def _on_entry(self, line: str) -> None:
+        self._send('journal', serialize_message(String(data=line)), 3)
+
+    def _send(self, name: str, data: bytes, place: int) -> None:
+        time = self.now + place * _LATE
+        self.messages.append(Message(self.channels[name], data, time, time, len(self.messages)))
+
+
+def _named(request: dict[str, Any]) -> dict[str, Any]:
+    return {name.replace('__', '.'): value for name, value in request.items()}
