@@ -51,19 +51,16 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
     elif arguments.workers == 1:
         yield None
     else:
-        # Started anew, since threads do not survive a fork. Ctrl-C is answered here alone.
-        with ProcessPoolExecutor(
-            arguments.workers,
-            mp_context=multiprocessing.get_context('spawn'),
-            initializer=signal.signal,
-            initargs=(signal.SIGINT, signal.SIG_IGN),
-        ) as executor:
+        # Started anew, since threads do not survive a fork, and all at once, with Ctrl-C blocked:
+        # they inherit that, and so it is answered here alone. They finish the block they are at.
+        spawn = multiprocessing.get_context('spawn')
+        with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as executor:
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            for _ in range(arguments.workers):
+                executor.submit(int)
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
             try:
                 yield executor
-            except KeyboardInterrupt:
-                for process in multiprocessing.active_children():
-                    process.terminate()  # they might be at it for long
-                raise
             except BrokenExecutor:
                 raise WorkersLostError(
                     'a worker process was killed, perhaps for want of memory'

@@ -516,7 +516,7 @@ class _Method(NamedTuple):
 
     compute: Callable[[dict[str, Any], int | None], Floats]
     knows: tuple[str, ...]  # of `_CASE`, besides mass and speed ratio
-    block: int  # cases that take some tenths of a second
+    block: int  # cases that take some tenths of a second, and seconds at worst
 
 
 def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:
@@ -610,7 +610,7 @@ _WITH_LOSS = ('damping_ratio', 'gravity_ratio', 'loss_tangent')
 MODELS: Mapping[str, Mapping[str, _Method]] = {
     'travelling_wave': {
         'first': _Method(_first_by_travelling_wave, _WITH_LOSS[:2], 1 << 16),
-        'last': _Method(_last_by_travelling_wave, _WITH_LOSS[:2], 256),
+        'last': _Method(_last_by_travelling_wave, _WITH_LOSS[:2], 32),
     },
     'normal_modes': {
         'first': _Method(_first_by_normal_modes, _WITH_LOSS, 4096),

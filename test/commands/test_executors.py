@@ -80,7 +80,9 @@ def test_one_worker_is_this_process():
 def test_workers_are_other_processes_that_leave_ctrl_c_to_this_one():
     with open_with('--workers', '2') as executor:
         assert executor.submit(os.getpid).result() != os.getpid()
-        assert executor.submit(signal.getsignal, signal.SIGINT).result() is signal.SIG_IGN
+        blocked = executor.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
+    assert signal.SIGINT in blocked
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 def test_killed_worker_is_said_in_one_sentence():

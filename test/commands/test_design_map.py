@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `design map`."""
+
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from soft_throw_ros.commands import design, design_map
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.design.landscape import survey
+
+ROOT = Path(__file__).parents[2]
+
+SMALL = ('x=0.2:0.9:30', 'C=1:12:24')
+
+# Says aloud what a progress bar would show, so that somebody can press Ctrl-C in the middle.
+LOUD = """
+import sys
+from soft_throw_ros.commands import design, design_map
+
+class LoudBar(design_map.tqdm):
+    def update(self, count):
+        print(count, flush=True)
+
+if __name__ == '__main__':
+    design_map.tqdm = LoudBar
+    sys.exit(design.main(['map', *sys.argv[1:]]))
+"""
+
+
+def run(capsys, *args):
+    """Run the command; return what it printed."""
+    assert design.main(['map', *map(str, args)]) == 0
+    return capsys.readouterr().out
+
+
+def refused(capsys, *args):
+    """Run the command, which refuses something; return what it says."""
+    with pytest.raises(SystemExit) as end:
+        design.main(['map', *map(str, args)])
+    assert end.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    usage, message = err.splitlines()
+    assert usage.startswith('usage: ')
+    return message.partition('error: ')[2]
+
+
+@pytest.fixture
+def bars(monkeypatch):
+    """Break off, as by Ctrl-C, when `bars.left` blocks are done; never, if it is negative."""
+
+    class Bar:
+        left = -1
+
+        def __init__(self, **_):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def update(self, count):
+            if Bar.left == 0:
+                raise KeyboardInterrupt
+            Bar.left -= 1
+
+    monkeypatch.setattr(design_map, 'tqdm', Bar)
+    return Bar
+
+
+def test_map_is_saved_and_summed_up(capsys, tmp_path):
+    path = tmp_path / 'map.npz'
+    said = run(capsys, *SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
+    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
+    landscape = survey(rig, {'x': np.linspace(0.2, 0.9, 30), 'C': np.linspace(1.0, 12.0, 24)})
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file['energy_transfer'], landscape.energy_transfer)
+    x, c = landscape.summit.place
+    assert said == (
+        '30 x 24 throws, first release by travelling_wave\n'
+        f'largest alpha {landscape.summit.energy_transfer:.4f} at x {x:.5g}, C {c:.5g}; '
+        f't_e f {landscape.summit.ejection_phase:.4f}\n'
+    )
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_axes_are_read_with_range_count_and_spacing(capsys, tmp_path):
+    path = tmp_path / 'map.npz'
+    run(capsys, 'mu=0.1:10:5:log', 'engine.damping_ratio', '--output', path)
+    with np.load(path) as file:
+        np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
+        np.testing.assert_allclose(file['engine_damping_ratio'], np.linspace(0.0, 0.3, 256))
+        assert file['energy_transfer'].shape == (5, 256)
+
+
+def test_options_reach_the_map(capsys, tmp_path):
+    path = tmp_path / 'map.npz'
+    said = run(
+        capsys, *SMALL, '--model', 'spring_mass', '--density-ratio', 1, '--frequency', 31.1,
+        '--output', path,
+    )  # fmt: skip
+    assert 'left out by this model: engine.damping_ratio, gravity' in said
+    with np.load(path) as file:
+        attributes = json.loads(str(file['attributes']))
+    assert attributes['model'] == 'spring_mass'
+    assert attributes['density_ratio'] == 1.0
+    assert attributes['engine_frequency'] == 31.1
+
+
+def test_loss_is_for_the_exact_model_that_knows_it(capsys, monkeypatch):
+    monkeypatch.setattr(design_map, 'rig_of', lambda _: Rig(layer=Layer(loss_tangent=0.02)))
+    assert 'first release by normal_modes' in run(capsys, 'mu=0.1:1:4', 'kappa=5:10:4')
+
+
+def test_map_without_a_release_says_so_and_can_be_drawn(capsys, tmp_path):
+    said = run(
+        capsys, 'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
+        '--amplitude', 1e-3, '--output', tmp_path / 'map.png',
+    )  # fmt: skip
+    assert 'the projectile leaves nowhere' in said
+    assert (tmp_path / 'map.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_workers_make_the_same_file(capsys, tmp_path):
+    for workers in (1, 2):
+        run(capsys, *SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
+    assert (tmp_path / '1.npz').read_bytes() == (tmp_path / '2.npz').read_bytes()
+
+
+def test_map_that_was_broken_off_goes_on(capsys, tmp_path, bars):
+    what = (*SMALL, '--release', 'last')
+    path = tmp_path / 'map.npz'
+    bars.left = 1
+    assert design.main(['map', *what, '--output', str(path)]) == 130
+    said = capsys.readouterr().err
+    (kept,) = tmp_path.iterdir()
+    assert said == (
+        f'design map: stopped; what is done is in {kept}, '
+        'and the same command goes on from there\n'
+    )
+    bars.left = -1
+    run(capsys, *what, '--output', path)
+    run(capsys, *what, '--output', tmp_path / 'uninterrupted.npz')
+    assert path.read_bytes() == (tmp_path / 'uninterrupted.npz').read_bytes()
+    assert not kept.exists()
+
+
+def test_nothing_is_kept_for_a_map_without_a_file(capsys, bars):
+    bars.left = 0
+    assert design.main(['map', *SMALL]) == 130
+    assert capsys.readouterr().err == 'design map: stopped; nothing is kept\n'
+
+
+def test_ctrl_c_stops_workers_too_and_without_traceback(tmp_path):
+    script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
+    script.write_text(LOUD)
+    with subprocess.Popen(
+        [sys.executable, script, 'x=0.1:0.9:60', 'C=0.2:12:60', '--release', 'last',
+         '--workers', '2', '--output', path],
+        env=os.environ | {'PYTHONPATH': str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as process:  # fmt: skip
+        watchdog = threading.Timer(100, process.kill)
+        watchdog.start()
+        assert process.stdout.readline() == '32\n'
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        said = process.stderr.read()
+        watchdog.cancel()
+    assert process.returncode == 130
+    assert re.fullmatch(r'design map: stopped; what is done is in \S+\.part, .*\n', said)
+
+
+@pytest.fixture
+def picture(tmp_path, monkeypatch):
+    """Draw a map with a rig marked; give the figure and the landscape."""
+    matplotlib = pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
+    figures = []
+    save = matplotlib.figure.Figure.savefig
+    monkeypatch.setattr(
+        matplotlib.figure.Figure,
+        'savefig',
+        lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
+    )
+    landscape = survey(
+        Rig(),
+        {
+            'layer.thickness': np.geomspace(2e-3, 0.05, 40),
+            'projectile.mass': np.linspace(1e-3, 5e-3, 30),
+        },
+    )
+    rig = replace(Rig(), layer=Layer(thickness=0.01), projectile=Projectile(mass=2e-3))
+    design_map.draw(landscape, tmp_path / 'map.png', mark=rig)
+    image = matplotlib.image.imread(tmp_path / 'map.png')
+    assert image.shape[2] == 4
+    assert len(np.unique(image.reshape(-1, 4), axis=0)) > 200  # colours
+    return figures[0], landscape
+
+
+def test_picture_has_the_values_at_their_places(picture):
+    figure, landscape = picture
+    for panel, name in zip(figure.axes, ('ejection_phase', 'energy_transfer'), strict=False):
+        (mesh,) = panel.collections
+        np.testing.assert_array_equal(mesh.get_array().T, getattr(landscape, name))
+        assert panel.get_xscale() == 'log'
+        assert panel.get_yscale() == 'linear'
+        assert panel.get_xlim() == pytest.approx((2.0, 50.0))
+        assert panel.get_ylim() == pytest.approx((1.0, 5.0))
+
+
+def test_picture_has_symbols_and_units_on_its_axes(picture):
+    figure, _ = picture
+    phase, _, *bars = figure.axes
+    assert phase.get_xlabel() == 'thickness $L_s$ (mm)'
+    assert phase.get_ylabel() == 'mass $m$ (g)'
+    assert [bar.get_ylabel() for bar in bars] == [
+        'ejection time in plate periods $t_e f$',
+        r'energy transfer factor $\alpha$',
+    ]
+    assert 'first release' in figure.get_suptitle()
+
+
+def test_picture_marks_ridge_summit_and_rig(picture):
+    figure, landscape = picture
+    lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
+    place = np.array(landscape.summit.place)
+    np.testing.assert_allclose(lines[r'largest $\alpha$'].get_xydata(), [1e3 * place])
+    np.testing.assert_allclose(lines['this rig'].get_xydata(), [[10.0, 2.0]])
+    highest = landscape.axes[1].values[landscape.energy_transfer.argmax(axis=1)]
+    x, y = lines['ridge'].get_xydata().T
+    np.testing.assert_allclose(x, 1e3 * landscape.axes[0].values)
+    drawn = ~np.isnan(y)
+    assert drawn.sum() > 5
+    np.testing.assert_allclose(y[drawn], 1e3 * highest[drawn])
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        (['x'], 'AXIS must be given twice or not at all, got x'),
+        (['x', 'x'], 'a landscape has two axes, got x'),
+        (['x', 'D'], "no axis is named 'D'; there are: x, C, mu"),
+        (['x', 'layer.density'], 'layer.density needs a range: layer.density=LOW:HIGH'),
+        (['x=0.1', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1'"),
+        (['x=0.1:0.9:4.5', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1:0.9:4.5'"),
+        (['x=0.1:0.9:4:lin', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1:0.9:4:lin'"),
+        (['x=0.9:0.1', 'C'], "x must go from a lower to a higher value, got 'x=0.9:0.1'"),
+        (['x=0.1:nan', 'C'], "x must go from a lower to a higher value, got 'x=0.1:nan'"),
+        (['x=0.1:0.9:1', 'C'], "x must have at least 2 points, got 'x=0.1:0.9:1'"),
+        (['x=0.1:1', 'C'], r'x must be at least 0 and below 1, got 1\.0'),
+        (['x', 'C=1:inf'], 'C must be .* got inf'),
+        (['x', 'C=-1:1'], r'C must be .* got -1\.0'),
+        (
+            ['layer.thickness=0.01:0.2', 'layer.wave_speed'],
+            r'layer.thickness must be a number from 0.0005 to 0.1 m, got 0\.2',
+        ),
+        (
+            ['engine.damping_ratio=0:0.3:9:log', 'mu'],
+            'engine.damping_ratio cannot begin at 0 with :log',
+        ),
+        (['--model', 'guess'], "argument --model: invalid choice: 'guess'"),
+        (['--model', 'spring_mass', '--release', 'last'], 'the last release is known to'),
+        (['--density-ratio', '0'], r'density_ratio must be .* got 0\.0'),
+        (['--thickness', '16.8'], 'argument --thickness: layer.thickness must be .* got 16.8'),
+        (['--output', 'map.h5'], r"--output must end on \.npz, \.nc, \.png, got 'map.h5'"),
+        (['--output', 'no_such/map.nc'], 'no_such/map.nc: there is no folder no_such'),
+    ],
+)
+def test_what_is_refused_is_quoted(capsys, args, message):
+    assert re.match(message, refused(capsys, *args))
+
+
+def test_file_that_cannot_be_written_is_named_and_nothing_is_lost(capsys, tmp_path):
+    (tmp_path / 'map.nc').mkdir()
+    said = refused(capsys, *SMALL, '--output', tmp_path / 'map.nc')
+    assert said.startswith(f'{tmp_path / "map.nc"}')
+    assert said.endswith('; nothing is kept')
+
+
+def test_missing_matplotlib_is_said_before_the_work(capsys, monkeypatch):
+    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
+    monkeypatch.setattr(design_map, 'survey', None)
+    assert refused(capsys, '--output', 'map.png') == (
+        "map.png: pictures need what pip installs with 'soft_throw_ros[plot]'"
+    )
