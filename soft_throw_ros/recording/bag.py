@@ -910,6 +910,8 @@ def _items(record: mcap.McapRecord | None, channels: Channels) -> Iterator[Messa
             channel = channels.get(record.channel_id)
             if channel is None:
                 raise DamageError(f'nothing defines channel {record.channel_id} of a message')
+            if max(record.log_time, record.publish_time) > LATEST:
+                raise DamageError('a message has no valid times')
             yield Message(
                 channel, record.data, record.log_time, record.publish_time, record.sequence
             )

@@ -380,12 +380,14 @@ class McapFile:
                 case mcap.Schema() | mcap.Channel() as definition:
                     self._channels.add(definition)
                 case mcap.ChunkIndex() as chunk:
-                    offset = chunk.chunk_start_offset
+                    offset, length = chunk.chunk_start_offset, chunk.chunk_length
+                    if self._file.head(offset) != (Opcode.CHUNK, offset + length):
+                        return False
                     numbers = frozenset(chunk.message_index_offsets)
                     self.blocks.append(
                         Block(
                             offset,
-                            offset + chunk.chunk_length,
+                            offset + length,
                             chunk.message_start_time,
                             chunk.message_end_time,
                             same.setdefault(numbers, numbers),

@@ -8,7 +8,8 @@ file claims; so what finds records, and unpacks chunks, is here, and checks each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+import contextlib
 from dataclasses import dataclass
 from io import BytesIO
 import os
@@ -80,22 +81,10 @@ _INDEX_HEAD = struct.Struct('<HI')
 _PRIVATE = 0x80
 """From this opcode on, records are of whoever wrote them, and skipped."""
 
-_HEADS = re.compile(
-    b'(?=[%s].{4}\0{4})'
-    % bytes(
-        [
-            Opcode.SCHEMA,
-            Opcode.CHANNEL,
-            Opcode.MESSAGE,
-            Opcode.CHUNK,
-            Opcode.ATTACHMENT,
-            Opcode.METADATA,
-            Opcode.DATA_END,
-        ]
-    ),
-    re.DOTALL,
-)
-"""How records begin with which reading can go on after damage."""
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+
+_OUTSIDE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END)
+"""With these, and in a file without chunks with those, reading can go on after damage."""
 
 _CHUNK = bytes([Opcode.CHUNK])
 
@@ -180,7 +169,9 @@ class File:
         self._stream.close()
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on, or as many as there are."""
+        """Return `size` bytes from `offset` on, or as many as there are; none before the file."""
+        if offset < 0:
+            return b''
         end = min(offset + size, self.size)
         pieces = []
         while offset < end and (piece := os.pread(self._stream.fileno(), end - offset, offset)):
@@ -346,31 +337,30 @@ def unpack_start(body: bytes) -> bytes:
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     except (EndOfFile, OverflowError, struct.error, UnicodeDecodeError):
         return b''
+    data = bytearray()
+    with contextlib.suppress(zstandard.ZstdError, RuntimeError, EOFError):
+        for piece in _pieces(chunk):
+            data += piece
+            if len(data) >= min(chunk.uncompressed_size, LIMIT):
+                break
+    return bytes(data)
+
+
+def _pieces(chunk: Chunk) -> Iterator[bytes]:
+    """Decompress a chunk little by little, as far as it goes."""
     match chunk.compression:
         case '':
-            return bytes(chunk.data)
+            yield chunk.data
         case 'zstd':
             reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
-            return _join(lambda: reader.read(_PIECE))
+            while piece := reader.read(_PIECE):
+                yield piece
         case 'lz4':
             decompressor = lz4.frame.LZ4FrameDecompressor()
-            rest = iter([chunk.data])
-            return _join(lambda: decompressor.decompress(next(rest, b''), max_length=_PIECE))
-    return b''
-
-
-def _join(read: Callable[[], bytes]) -> bytes:
-    """Read as much as can be had, up to `LIMIT`."""
-    pieces = []
-    for _ in range(LIMIT // _PIECE):
-        try:
-            piece = read()
-        except (zstandard.ZstdError, RuntimeError, EOFError):
-            break
-        if not piece:
-            break
-        pieces.append(piece)
-    return b''.join(pieces)
+            data = chunk.data
+            while piece := decompressor.decompress(data, max_length=_PIECE):
+                yield piece
+                data = b''
 
 
 def split(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -404,7 +394,7 @@ def split(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 def scan(file: File) -> Iterator[Found | Gap]:
     """
-    Find the records of a file one by one, up to its footer, and go on after what is damaged.
+    Find the records of a file one by one, up to its end, and go on after what is damaged.
 
     Chunks are not looked into, unless one is needed to go on with.
 
@@ -413,7 +403,7 @@ def scan(file: File) -> Iterator[Found | Gap]:
     Found
         A record.
     Gap
-        What is none. If there is no footer, one of these comes last.
+        What is none. If the file has no end, one of these comes last.
 
     """
     scanner = _Scanner(file)
@@ -428,9 +418,9 @@ def scan(file: File) -> Iterator[Found | Gap]:
             offset, is_whole = end, False
             continue
         yield found
-        if isinstance(found.record, Footer):
-            return
         offset, is_whole = found.end, True
+        if isinstance(found.record, Footer) and file.read(offset, len(MAGIC)) == MAGIC:
+            return
     if is_whole:
         yield Gap(file.path, file.size, 0, 'the file has no end')
 
@@ -460,23 +450,25 @@ class _Scanner:
         return end
 
     def _search(self, offset: int) -> int:
+        """Return where a record certainly begins, or the file ends."""
+        # In a file with chunks, what could be in one is in one that is damaged
+        opcodes = bytes(_OUTSIDE if self._has_chunks else _OUTSIDE + _IN_CHUNKS)
+        head = re.compile(b'(?=[%s].{4}\0{4})' % opcodes, re.DOTALL)
         while offset < self._file.size:
             piece = self._file.read(offset, _PIECE + HEAD.size)
-            for match in _HEADS.finditer(piece):
+            for match in head.finditer(piece):
                 if self._is_record(offset + match.start()):
                     return offset + match.start()
             offset += _PIECE
         return self._file.size
 
     def _is_record(self, offset: int) -> bool:
-        """Tell whether a record begins there, for certain."""
         try:
             opcode, end = self._file.head(offset)
             if not self._may_begin(end):
                 return False
             if opcode == Opcode.MESSAGE:
-                # In a file with chunks it stands in one that is damaged
-                return not self._has_chunks and end - offset >= MESSAGE_HEAD.size
+                return end - offset >= MESSAGE_HEAD.size
             found = self._file.record(offset)
             if isinstance(found.record, Chunk):
                 unpack(found.record)

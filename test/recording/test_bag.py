@@ -657,7 +657,7 @@ def rename(text):
         ('rosbag2_bagfile_information: [', 'metadata.yaml: the file cannot be read, '),
         ('rosbag2_bagfile_information: 7', 'metadata.yaml: the file does not describe a bag'),
         ('- 1', 'metadata.yaml: the file cannot be read, '),
-        ('[' * 10**5, 'metadata.yaml: the file cannot be read, '),
+        ('[' * 1000, 'metadata.yaml: the file cannot be read, '),
         ('#' * 2**21, 'metadata.yaml: the file cannot be read, '),
         ('\0', 'metadata.yaml: the file cannot be read, '),
         (rename, 'bag_x.mcap: the file is missing'),

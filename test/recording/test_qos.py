@@ -99,7 +99,7 @@ def test_policy_of_the_future_is_unknown():
 
 @pytest.mark.parametrize(
     'text',
-    ['{', 'depth', '[3]', '7', '[{depth: many}]', '[{deadline: {sec: 1}}]', '[' * 5000, '[[1]]'],
+    ['{', 'depth', '[3]', '7', '[{depth: many}]', '[{deadline: {sec: 1}}]', '[' * 1000, '[[1]]'],
 )
 def test_what_is_no_profile_is_refused_and_quoted(text):
     with pytest.raises(ValueError, match='no profiles of quality of service, ') as refusal:
