@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The viewer of Rerun as a process: found, started on this machine only, and watched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+from importlib import util
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+
+HOST = '127.0.0.1'
+
+START_TIME = 20.0
+"""Longest wait for a viewer to listen. [s]"""
+
+_POLL = 0.05  # [s]
+
+_CONNECT_TIME = 0.2  # [s]
+
+_MEMORY = ('--memory-limit', '2GB', '--server-memory-limit', '256MB')
+
+_NO_GRAPHICS = ('render context', 'adapter')
+"""In what a viewer says last if it finds no Vulkan."""
+
+
+class ViewerError(RuntimeError):
+    """The viewer cannot be used; the message says why, and what would help."""
+
+
+def find_viewer() -> Path:
+    """
+    Return the program: that of the package `rerun-sdk`, or else one on the PATH.
+
+    Raises
+    ------
+    ViewerError
+        If there is none.
+
+    """
+    package = util.find_spec('rerun_cli')
+    if package is not None and package.origin is not None:
+        path = Path(package.origin).with_name('rerun')
+        if path.exists():
+            return path
+    found = shutil.which('rerun', path=f'{Path(sys.executable).parent}:{os.environ.get("PATH")}')
+    if found is None:
+        raise ViewerError("no program rerun is on the PATH; pip install 'soft_throw_ros[rerun]'")
+    return Path(found)
+
+
+def has_display() -> bool:
+    """Tell whether a window could be opened."""
+    return any(os.environ.get(name) for name in ('WAYLAND_DISPLAY', 'WAYLAND_SOCKET', 'DISPLAY'))
+
+
+def connect(port: int) -> socket.socket | None:
+    """Return a connection to whoever listens on a port, which ends when that does; or None."""
+    try:
+        connection = socket.create_connection((HOST, port), _CONNECT_TIME)
+    except OSError:
+        return None
+    connection.setblocking(False)
+    return connection
+
+
+def is_open(connection: socket.socket) -> bool:
+    """Tell whether the other end is still there."""
+    try:
+        return bool(connection.recv(4096))
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+
+
+def listens(port: int) -> bool:
+    """Tell whether somebody listens on a port."""
+    connection = connect(port)
+    if connection is None:
+        return False
+    connection.close()
+    return True
+
+
+def free_port() -> int:
+    """Return a port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+class Viewer:
+    """
+    A viewer, in a session of its own.
+
+    It is bound to this machine, has limits on its memory, and sends no statistics to anybody.
+
+    Parameters
+    ----------
+    port : int
+        Where it is to listen.
+    *options : str or path_like
+        Of the program.
+
+    Raises
+    ------
+    ViewerError
+        If it ends by itself, or takes longer than `START_TIME` to listen.
+
+    """
+
+    def __init__(self, port: int, *options: str | Path) -> None:
+        command = [find_viewer(), '--bind', HOST, '--port', str(port), *_MEMORY, *options]
+        self.port = port
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        with _without_statistics() as environment:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=self._errors,
+                start_new_session=True,
+                env=environment,
+            )
+            deadline = time.monotonic() + START_TIME
+            while not listens(port):
+                self.check()
+                if time.monotonic() > deadline:
+                    self.end()
+                    raise ViewerError(f'the viewer has not answered within {START_TIME:g} s')
+                time.sleep(_POLL)
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def check(self) -> None:
+        """Raise ViewerError if it has ended."""
+        if self._process.poll() is None:
+            return
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors='replace').strip().splitlines()
+        self.end()
+        if any(word in line for line in lines for word in _NO_GRAPHICS):
+            raise ViewerError(
+                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
+                'mesa-vulkan-drivers libvulkan1` brings what it needs'
+            )
+        raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
+
+    def end(self) -> None:
+        """End it."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._errors.close()
+
+
+@contextlib.contextmanager
+def _without_statistics() -> Iterator[dict[str, str]]:
+    """
+    Yield an environment in which Rerun sends nothing to its makers.
+
+    That is a setting in its folder of settings, which is read when it starts; the user's own is
+    left alone.
+
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Path(folder) / 'rerun' / 'analytics.json'
+        settings.parent.mkdir()
+        settings.write_text(
+            json.dumps(
+                {
+                    'analytics_enabled': False,
+                    'analytics_id': '',
+                    'config_file_path': str(settings),
+                    'data_dir_path': folder,
+                }
+            )
+        )
+        yield {
+            'RUST_LOG': 'error',  # of which notices in the window are made, too
+            **os.environ,
+            'XDG_CONFIG_HOME': folder,
+        }

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The viewer of Rerun as a process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from soft_throw_ros.recording import viewer
+from soft_throw_ros.recording.viewer import (
+    connect,
+    find_viewer,
+    free_port,
+    is_open,
+    listens,
+    Viewer,
+    ViewerError,
+)
+
+pytest.importorskip('rerun')
+
+LISTEN = '0A'  # in /proc/net/tcp
+
+
+@pytest.fixture
+def headless() -> Iterator[Viewer]:
+    with Viewer(free_port(), '--headless') as process:
+        yield process
+
+
+def listening_addresses(port: int) -> set[str]:
+    """Return the addresses at which somebody listens on a port, as the kernel writes them."""
+    found = set()
+    for table in ('tcp', 'tcp6'):
+        for line in Path(f'/proc/net/{table}').read_text(encoding='ascii').splitlines()[1:]:
+            local, state = line.split()[1], line.split()[3]
+            address, _, number = local.partition(':')
+            if state == LISTEN and int(number, 16) == port:
+                found.add(address)
+    return found
+
+
+def test_viewer_listens_on_this_machine_only(headless) -> None:
+    assert listening_addresses(headless.port) == {'0100007F'}  # 127.0.0.1
+
+
+def test_viewer_keeps_no_statistics_for_its_makers(tmp_path, monkeypatch) -> None:
+    """Rerun gathers in a folder what it will send."""
+    monkeypatch.setenv('XDG_DATA_HOME', str(tmp_path))
+    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path / 'settings'))
+    with Viewer(free_port(), '--headless'):
+        time.sleep(1.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_connection_ends_with_the_viewer(headless) -> None:
+    connection = connect(headless.port)
+    assert connection is not None
+    assert is_open(connection)
+    headless.check()
+    headless._process.kill()
+    headless._process.wait()
+    assert not is_open(connection)
+    assert not listens(headless.port)
+    connection.close()
+    with pytest.raises(ViewerError, match='has ended'):
+        headless.check()
+
+
+def test_nobody_listens_on_a_free_port() -> None:
+    port = free_port()
+    assert connect(port) is None
+    with socket.create_server(('127.0.0.1', port)):
+        assert listens(port)
+
+
+def test_viewer_without_graphics_says_what_to_install(monkeypatch) -> None:
+    for name in ('VK_DRIVER_FILES', 'VK_ICD_FILENAMES'):
+        monkeypatch.setenv(name, '/nowhere')
+    monkeypatch.setenv('WGPU_BACKEND', 'vulkan')
+    with pytest.raises(ViewerError, match='apt install mesa-vulkan-drivers'):
+        watch_a_viewer(200)
+
+
+def watch_a_viewer(times: int) -> None:
+    with Viewer(free_port(), '--headless') as process:
+        for _ in range(times):
+            process.check()
+            time.sleep(0.05)
+
+
+def test_viewer_that_ends_at_once_says_why() -> None:
+    with pytest.raises(ViewerError, match=r'has ended: .*--no-such-option'):
+        Viewer(free_port(), '--no-such-option')
+
+
+def test_program_is_that_of_the_package_and_runs() -> None:
+    done = subprocess.run([find_viewer(), '--version'], capture_output=True, text=True, check=True)
+    assert '0.41' in done.stdout
+
+
+def test_program_that_is_not_there_is_said_to_be_installed_by_pip(monkeypatch) -> None:
+    monkeypatch.setattr(viewer.util, 'find_spec', lambda _name: None)
+    monkeypatch.setattr(sys, 'executable', '/nowhere/python')
+    monkeypatch.setenv('PATH', '/nowhere')
+    with pytest.raises(ViewerError, match=r'soft_throw_ros\[rerun\]'):
+        find_viewer()
