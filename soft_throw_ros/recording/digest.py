@@ -10,13 +10,13 @@ step, and gets its time from that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
 import itertools
 import math
 import operator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from soft_throw_ros.twin.pace import Pace, SECOND
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+
+T = TypeVar('T')
 
 JOINTS = ('plate', 'projectile')
 
@@ -345,7 +347,7 @@ class TwinDigest:
 
     """
 
-    def __init__(self, on_damage: Any) -> None:
+    def __init__(self, on_damage: Callable[[Message, Exception], None]) -> None:
         self.rig: Rig | None = None
         self.settings: Settings = TWIN.defaults()
         self.start: int | None = None
@@ -362,27 +364,32 @@ class TwinDigest:
         return float(self.settings['time_scale'])
 
     def take(self, messages: Sequence[tuple[str, Message]]) -> Iterator[Part]:
-        """Read messages, each with its kind, in the order in which they came."""
+        """Read messages, each with its kind; one of the journal can be the first only."""
+        if messages[0][0] == JOURNAL:
+            yield from self._read(self._entry, messages[0][1])
         states = [message for kind, message in messages if kind == STATES]
         if states:
             yield from self._motion(states)
         layers: dict[str, list[tuple[int, Floats]]] = {STRAIN: [], VELOCITY: []}
         for kind, message in messages:
-            try:
-                if kind in layers:
-                    layers[kind].append((self._step_stamp(message), _field(message, dimensions=1)))
-                elif kind == THROW_FIELD:
-                    yield from self._throw_field(message)
-                elif kind == PHASE:
-                    yield PhaseChange(stamp=self._step_stamp(message), phase=_text(message))
-                elif kind in (THROW_RESULT, RECOMMENDATION):
-                    yield from self._reports(kind, message)
-                elif kind == JOURNAL:
-                    yield from self._entry(message)
-            except _BAD as error:
-                self._on_damage(message, error)
+            if kind in layers:
+                layers[kind] += self._read(self._layer, message)
+            elif kind == THROW_FIELD:
+                yield from self._read(self._throw_field, message)
+            elif kind == PHASE:
+                yield from self._read(self._phase, message)
+            elif kind in (THROW_RESULT, RECOMMENDATION):
+                yield from self._read(self._reports, message, kind)
         yield from self._layer_strain(layers[STRAIN])
         yield from self._layer_energy(layers[STRAIN], layers[VELOCITY])
+
+    def _read(self, read: Callable[..., Iterator[T]], message: Message, *rest: str) -> list[T]:
+        """Return what a message says; nothing, if it is damaged."""
+        try:
+            return list(read(message, *rest))
+        except _BAD as error:
+            self._on_damage(message, error)
+            return []
 
     # times
 
@@ -449,9 +456,13 @@ class TwinDigest:
         states.plate_work = work - np.where(last_rest < 0, 0.0, work[last_rest])
         if self.rig is not None:
             energy = self._carried(states.position[:, 1], states.velocity[:, 1])
+            energy[(states.velocity == 0.0).all(axis=1)] = 0.0  # at rest, with whatever layer
             states.projectile_energy = np.where(states.is_put_back, math.nan, energy)
 
     # the layer
+
+    def _layer(self, message: Message) -> Iterator[tuple[int, Floats]]:
+        yield self._step_stamp(message), _field(message, dimensions=1)
 
     def _layer_strain(self, strains: Sequence[tuple[int, Floats]]) -> Iterator[LayerStrain]:
         if self.rig is None or self._recent is None:
@@ -553,7 +564,10 @@ class TwinDigest:
 
     # words
 
-    def _reports(self, kind: str, message: Message) -> Iterator[Report]:
+    def _phase(self, message: Message) -> Iterator[PhaseChange]:
+        yield PhaseChange(stamp=self._step_stamp(message), phase=_text(message))
+
+    def _reports(self, message: Message, kind: str) -> Iterator[Report]:
         array = _decode(message)
         stamp = array.header.stamp.sec * SECOND + array.header.stamp.nanosec
         for status in array.status:

@@ -223,15 +223,11 @@ class Scene:
     ----------
     digest : Digest
         What reads the messages.
-    moment : int or None
-        When a throw can be seen well: in the middle of the last contact that is there as a
-        whole. [ns]
 
     """
 
     def __init__(self, energy_transfer: EnergyTransfer, executor: Executor, *, use: Use) -> None:
         self.digest = Digest()
-        self.moment: int | None = None
         self._survey = lambda *request: executor.submit(_survey, energy_transfer, *request)
         self._is_live = use == 'live'
         self._is_picture = use == 'picture'
@@ -244,6 +240,12 @@ class Scene:
     def is_empty(self) -> bool:
         """Whether nothing has come that could be drawn."""
         return not self._twins
+
+    @property
+    def moment(self) -> int | None:
+        """When there is most to see: in the last contact that is there as a whole. [ns]"""
+        moments = [twin.moment for twin in self._twins.values() if twin.moment is not None]
+        return moments[0] if moments else None  # whose views are in front
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
         """Draw into a recording from now on, with what is there already; or into none."""
@@ -262,7 +264,6 @@ class Scene:
             if prefix not in self._twins:
                 self._twins[prefix] = _TwinScene(prefix, self._canvas, self._survey)
             self._twins[prefix].draw(part)
-            self.moment = self._twins[prefix].moment or self.moment
         for twin in self._twins.values():
             twin.draw_landscapes()
         if self._is_live:

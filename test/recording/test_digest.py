@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.digest import (
@@ -110,6 +112,24 @@ def test_work_of_the_plate_is_in_projectile_and_layer(slow) -> None:
         np.testing.assert_allclose(energy.total, work, atol=6e-3 * largest)
 
 
+def test_work_converges_with_the_square_of_the_step() -> None:
+    throw = simulate(Rig(), until=0.01)
+    time = np.linspace(0.0, throw.ejection_time, 40_001)
+    layer = throw.rig.layer
+    force = layer.youngs_modulus * layer.section * throw.fields(time, points=2).strain[:, 0]
+    speed = throw.trajectory(time).plate_velocity
+    work = cumulative_trapezoid(-force * speed, time, initial=0.0)
+    errors = []
+    scales = (0.2, 0.1, 0.05, 0.025)
+    for scale in scales:
+        twin = one_throw(round(7.6 / scale), time_scale=scale, rate__field=10.0)
+        motion = parts(twin.messages, Motion)[-1]
+        exact = np.interp(np.arange(motion.stamps.size) * 1e-3 * scale, time, work)
+        errors.append(np.abs(motion.plate_work - exact).max())
+    order, _ = np.polyfit(np.log(scales), np.log(errors), 1)
+    assert order == pytest.approx(2.0, abs=0.25)
+
+
 def test_work_begins_anew_with_every_throw() -> None:
     twin = TwinMessages(throw__period=0.2, rate__field=10.0).go(500)
     motion = parts(twin.messages, Motion)
@@ -200,9 +220,9 @@ def test_batches_do_not_matter(real, batch) -> None:
 
 
 def test_rig_changes_when_a_throw_begins_with_another() -> None:
-    twin = TwinMessages(throw__period=0.2).go(300)
+    twin = TwinMessages(throw__period=0.1, time_scale=0.1).go(1500)
     twin.change(layer__thickness=0.01)
-    twin.go(200)
+    twin.go(1000)
     first, second = parts(twin.messages, RigChange)
     assert (first.rig.layer.thickness, second.rig.layer.thickness) == (0.0168, 0.01)
     starts = [
@@ -211,6 +231,13 @@ def test_rig_changes_when_a_throw_begins_with_another() -> None:
         if entry['kind'] == 'throw'
     ]
     assert second.stamp == twin.pace.deadline(starts[1])
+    motion = parts(twin.messages, Motion)
+    begun = joined(motion, 'stamps') >= second.stamp
+    work, stamps = joined(motion, 'plate_work')[begun], joined(motion, 'stamps')[begun]
+    assert joined(motion, 'projectile_energy')[begun][0] == work[0] == 0.0
+    energies = parts(twin.messages, LayerEnergy)
+    of_throw = next(energy for energy in energies if energy.stamps[0] == second.stamp)
+    np.testing.assert_allclose(of_throw.total, np.interp(of_throw.stamps, stamps, work), atol=2e-5)
 
 
 def journal_lines(twin: Any) -> list[str]:
