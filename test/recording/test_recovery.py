@@ -162,7 +162,7 @@ def test_bag_cut_off_anywhere_gives_what_came_before(recording, tmp_path, compre
     cuts |= {len(whole) - size for size in (1, 8, 9, 37, 38, 100)}
     for size in sorted(cuts):
         path.write_bytes(whole[:size])
-        with BagReader(recording.folder) as bag:
+        with BagReader(path) as bag:
             found = recording.content(bag.messages())
             assert bag.damage
         assert found == expected[: len(found)]
@@ -198,7 +198,7 @@ def test_flipped_bits_cost_no_more_than_the_chunk_they_are_in(recording, tmp_pat
         place = generator.randrange(len(MCAP0_MAGIC), len(whole))
         damaged[place] ^= 1 << generator.randrange(8)
         path.write_bytes(damaged)
-        with BagReader(recording.folder) as bag, BagReader(recording.folder, by_scan=True) as scan:
+        with BagReader(path) as bag, BagReader(path, by_scan=True) as scan:
             for reader in (bag, scan):
                 found = recording.content(reader.messages())
                 assert is_subsequence(found, expected)
@@ -435,8 +435,10 @@ def try_everything(path, target):
         assert not target.exists()
     else:
         assert count == len(found[-1])
-        with RosbagsReader(target) as bag:
-            assert bag.message_count == count
+        whole = [BytesIO(file.read_bytes()) for file in target.glob('*.mcap')]
+        assert count == sum(
+            len(list(make_reader(file, validate_crcs=True).iter_messages())) for file in whole
+        )
         shutil.rmtree(target)
     assert all(str(path) in reason for reason in reasons)
     return [*found, streamed]
