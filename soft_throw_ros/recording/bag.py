@@ -164,7 +164,8 @@ class BagWriter:
             raise BagError(f'{folder} exists, and a bag is never overwritten') from None
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
-        self._lock = _lock(self.folder)
+        # The folder is new: if somebody has it, then `is_being_written`, and only for a moment
+        self._lock = _lock(self.folder, fcntl.LOCK_EX)
         try:
             self._begin_file()
         except BagError:
@@ -356,6 +357,8 @@ class BagWriter:
         for channel in self.counts:
             self._define(channel)
         self._write_information()
+        if self._sync:
+            os.fsync(self._lock)  # that there is such a file
         self._keep()
 
     def _define(self, channel: Channel) -> None:
@@ -471,12 +474,16 @@ class BagWriter:
         """Replace `metadata.yaml` at once."""
         path = self.folder / _METADATA
         temporary = path.with_suffix('.yaml.tmp')
-        with temporary.open('w', encoding='utf-8') as file:
-            file.write(f'{_INFORMATION}:\n{textwrap.indent(self._information(), "  ")}')
-            file.flush()
-            if self._sync:
-                os.fsync(file.fileno())
-        temporary.replace(path)
+        try:
+            with temporary.open('w', encoding='utf-8') as file:
+                file.write(f'{_INFORMATION}:\n{textwrap.indent(self._information(), "  ")}')
+                file.flush()
+                if self._sync:
+                    os.fsync(file.fileno())
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 @dataclass
@@ -544,14 +551,14 @@ class _Output:
             self._path.unlink()
 
 
-def _lock(folder: Path) -> int:
-    """Lock a folder; return the descriptor that holds the lock."""
+def _lock(folder: Path, mode: int) -> int:
+    """Lock a folder; return the descriptor that holds the lock, where there are locks at all."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, mode)
     except BlockingIOError:
         os.close(descriptor)
-        raise BagError(f'{folder}: is being written') from None
+        raise
     except OSError:
         pass  # a file system without locks
     return descriptor
@@ -560,14 +567,13 @@ def _lock(folder: Path) -> int:
 def is_being_written(path: str | Path) -> bool:
     """Tell whether a `BagWriter`, here or in another process, writes the bag that has a path."""
     folder = Path(path)
-    if not folder.is_dir():
-        folder = folder.parent
     try:
-        os.close(_lock(folder))
-    except BagError:
+        folder = folder if folder.is_dir() else folder.parent
+        os.close(_lock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB))
+    except BlockingIOError:
         return True
     except OSError:
-        pass  # nothing there, or nothing that may be opened; what reads it will say so
+        pass  # nothing is there, or it may not be opened; whoever reads it will say so
     return False
 
 

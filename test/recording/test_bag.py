@@ -336,6 +336,7 @@ def test_sync_waits_for_the_disk(tmp_path, monkeypatch):
         writer.flush()
         assert synced[-1] == (tmp_path / 'bag/bag_0.mcap').stat().st_ino
     assert synced[-1] == (tmp_path / 'bag/metadata.yaml').stat().st_ino
+    assert (tmp_path / 'bag').stat().st_ino in synced
 
 
 def test_full_disk_is_named_once_and_what_came_before_is_kept(tmp_path):
@@ -400,8 +401,9 @@ def test_disk_that_stays_full_gets_no_further_files(tmp_path, monkeypatch):
     writer.close()
 
 
-def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path):
-    with largest_file(10), pytest.raises(BagError, match='File too large'):
+@pytest.mark.parametrize('size', [10, 300, 500])
+def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
+    with largest_file(size), pytest.raises(BagError, match='File too large'):
         BagWriter(tmp_path / 'bag', distribution='')
     assert list(tmp_path.iterdir()) == []
 
