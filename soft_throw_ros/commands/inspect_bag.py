@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 PERIOD = 1.0 / 30.0
 """How often what has come is shown. [s]"""
 
+FILE_PERIOD = 0.5
+"""The same where nobody looks, and fewer pieces make a smaller file. [s]"""
+
 PROBE_TIME = 1.0
 """How often it is looked for a viewer. [s]"""
 
@@ -202,7 +205,7 @@ def _show_bag(module: Any, arguments: argparse.Namespace) -> int:
     try:
         with BagReader(arguments.bag) as reader:
             _check_bag(reader)
-            with ThreadPoolExecutor(1) as pool, _notice():
+            with ThreadPoolExecutor(1) as pool:
                 use = 'picture' if arguments.screenshot else 'bag'
                 scene = module.Scene(energy_transfer, pool, use=use)
                 return _BagShow(module, scene, reader, arguments).run()
@@ -276,21 +279,26 @@ class _BagShow:
                 )
             Viewer(port, '--hide-welcome-screen', '--expect-data-soon')
         connection = connect(port)
-        self._module.connect_to(self._stream, port)
-        self._draw()
-        while not self._module.flush(self._stream, PROBE_TIME):
-            if connection is None or not is_open(connection):
-                raise InspectError('the viewer was closed before it had everything', 1)
+        if connection is None:
+            raise InspectError(f'nobody listens at 127.0.0.1:{port} any more', 1)
+        with connection:
+            self._module.connect_to(self._stream, port)
+            self._draw()
+            while not self._module.flush(self._stream, PROBE_TIME):
+                if not is_open(connection):
+                    raise InspectError('the viewer was closed before it had everything', 1)
         if self._scene.moment is not None:
             self._module.go_to(self._stream, port, self._scene.moment)
+        self._stream.disconnect()
 
     def _draw(self) -> None:
         """Draw the whole bag, and say what of it could not be read."""
         scene, path = self._scene, self._reader.path
         scene.connect(self._stream)
-        for batch in _batches(self._reader.messages()):
-            scene.show(batch)
-        scene.finish(is_waiting=True)
+        with _notice():
+            for batch in _batches(self._reader.messages()):
+                scene.show(batch)
+            scene.finish(is_waiting=True)
         if scene.is_empty:
             raise InspectError(f'{path}: nothing of a twin could be read{_damage(scene)}', 2)
         if self._reader.damage:
@@ -351,7 +359,7 @@ def _show_stream(module: Any, arguments: argparse.Namespace) -> int:
             scene.show(inbox.take())
             if inbox.is_over:
                 break
-            watchdog.wait(PERIOD)
+            watchdog.wait(FILE_PERIOD if arguments.save else PERIOD)
         watchdog.count_down()
         if inbox.trouble:
             _say(inbox.trouble)
