@@ -320,6 +320,7 @@ class McapFile:
         self._counts: Counter[int] = Counter()
         self._metadata: list[int] = []
         self._attachments: list[int] = []
+        self._noted: set[int] = set()
         self._is_chunk_lost = False
 
     def _numbers(self, selection: Selection) -> dict[int, Channel]:
@@ -351,9 +352,9 @@ class McapFile:
 
     def _note(self, offset: int, end: int, error: DamageError) -> None:
         """Remember what is damaged, once."""
-        gap = Gap(self.path, offset, end - offset, str(error))
-        if gap not in self.gaps:
-            self.gaps.append(gap)
+        if offset not in self._noted:
+            self._noted.add(offset)
+            self.gaps.append(Gap(self.path, offset, end - offset, str(error)))
 
     def _read_index(self) -> bool:
         """Take over the index at the end; tell whether it is there and complete."""
@@ -416,16 +417,15 @@ class McapFile:
         for item in scan(self._file):
             if isinstance(item, Found):
                 self._add(item)
-            elif item.size and self._file.read(item.offset, 1) == _CHUNK:
+                continue
+            self.gaps.append(item)
+            if item.size and self._file.read(item.offset, 1) == _CHUNK:
                 self._is_chunk_lost = True
-                count = 0
                 if item.offset + item.size == self._file.size:
                     data = self._unpack_start(item.offset)
                     count = self._add_block(data, item.offset, self._file.size, kind='cut')
-                reason = f'{item.reason}; {count} messages before that are read' if count else ''
-                self.gaps.append(item._replace(reason=reason or item.reason))
-            else:
-                self.gaps.append(item)
+                    reason = f'{item.reason}; {count} messages before that are read'
+                    self.gaps[-1] = item._replace(reason=reason)
 
     def _add(self, found: Found) -> None:
         """Take over a record."""
@@ -514,9 +514,12 @@ class McapFile:
 
 def _decompressed_message(data: bytes) -> bytes:
     try:
-        return decompress('zstd', data, zstandard.frame_content_size(data))
-    except zstandard.ZstdError as error:
-        raise DamageError(f'a message cannot be decompressed: {error}') from None
+        size = zstandard.frame_content_size(data)
+    except zstandard.ZstdError:
+        size = -1
+    if size < 0:
+        raise DamageError('a message there is not compressed, as the others are')
+    return decompress('zstd', data, size)
 
 
 def _open(path: Path, *, is_lenient: bool) -> File:

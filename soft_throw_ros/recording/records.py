@@ -453,12 +453,14 @@ class _Scanner:
         """Return where a record certainly begins, or the file ends."""
         # In a file with chunks, what could be in one is in one that is damaged
         opcodes = bytes(_OUTSIDE if self._has_chunks else _OUTSIDE + _IN_CHUNKS)
-        head = re.compile(b'(?=[%s].{4}\0{4})' % opcodes, re.DOTALL)
+        head = re.compile(b'[%s].{4}\0{4}' % opcodes, re.DOTALL)
         while offset < self._file.size:
             piece = self._file.read(offset, _PIECE + HEAD.size)
-            for match in head.finditer(piece):
+            position = 0
+            while match := head.search(piece, position):
                 if self._is_record(offset + match.start()):
                     return offset + match.start()
+                position = match.start() + 1
             offset += _PIECE
         return self._file.size
 
