@@ -34,7 +34,8 @@ falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. 
 
 Many throws at once go through the same functions, side by side in the lanes of a vector. Numba
 vectorises a loop over lanes if what it calls is inlined and has no branch, calls no C library,
-and knows its k when it is compiled; hence `_inline`, `_decay`, `_phasor` and `_polish_lanes`.
+and if it knows when it is compiled how far apart is what it reads and writes; hence `_inline`,
+`_decay`, `_phasor` and `_copy_coefficients`.
 
 """
 
@@ -62,7 +63,8 @@ _GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 wit
 _SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
 _THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
 _LANES = 32
-_LANES_K = 3  # later intervals are polished one throw at a time
+_LANES_K = 15  # releases in later intervals are polished one at a time, ...
+_FEW = 8  # and so are fewer than these in one interval
 
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 _HALVES = 2.0 ** -np.arange(1100.0)
@@ -321,6 +323,21 @@ class _Wave(NamedTuple):
     fade: float  # e^{-2 / mu}
 
 
+class _Sums(NamedTuple):
+    """What fades within an interval: sums up to a phi_j, and what the next one is made of."""
+
+    before: float  # phi_{j-1}
+    phi: float  # phi_j and its derivatives
+    dphi: float
+    ddphi: float
+    dddphi: float
+    g: float  # of G and its derivatives
+    dg: float
+    ddg: float
+    dddg: float
+    upward: float  # of v_+
+
+
 class _Interval(NamedTuple):
     """The interval of release, and where in it G + weight falls through 0."""
 
@@ -539,58 +556,79 @@ def _hermite_root(start, end, start_slope, end_slope):
 
 
 @_inline
-def _attached(k, sigma, wave, steady, c, first, stride):
-    """Compute G, three derivatives, and v_+ in interval k; c_j is c[first + j * stride]."""
-    rate = wave.rate
+def _steady_part(sigma, wave, steady):
+    """Compute what does not fade of G and three derivatives, and of v_+."""
     phasor = _phasor(wave.lam, sigma)
     value = wave.to_force * steady * phasor
     slope = wave.lam * value
     curve = wave.lam * slope
     jerk = wave.lam * curve
-    upward = (steady * phasor).imag
-    x = 2.0 * sigma * rate
-    before = 0.0
-    phi = _decay(sigma * rate)
-    dphi = -phi
-    ddphi = phi
-    dddphi = -phi
-    older = 0.0
-    if k > 0:
-        older = c[first + (k - 1) * stride]
-        upward -= older * phi
-    weight = c[first + k * stride] + older
-    g = weight * phi
-    dg = weight * dphi
-    ddg = weight * ddphi
-    dddg = weight * dddphi
-    for j in range(1, k + 1):
-        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
-        dfollowing = dphi - phi - following
-        ddfollowing = ddphi - dphi - dfollowing
-        dddphi -= ddphi + ddfollowing
-        before, phi, dphi, ddphi = phi, following, dfollowing, ddfollowing
-        weight = older
-        if j < k:
-            older = c[first + (k - j - 1) * stride]
-            weight += older
-            upward -= older * phi
-        g += weight * phi
-        dg += weight * dphi
-        ddg += weight * ddphi
-        dddg += weight * dddphi
-    return (
-        value.imag - g,
-        slope.imag - dg * rate,
-        curve.imag - ddg * (rate * rate),
-        jerk.imag - dddg * (rate * rate * rate),
-        upward,
+    return value.imag, slope.imag, curve.imag, jerk.imag, (steady * phasor).imag
+
+
+@_inline
+def _first_term(sigma, wave, newer, older):
+    """Begin the sums over phi_j with j = 0, whose coefficients are c_k and c_{k-1}."""
+    weight = newer + older
+    phi = _decay(sigma * wave.rate)
+    fading = weight * phi
+    return _Sums(0.0, phi, -phi, phi, -phi, fading, -fading, fading, -fading, older * phi)
+
+
+@_inline
+def _next_term(j, sigma, wave, newer, older, s):
+    """Add phi_j, whose coefficients are c_{k-j} and c_{k-j-1}."""
+    weight = newer + older
+    x = 2.0 * sigma * wave.rate
+    phi = ((2 * j - 1 - x) * s.phi - (j - 1) * s.before) * _INVERSE[j]
+    dphi = s.dphi - s.phi - phi
+    ddphi = s.ddphi - s.dphi - dphi
+    dddphi = s.dddphi - (s.ddphi + ddphi)
+    return _Sums(
+        s.phi,
+        phi,
+        dphi,
+        ddphi,
+        dddphi,
+        s.g + weight * phi,
+        s.dg + weight * dphi,
+        s.ddg + weight * ddphi,
+        s.dddg + weight * dddphi,
+        s.upward + older * phi,
     )
 
 
 @_inline
-def _improve(k, sigma, low, high, wave, steady, c, first, stride):
+def _total(wave, steady_part, s):
+    """Put together G, three derivatives, and v_+."""
+    rate = wave.rate
+    g, dg, ddg, dddg, upward = steady_part
+    return (
+        g - s.g,
+        dg - s.dg * rate,
+        ddg - s.ddg * (rate * rate),
+        dddg - s.dddg * (rate * rate * rate),
+        upward - s.upward,
+    )
+
+
+@_inline
+def _attached(k, sigma, wave, steady, c, first, stride):
+    """Compute G, three derivatives, and v_+ in interval k; c_j is c[first + j * stride]."""
+    newer = c[first + k * stride]
+    older = c[first + (k - 1) * stride] if k > 0 else 0.0
+    sums = _first_term(sigma, wave, newer, older)
+    for j in range(1, k + 1):
+        newer = older
+        older = c[first + (k - j - 1) * stride] if j < k else 0.0
+        sums = _next_term(j, sigma, wave, newer, older, sums)
+    return _total(wave, _steady_part(sigma, wave, steady), sums)
+
+
+@_inline
+def _improve(sigma, low, high, wave, attached):
     """Take a step of fourth order within the bracket: (sigma, low, high, V_m there, error)."""
-    g, dg, ddg, dddg, upward = _attached(k, sigma, wave, steady, c, first, stride)
+    g, dg, ddg, dddg, upward = attached
     excess = g + wave.weight
     low = sigma if excess > 0.0 else low
     high = high if excess > 0.0 else sigma
@@ -624,9 +662,8 @@ def _polish(k, sigma, wave, found, c, first, stride):
     for i in range(160):
         if i > 40:  # it goes round in circles
             sigma = 0.5 * (low + high)
-        sigma, low, high, speed, error = _improve(
-            k, sigma, low, high, wave, found.steady, c, first, stride
-        )
+        attached = _attached(k, sigma, wave, found.steady, c, first, stride)
+        sigma, low, high, speed, error = _improve(sigma, low, high, wave, attached)
         if error <= tolerance:
             break
     phase = (2 * k + 1 + sigma) / wave.kappa
@@ -680,13 +717,18 @@ def _search(k, start, stop, wave, steady, c):
     return 0.0, -1.0
 
 
-# Rows of the flat arrays of lanes: what `_Wave` holds, what of `_Interval` differs, the iteration.
+# Rows of the flat arrays of lanes: what `_Wave` holds, what of `_Interval` differs, the iteration
+# and its sums, c_j.
 _LOW = 16 * _LANES
 _HIGH = 17 * _LANES
 _SIGMA = 24 * _LANES
 _SPEED = 25 * _LANES
 _ERROR = 26 * _LANES
-_C = 27 * _LANES
+_STEADY = 27 * _LANES
+_SUMS = 32 * _LANES
+_NEWER = 42 * _LANES
+_OLDER = 43 * _LANES
+_C = 44 * _LANES
 _QUEUE = _C + (_LANES_K + 1) * _LANES
 
 
@@ -760,18 +802,82 @@ def _get_interval(k, rows, i):
 
 
 @_inline
+def _set_sums(rows, i, s):
+    rows[i + _SUMS] = s.before
+    rows[i + _SUMS + _LANES] = s.phi
+    rows[i + _SUMS + 2 * _LANES] = s.dphi
+    rows[i + _SUMS + 3 * _LANES] = s.ddphi
+    rows[i + _SUMS + 4 * _LANES] = s.dddphi
+    rows[i + _SUMS + 5 * _LANES] = s.g
+    rows[i + _SUMS + 6 * _LANES] = s.dg
+    rows[i + _SUMS + 7 * _LANES] = s.ddg
+    rows[i + _SUMS + 8 * _LANES] = s.dddg
+    rows[i + _SUMS + 9 * _LANES] = s.upward
+
+
+@_inline
+def _get_sums(rows, i):
+    return _Sums(
+        rows[i + _SUMS],
+        rows[i + _SUMS + _LANES],
+        rows[i + _SUMS + 2 * _LANES],
+        rows[i + _SUMS + 3 * _LANES],
+        rows[i + _SUMS + 4 * _LANES],
+        rows[i + _SUMS + 5 * _LANES],
+        rows[i + _SUMS + 6 * _LANES],
+        rows[i + _SUMS + 7 * _LANES],
+        rows[i + _SUMS + 8 * _LANES],
+        rows[i + _SUMS + 9 * _LANES],
+    )
+
+
+@_inline
+def _copy_coefficients(k, j, rows):
+    """Bring those of phi_j to rows that do not depend on j, so that what follows vectorises."""
+    for i in range(_LANES):
+        rows[i + _NEWER] = rows[i + _C + (k - j) * _LANES]
+    if j < k:
+        for i in range(_LANES):
+            rows[i + _OLDER] = rows[i + _C + (k - j - 1) * _LANES]
+    else:
+        for i in range(_LANES):
+            rows[i + _OLDER] = 0.0
+
+
+@_jit
 def _polish_lanes(k, rows):
     """Find the roots of a queue; an error above the tolerance tells which are not there yet."""
-    for i in range(_LANES):
-        rows[i + _SIGMA] = _guess(k, _get_wave(rows, i), _get_interval(k, rows, i))
-        rows[i + _ERROR] = 1.0
     for _ in range(6):
+        _copy_coefficients(k, 0, rows)
         for i in range(_LANES):
-            wave = _get_wave(rows, i)
-            steady = _get_interval(k, rows, i).steady
-            low, high, before = rows[i + _LOW], rows[i + _HIGH], rows[i + _SIGMA]
+            wave, sigma = _get_wave(rows, i), rows[i + _SIGMA]
+            g, dg, ddg, dddg, upward = _steady_part(sigma, wave, _get_interval(k, rows, i).steady)
+            rows[i + _STEADY] = g
+            rows[i + _STEADY + _LANES] = dg
+            rows[i + _STEADY + 2 * _LANES] = ddg
+            rows[i + _STEADY + 3 * _LANES] = dddg
+            rows[i + _STEADY + 4 * _LANES] = upward
+            newer, older = rows[i + _NEWER], rows[i + _OLDER]
+            _set_sums(rows, i, _first_term(sigma, wave, newer, older))
+        for j in range(1, k + 1):
+            _copy_coefficients(k, j, rows)
+            for i in range(_LANES):
+                wave, sigma = _get_wave(rows, i), rows[i + _SIGMA]
+                newer, older = rows[i + _NEWER], rows[i + _OLDER]
+                sums = _next_term(j, sigma, wave, newer, older, _get_sums(rows, i))
+                _set_sums(rows, i, sums)
+        for i in range(_LANES):
+            wave, before = _get_wave(rows, i), rows[i + _SIGMA]
+            steady_part = (
+                rows[i + _STEADY],
+                rows[i + _STEADY + _LANES],
+                rows[i + _STEADY + 2 * _LANES],
+                rows[i + _STEADY + 3 * _LANES],
+                rows[i + _STEADY + 4 * _LANES],
+            )
+            attached = _total(wave, steady_part, _get_sums(rows, i))
             sigma, low, high, speed, error = _improve(
-                k, before, low, high, wave, steady, rows, i + _C, _LANES
+                before, rows[i + _LOW], rows[i + _HIGH], wave, attached
             )
             # once there, a lane stands still, so that nothing depends on its neighbours
             going = rows[i + _ERROR] > _tolerance(wave)
@@ -791,14 +897,11 @@ def _polish_lanes(k, rows):
 def _flush(k, queues, indices, count, phase, speed, status):
     """Polish the throws queued for interval k and hand them over."""
     rows = queues[k * _QUEUE : (k + 1) * _QUEUE]
-    if k == 0:
-        _polish_lanes(0, rows)
-    elif k == 1:
-        _polish_lanes(1, rows)
-    elif k == 2:
-        _polish_lanes(2, rows)
-    else:
-        _polish_lanes(_LANES_K, rows)
+    for i in range(_LANES):
+        rows[i + _SIGMA] = _guess(k, _get_wave(rows, i), _get_interval(k, rows, i))
+        rows[i + _ERROR] = 1.0
+    if count >= _FEW:
+        _polish_lanes(k, rows)
     for i in range(count):
         at = indices[k * _LANES + i]
         wave = _get_wave(rows, i)
