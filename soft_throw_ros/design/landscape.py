@@ -104,16 +104,6 @@ RESULTS: Mapping[str, Quantity] = {
 }
 """What a landscape has at every point, by the names of its arrays."""
 
-_CASE = (
-    'mass_ratio',
-    'speed_ratio',
-    'damping_ratio',
-    'gravity_ratio',
-    'loss_tangent',
-    'crossing_ratio',
-)
-"""The ratios that decide a throw, as the models call them: rows of the cases of a sweep."""
-
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
 _BESIDE_RATIOS = ('engine.amplitude', 'engine.damping_ratio', 'layer.loss_tangent', 'gravity')
 _LOOKS = 64  # at the top of the layer per window
@@ -244,11 +234,11 @@ class Landscape:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Name the parameters of the rig that would count, but not in this model."""
-        knows = MODELS[self.model][self.release].knows
+        known = MODELS[self.model][self.release].ratios
         return tuple(
             name
             for name in ('engine.damping_ratio', 'gravity')
-            if attrgetter(name)(self.rig) > 0.0 and _DECIDES[name] not in knows
+            if attrgetter(name)(self.rig) > 0.0 and _DECIDES[name] not in known
         )
 
     @property
@@ -431,9 +421,9 @@ def survey(
     _check_axes(first.name, second.name)
     method = MODELS[model][release]
     for name, ratio in _DECIDES.items():
-        if name in axes and ratio not in method.knows:
+        if name in axes and ratio not in method.ratios:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
-    if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in method.knows:
+    if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in method.ratios:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
             f'got {rig.layer.loss_tangent:g}'
@@ -445,10 +435,13 @@ def survey(
     checks.positive('density_ratio', density_ratio)
     shape = (first.values.size, second.values.size)
     along = {first.name: first.values[:, None], second.name: second.values[None, :]}
-    cases = _cases(rig, along, density_ratio)
+    ratios = _ratios(rig, along, density_ratio)
+    cases = np.empty((len(method.ratios), *shape))
+    for row, name in zip(cases, method.ratios, strict=True):
+        row[:] = ratios[name]
     results = sweep(
         functools.partial(_compute, model, release, None if executor is None else 1),
-        np.stack([np.broadcast_to(case, shape).ravel() for case in cases]),
+        cases.reshape(len(method.ratios), -1),
         outputs=len(RESULTS),
         block=method.block,
         executor=executor,
@@ -481,8 +474,8 @@ def _check_axes(first: str, second: str) -> None:
             )
 
 
-def _cases(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> tuple[Any, ...]:
-    """Compute the ratios of `_CASE`, as `Rig` does, from its parameters and those that vary."""
+def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Any]:
+    """Compute what decides a throw, as `Rig` does, from its parameters and those that vary."""
 
     def parameter(name: str) -> Any:
         return along[name] if name in along else attrgetter(name)(rig)
@@ -501,30 +494,28 @@ def _cases(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> tuple
     kappa = along.get('kappa', kappa)
     projectile = rig.projectile
     crossing = np.sqrt(projectile.length * mass / (projectile.youngs_modulus * section))
-    return (
-        mu,
-        kappa,
-        parameter('engine.damping_ratio'),
-        parameter('gravity') / (parameter('engine.amplitude') * omega * omega),
-        parameter('layer.loss_tangent'),
-        crossing * frequency * kappa,
-    )
+    return {
+        'mass_ratio': mu,
+        'speed_ratio': kappa,
+        'damping_ratio': parameter('engine.damping_ratio'),
+        'gravity_ratio': parameter('gravity') / (parameter('engine.amplitude') * omega * omega),
+        'loss_tangent': parameter('layer.loss_tangent'),
+        'crossing_ratio': crossing * frequency * kappa,
+    }
 
 
 class _Method(NamedTuple):
     """A way to the releases of a block of cases."""
 
     compute: Callable[[dict[str, Any], int | None], Floats]
-    knows: tuple[str, ...]  # of `_CASE`, besides mass and speed ratio
+    ratios: tuple[str, ...]  # that it is given: the rows of the cases
     block: int  # cases that take some tenths of a second, and seconds at worst
 
 
 def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:
     """Compute a block of cases; on its own, so that other processes find it by name."""
     method = MODELS[model][release]
-    ratios = dict(zip(_CASE, cases, strict=True))
-    given = {name: ratios[name] for name in ('mass_ratio', 'speed_ratio', *method.knows)}
-    return method.compute(given, threads)
+    return method.compute(dict(zip(method.ratios, cases, strict=True)), threads)
 
 
 def _first_by_travelling_wave(case: dict[str, Any], threads: int | None) -> Floats:
@@ -605,22 +596,20 @@ def _of(found: travelling_wave.FirstRelease) -> Floats:
     return np.asarray((found.ejection_phase, found.energy_transfer), dtype=np.float64)
 
 
-_WITH_LOSS = ('damping_ratio', 'gravity_ratio', 'loss_tangent')
+_RATIOS = ('mass_ratio', 'speed_ratio')
+_DAMPED = (*_RATIOS, 'damping_ratio', 'gravity_ratio')
+_LOSSY = (*_DAMPED, 'loss_tangent')
 
 MODELS: Mapping[str, Mapping[str, _Method]] = {
     'travelling_wave': {
-        'first': _Method(_first_by_travelling_wave, _WITH_LOSS[:2], 1 << 16),
-        'last': _Method(_last_by_travelling_wave, _WITH_LOSS[:2], 32),
+        'first': _Method(_first_by_travelling_wave, _DAMPED, 1 << 16),
+        'last': _Method(_last_by_travelling_wave, _DAMPED, 32),
     },
-    'normal_modes': {
-        'first': _Method(_first_by_normal_modes, _WITH_LOSS, 4096),
-    },
-    'finite_difference': {
-        'first': _Method(_first_by_finite_difference, _WITH_LOSS, 256),
-    },
+    'normal_modes': {'first': _Method(_first_by_normal_modes, _LOSSY, 4096)},
+    'finite_difference': {'first': _Method(_first_by_finite_difference, _LOSSY, 256)},
     'finite_difference_elastic': {
-        'first': _Method(_first_by_finite_difference, (*_WITH_LOSS, 'crossing_ratio'), 256),
+        'first': _Method(_first_by_finite_difference, (*_LOSSY, 'crossing_ratio'), 256)
     },
-    'spring_mass': {'first': _Method(_first_by_spring_mass, (), 1 << 16)},
+    'spring_mass': {'first': _Method(_first_by_spring_mass, _RATIOS, 1 << 16)},
 }
 """Models by name, and the releases that each can tell."""

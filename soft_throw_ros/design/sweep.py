@@ -196,7 +196,7 @@ def sweep(
     if progress is not None and done.any():
         progress(int(np.repeat(done, block)[:count].sum()))
     blocks = {
-        int(index): np.ascontiguousarray(cases[:, index * block : (index + 1) * block])
+        int(index): cases[:, index * block : (index + 1) * block]
         for index in np.flatnonzero(~done)
     }
     saved, unsaved = time.monotonic(), False
