@@ -408,6 +408,11 @@ class _TwinScene:
             translation[:, 1] = -_MILLI * height
             columns = rr.Transform3D.columns(translation=translation)
             self._canvas.send(self._path(f'side/{name}'), stamps, columns)
+        # what is above the view can be told by its text
+        highest = -0.93 * self._bounds()[2]
+        translation[:, 1] = translation[:, 1].clip(min=highest)
+        columns = rr.Transform3D.columns(translation=translation)
+        self._canvas.send(self._path('side/projectile_text'), stamps, columns)
 
     def _draw_layer(self, layer: LayerStrain) -> None:
         """Colour cells that are even in height, wherever their matter is."""
@@ -453,12 +458,12 @@ class _TwinScene:
             pixel = np.array([[colour]], np.uint8)
             self._canvas.picture(path, stamp, pixel, x=-0.5 * w, y=y, w=w, h=h)
         for name, text, y in (
-            ('plate', 'plate', 0.0),
-            ('plate', 'layer', -0.5 * _MILLI * rig.layer.thickness),
-            ('projectile', 'projectile', -0.5 * length),
+            ('plate/text', 'plate', 0.0),
+            ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
+            ('projectile_text', 'projectile', -0.5 * length),
         ):
             dot = _Dot(x=0.95 * diameter, y=y, text=text, colour=_WHITE)
-            self._canvas.dots(self._path(f'side/{name}/{text}'), stamp, [dot])
+            self._canvas.dots(self._path(f'side/{name}'), stamp, [dot])
         self._draw_ruler(stamp)
         self._request_landscape(stamp)
 
