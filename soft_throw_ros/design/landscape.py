@@ -423,6 +423,8 @@ def survey(
     for name, ratio in _DECIDES.items():
         if name in axes and ratio not in method.ratios:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
+    if type(rig.layer) is not Layer:  # a graded one is a kind of it
+        raise ValueError(f'landscapes are of layers of one material, got {rig.layer!r}')
     if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in method.ratios:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '

@@ -6,6 +6,7 @@ from dataclasses import replace
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -378,6 +379,12 @@ def test_loss_is_refused_by_models_without():
         survey(rig, {'mu': [1.0], 'kappa': [8.0]})
     with pytest.raises(ValueError, match=r'loss_tangent must be above 0 .* got 0\.0'):
         survey(Rig(), {'mu': [1.0], 'kappa': [8.0]}, model='normal_modes')
+
+
+def test_layers_of_several_materials_are_refused():
+    rig = replace(Rig(), layer=SimpleNamespace(materials='gel on rubber'))
+    with pytest.raises(ValueError, match=r'of one material, got .*gel on rubber'):
+        survey(rig, {'mu': [1.0], 'kappa': [8.0]})
 
 
 def test_every_axis_has_symbol_and_meaning():
