@@ -80,6 +80,7 @@ def draw_maps() -> Figure:
         [0.0, 7.9],
         color=PAPER['color'],
         lw=5.0,
+        solid_capstyle='butt',
         clip_on=False,
         label=r'paper: $\alpha$ = 4 at $x$ = 1 up to $C$ = 7.9',
     )
@@ -148,7 +149,7 @@ def _label(axes: Axes, title: str) -> None:
     axes.label_outer()
 
 
-def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str = 'o') -> None:
+def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str = '+') -> None:
     """Mark where the energy transfer is largest."""
     best = best_ratios(damping_ratio)
     x = 1.0 / (1.0 + best.mass_ratio)

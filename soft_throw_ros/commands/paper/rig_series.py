@@ -172,4 +172,4 @@ SERIES = (
     Series(frequency=63.2, projectile_length=8.2e-3),
     Series(frequency=31.1, projectile_length=8.2e-3),
 )
-"""Those of the paper, the third being the third."""
+"""Those of the paper; the last is its third set."""

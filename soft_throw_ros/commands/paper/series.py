@@ -103,8 +103,9 @@ def draw_damped_series() -> Figure:
     figure = new_figure(
         'Fig. 11   App. D: the same with the damped plate of the rig',
         rf'$\zeta$ = {DAMPING_RATIO:g}, first release; thin lines: harmonic plate (Fig. 3). '
-        'Damping changes $\\alpha$ by a few percent.\nStrain: at $A$ = '
-        f'{1e3 * Engine().amplitude:g} mm it is beyond the 10 % that the paper names, at 63.2 Hz.',
+        'Damping changes $\\alpha$ by a few percent, mostly.\nAt $A$ = '
+        f'{1e3 * Engine().amplitude:g} mm and 63.2 Hz the strain is above the 10 % below which '
+        'the paper puts it.',
         height=5.6,
     )
     panels = figure.subplots(1, 3)

@@ -33,7 +33,7 @@ WIDTH = 8.4
 PAPER: dict[str, Any] = {
     'color': RED,
     'marker': '*',
-    'markersize': 13,
+    'markersize': 14,
     'markeredgecolor': 'white',
     'linestyle': 'none',
     'zorder': 5,
