@@ -349,7 +349,6 @@ class BagWriter:
         self._ids, self._schemas, self._until = {}, {}, 0
         self._begin_chunk()
         self._writer.start(_PROFILE, _LIBRARY)
-        self._writer.add_metadata(_ROSBAG2, {'serialized_metadata': self._information()})
         for name, values in self._metadata.items():
             self._writer.add_metadata(name, values)
         for attachment in self._attachments:

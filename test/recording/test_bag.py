@@ -160,7 +160,8 @@ def test_rerun_reads_what_was_written(recording, rerun, compression, tmp_path):
     recording.write(300, compression=compression)
     checked = rerun('mcap', 'check', recording.files[0])
     assert [line.split()[0] for line in checked.splitlines() if '/twin' in line] == ['ok', 'ok']
-    rerun('mcap', 'convert', recording.files[0], '--output', tmp_path / 'bag.rrd')
+    said = rerun('mcap', 'convert', recording.files[0], '--output', tmp_path / 'bag.rrd')
+    assert 're_mcap' not in said  # which warns of what it finds odd
     assert '/twin/joint_states' in rerun('rrd', 'print', tmp_path / 'bag.rrd')
 
 
@@ -187,12 +188,12 @@ def test_metadata_file_has_the_keys_and_types_that_rosbags_writes(recording, tmp
 def test_metadata_are_in_the_files_too(recording):
     recording.write()
     with recording.files[0].open('rb') as file:
-        *_, last = [
+        (text,) = [  # of several, Rerun would complain
             record.metadata['serialized_metadata']
             for record in make_reader(file).iter_metadata()
             if record.name == 'rosbag2'
         ]
-    assert yaml.safe_load(last) == information(recording.folder)
+    assert yaml.safe_load(text) == information(recording.folder)
     assert information(recording.folder)['version'] == 9
 
 
@@ -401,7 +402,7 @@ def test_disk_that_stays_full_gets_no_further_files(tmp_path, monkeypatch):
     writer.close()
 
 
-@pytest.mark.parametrize('size', [10, 300, 500])
+@pytest.mark.parametrize('size', [10, 60, 300])
 def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
     with largest_file(size), pytest.raises(BagError, match='File too large'):
         BagWriter(tmp_path / 'bag', distribution='')
@@ -825,7 +826,7 @@ def test_bag_can_be_read_as_a_stream(recording):
     recording.write(compression='lz4')
     messages, metadata = split_items(BytesIO(recording.files[0].read_bytes()))
     assert recording.content(messages) == recording.content(recording.messages)
-    assert [record.name for record in metadata] == ['rosbag2', 'parameters of /twin', 'rosbag2']
+    assert [record.name for record in metadata] == ['parameters of /twin', 'rosbag2']
 
 
 def test_stream_may_end_after_any_record(recording, stream_parts):
