@@ -207,7 +207,8 @@ def _show_bag(module: Any, arguments: argparse.Namespace) -> int:
             _check_bag(reader)
             with ThreadPoolExecutor(1) as pool:
                 use = 'picture' if arguments.screenshot else 'bag'
-                scene = module.Scene(energy_transfer, pool, use=use)
+                name = reader.path.name
+                scene = module.Scene(energy_transfer, pool, name=name, use=use)
                 return _BagShow(module, scene, reader, arguments).run()
     except BagError as error:
         raise InspectError(str(error), 2) from None
@@ -235,7 +236,7 @@ class _BagShow:
         self._scene = scene
         self._reader = reader
         self._arguments = arguments
-        self._stream = module.new_stream(reader.path.name)
+        self._stream = module.new_stream()
 
     def run(self) -> int:
         """Show it; return the exit code."""
@@ -340,8 +341,8 @@ def _serve(module: Any, stream: Any, port: int) -> None:
 def _show_stream(module: Any, arguments: argparse.Namespace) -> int:
     """Show what comes; the process ends here, since Rerun might wait for a viewer that hangs."""
     pool = ThreadPoolExecutor(1)
-    scene = module.Scene(energy_transfer, pool, use='live')
-    stream = module.new_stream('live')
+    scene = module.Scene(energy_transfer, pool, name='live', use='live')
+    stream = module.new_stream()
     viewer = None
     if arguments.save:
         _save(module, stream, arguments.save, is_live=True)

@@ -80,12 +80,73 @@ _PHASES = {
 _ALPHA = '\N{GREEK SMALL LETTER ALPHA}'
 
 _MILLI = 1e3
-_LANDSCAPE = (160, 100)  # columns and rows that are computed
-_WIDTH = 200.0  # of a picture, by which the rest is measured
+
 _DIGITS = 4
 """Of numbers in tables."""
 
-_BEHIND, _IN_FRONT = 30.0, 40.0  # where dots are drawn
+_LOG = '/log'
+
+_LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'))
+"""Levels of rcl_interfaces/Log, and what Rerun calls them."""
+
+# The side view.
+
+_CELLS = 64
+"""Into which the layer is divided where it is drawn."""
+
+_PLATE = 1.5
+"""Width of the plate, over the diameter of the layer."""
+
+_TOP = 0.93
+"""Part of the height of the view that what is above it is told at."""
+
+_STRAIN = 0.2
+"""Where the colours of strain end before a throw has been seen."""
+
+# Pictures with axes, in units of the view.
+
+_WIDTH = 200.0
+_STRAIN_HEIGHT, _LANDSCAPE_HEIGHT = 58.0, 84.0
+
+_LINE = 4.0
+"""Half a line of text."""
+
+_FOOT = 0.08
+"""Part of a bar of colours that is beside the title of an axis."""
+
+_BEHIND, _IN_FRONT = 30.0, 40.0
+"""Where dots are drawn."""
+
+# Time.
+
+_MOMENT = 0.7
+"""When in a contact there is most to see, as part of the ejection time."""
+
+_BEFORE, _AFTER = 0.7, 1.8
+"""What is shown before and after that moment, in periods of the plate."""
+
+_LIVE, _SHORTEST = 4.0, 2.0
+"""What is shown of the time up to now, in periods of the plate, and at least in seconds."""
+
+# The landscape.
+
+_LANDSCAPE = (160, 100)
+"""Thicknesses and wave speeds."""
+
+_STRIDES = (8, 4, 2, 1)
+_BUDGET = 1.0
+"""The finest is taken that needs no longer: far too heavy a projectile takes minutes. [s]"""
+
+_SMALLEST, _LARGEST = 1e-6, 1e6
+"""Of a thickness and a wave speed that may be recommended, in SI units."""
+
+# The viewer.
+
+_SERVER_MEMORY = '256MB'
+
+_ANSWER_TIME = 30.0  # [s]
+_PAUSE = 0.25  # [s]
+_MOST_PICTURES = 40
 
 
 def _ramp(anchors: str) -> Bytes:
@@ -164,14 +225,12 @@ class _Canvas:
         )
         self.put(path, stamp, [*image, *place])
 
-    def lines(
-        self, path: str, stamp: int, strips: Sequence[Any], colour: Colour, *, width: float = 1.0
-    ) -> None:
-        """Draw lines, whose width is in points of the screen."""
+    def lines(self, path: str, stamp: int, strips: Sequence[Any], colour: Colour) -> None:
+        """Draw thin lines."""
         columns = rr.LineStrips2D.columns(
             strips=[np.array(strip, np.float32) for strip in strips],
             colors=[colour] * len(strips),
-            radii=rr.Radius.ui_points([0.5 * width] * len(strips)),
+            radii=rr.Radius.ui_points([0.5] * len(strips)),
         )
         self.put(path, stamp, columns.partition([len(strips)]))
 
@@ -195,7 +254,7 @@ class _Dot:
 
     x: float
     y: float
-    text: str
+    text: str = ''
     colour: Colour = _GREY
     radius: float = 0.0
 
@@ -216,6 +275,8 @@ class Scene:
         What the landscape shows.
     executor : Executor
         What computes it, so that nothing waits for it.
+    name : str
+        Of the recording, for the viewer.
     use : {'live', 'bag', 'picture'}
         Whether the latest is shown, or a throw, or a throw without what is for the mouse.
 
@@ -226,8 +287,11 @@ class Scene:
 
     """
 
-    def __init__(self, energy_transfer: EnergyTransfer, executor: Executor, *, use: Use) -> None:
+    def __init__(
+        self, energy_transfer: EnergyTransfer, executor: Executor, *, name: str, use: Use
+    ) -> None:
         self.digest = Digest()
+        self._name = name
         self._survey = lambda *request: executor.submit(_survey, energy_transfer, *request)
         self._is_live = use == 'live'
         self._is_picture = use == 'picture'
@@ -249,6 +313,8 @@ class Scene:
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
         """Draw into a recording from now on, with what is there already; or into none."""
+        if stream is not None:
+            stream.send_recording_name(self._name)
         self._canvas.connect(stream)
         self._arranged = None
         if self._is_live:
@@ -307,12 +373,6 @@ class Scene:
                 ),
             )
         )
-
-
-_LOG = '/log'
-
-_LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'))
-"""Levels of rcl_interfaces/Log, and what Rerun calls them."""
 
 
 class _TwinScene:
@@ -409,8 +469,7 @@ class _TwinScene:
             columns = rr.Transform3D.columns(translation=translation)
             self._canvas.send(self._path(f'side/{name}'), stamps, columns)
         # what is above the view can be told by its text
-        highest = -0.93 * self._bounds()[2]
-        translation[:, 1] = translation[:, 1].clip(min=highest)
+        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self._bounds()[2])
         columns = rr.Transform3D.columns(translation=translation)
         self._canvas.send(self._path('side/projectile_text'), stamps, columns)
 
@@ -594,11 +653,9 @@ class _TwinScene:
 
     def layout(self, *, is_live: bool, has_log: bool) -> rrb.Container:
         """Arrange all there is of the twin."""
-        before, after = (4.0 * self._period, 0.0) if is_live else (_BEFORE, _AFTER)
+        before, after = _BEFORE * self._period, _AFTER * self._period
         if is_live:
-            before = max(before, 2.0)
-        else:
-            before, after = before * self._period, after * self._period
+            before, after = max(_LIVE * self._period, _SHORTEST), 0.0
         window = rrb.TimeAxis(
             view_range=rr.TimeRange(
                 start=rrb.TimeRangeBoundary.cursor_relative(seconds=-before),
@@ -659,33 +716,6 @@ class _TwinScene:
         )
 
 
-_SMALLEST, _LARGEST = 1e-6, 1e6  # of a thickness and a wave speed, in SI units
-
-_CELLS = 64
-"""Into which the layer is divided where it is drawn."""
-
-_STRAIN = 0.2
-"""Where the colours of strain end before a throw has been seen."""
-
-_PLATE = 1.5
-"""Width of the plate, over the diameter of the layer."""
-
-_MOMENT = 0.7
-"""When in a contact there is most to see, as part of the ejection time."""
-
-_BEFORE, _AFTER = 0.7, 1.8
-"""What is shown before and after that moment, in periods of the plate."""
-
-_STRAIN_HEIGHT, _LANDSCAPE_HEIGHT = 58.0, 84.0
-"""Of pictures, whose width is `_WIDTH`."""
-
-_LINE = 4.0
-"""Half a line of text beside such a picture."""
-
-_FOOT = 0.08
-"""Part of a bar of colours that is beside the title of an axis."""
-
-
 def _are_layer(thickness: float, wave_speed: float) -> bool:
     """Tell whether there could be a layer with such values."""
     return all(_SMALLEST < value < _LARGEST for value in (thickness, wave_speed))
@@ -731,16 +761,22 @@ def _survey(
     ]
     thickness, wave_speed = ranges
     at_places = energy_transfer(rig, *np.array(places).T)
+    words = [f'{_ALPHA} {value:.3f}' if value > 0.0 else 'no release' for value in at_places]
     names = ['now', 'recommended']
     if recommended is not None and np.allclose(now, recommended, rtol=0.01):
         places, names = [now], ['now, as recommended']
+    for stride in _STRIDES:
+        begin = time.monotonic()
+        values = energy_transfer(rig, thickness[None, ::stride], wave_speed[::stride, None])
+        if 4.0 * (time.monotonic() - begin) > _BUDGET:  # what the next one takes
+            break
     return _Landscape(
         thickness=thickness,
         wave_speed=wave_speed,
-        energy_transfer=energy_transfer(rig, thickness[None, :], wave_speed[:, None]),
+        energy_transfer=values,
         marks=tuple(
-            _Mark(thickness=place[0], wave_speed=place[1], text=f'{name}: {_ALPHA} {alpha:.3f}')
-            for name, place, alpha in zip(names, places, at_places, strict=False)
+            _Mark(thickness=place[0], wave_speed=place[1], text=f'{name}: {word}')
+            for name, place, word in zip(names, places, words, strict=False)
         ),
     )
 
@@ -855,8 +891,8 @@ class _Chart:
         top = min(range(len(marks)), key=lambda index: places[index][1])
         rims, dots, texts = [], [], []
         for index, (x, y) in enumerate(places):
-            rims.append(_Dot(x=x, y=y, text='', colour=_BLACK, radius=6.0))
-            dots.append(_Dot(x=x, y=y, text='', colour=(_WHITE, _RED)[index], radius=4.0))
+            rims.append(_Dot(x=x, y=y, colour=_BLACK, radius=6.0))
+            dots.append(_Dot(x=x, y=y, colour=(_WHITE, _RED)[index], radius=4.0))
             is_above = index == top and len(marks) > 1
             texts.append(
                 _Dot(
@@ -982,13 +1018,11 @@ def _cell(value: Any, factor: float) -> str:
 # where it goes
 
 
-def new_stream(name: str) -> rr.RecordingStream:
+def new_stream() -> rr.RecordingStream:
     """Begin a recording, which goes nowhere yet."""
-    stream = rr.RecordingStream(
+    return rr.RecordingStream(
         APPLICATION, batcher_config=rr.ChunkBatcherConfig.LOW_LATENCY(), send_properties=False
     )
-    stream.send_recording_name(name)
-    return stream
 
 
 def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
@@ -1092,10 +1126,3 @@ def _wait_for(is_so: Callable[[], bool]) -> None:
 
 def _url(port: int) -> str:
     return f'rerun+http://{HOST}:{port}/proxy'
-
-
-_SERVER_MEMORY = '256MB'
-
-_ANSWER_TIME = 30.0  # [s]
-_PAUSE = 0.25  # [s]
-_MOST_PICTURES = 40

@@ -14,10 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from soft_throw_ros.commands.inspect_bag import energy_transfer
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.viewer import find_viewer, ViewerError
+from soft_throw_ros.twin import journal
 
 rr = pytest.importorskip('rerun')
 
@@ -87,12 +90,14 @@ class Show:
 
     def __init__(self, folder: Path, use: Any = 'bag') -> None:
         self.folder = folder
-        self.scene = rerun_scene.Scene(energy_transfer, ThreadPoolExecutor(1), use=use)
+        self.scene = rerun_scene.Scene(
+            energy_transfer, ThreadPoolExecutor(1), name='test', use=use
+        )
         self._stream: Any = None
 
     def begin(self, name: str) -> Path:
         path = self.folder / name
-        self._stream = rerun_scene.new_stream(name)
+        self._stream = rerun_scene.new_stream()
         rerun_scene.save_to(self._stream, path, is_live=False)
         self.scene.connect(self._stream)
         return path
@@ -249,6 +254,19 @@ def test_landscape_is_brightest_where_the_best_layer_is(recording) -> None:
     assert row == pytest.approx(100.0 / 84.0 * best[1], abs=6)
 
 
+def test_landscape_of_what_never_leaves_says_so_and_is_coarse(twin, tmp_path) -> None:
+    """To find out takes some milliseconds for every layer."""
+    settings = {**TWIN.defaults(), 'projectile.mass': 1.0}
+    line = journal.encode(journal.start_entry(0, settings)).encode() + b'\0'
+    data = b'\0\1\0\0' + len(line).to_bytes(4, 'little') + line
+    recording = Recording(record(tmp_path, [Message(twin.channels['journal'], data, 5, 5)]))
+    (now,) = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
+    assert now == 'now: no release'
+    pixels = np.array(recording.last('/twin/landscape/picture', 'Image:buffer')[0])
+    assert 3 * 100 < pixels.size < 3 * 160 * 100
+    assert (pixels.reshape(-1, 3) == 0xB0).all(axis=1).any()
+
+
 def test_words_have_the_numbers(recording) -> None:
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     throw = simulate(Rig())
@@ -334,7 +352,7 @@ def test_late_viewer_gets_what_still_holds(twin, tmp_path) -> None:
 
 def test_what_comes_without_a_viewer_is_not_kept(twin) -> None:
     """Nothing grows with time but what a late viewer needs, which is as much after each throw."""
-    scene = rerun_scene.Scene(energy_transfer, ThreadPoolExecutor(1), use='live')
+    scene = rerun_scene.Scene(energy_transfer, ThreadPoolExecutor(1), name='test', use='live')
     sizes = []
     for begin in range(0, len(twin.messages), 100):
         scene.show(twin.messages[begin : begin + 100])
