@@ -26,7 +26,7 @@ import tempfile
 import threading
 import time
 from types import FrameType
-from typing import Any, BinaryIO, TYPE_CHECKING
+from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
 
 import numpy as np
 from soft_throw_ros.core.rig import Rig
@@ -67,6 +67,8 @@ _BATCH = 5000
 _WAITING = 20_000
 """Messages that may wait to be shown; then no more are read, and it is for the sender to drop."""
 
+_BREATH = 2e-3  # [s]
+
 _INSTALL = "inspect needs Rerun: pip install 'soft_throw_ros[rerun]'"
 
 
@@ -102,11 +104,11 @@ def main(args: list[str] | None = None) -> int:
     arguments = _parse(args)
     os.environ.setdefault('RUST_LOG', 'off')  # Rerun would say in its own words what we say
     try:
-        scene = _import_scene()
         if arguments.bag == '-':
-            return _show_stream(scene, arguments)
+            with _Watchdog(code=0, is_gentle=True) as watchdog:
+                _show_stream(_import_scene(), arguments, watchdog)
         with _Watchdog(code=130):
-            return _show_bag(scene, arguments)
+            return _show_bag(_import_scene(), arguments)
     except InspectError as error:
         _say(str(error))
         return error.code
@@ -338,7 +340,7 @@ def _serve(module: Any, stream: Any, port: int) -> None:
     _say(f'to see it: rerun rerun+http://127.0.0.1:{port}/proxy')
 
 
-def _show_stream(module: Any, arguments: argparse.Namespace) -> int:
+def _show_stream(module: Any, arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn:
     """Show what comes; the process ends here, since Rerun might wait for a viewer that hangs."""
     pool = ThreadPoolExecutor(1)
     scene = module.Scene(energy_transfer, pool, name='live', use='live')
@@ -346,28 +348,29 @@ def _show_stream(module: Any, arguments: argparse.Namespace) -> int:
     viewer = None
     if arguments.save:
         _save(module, stream, arguments.save, is_live=True)
-    elif arguments.sink == 'serve':
-        _serve(module, stream, arguments.port)
-    else:
-        viewer = _Viewer(module, scene, stream, arguments.port)
-    if viewer is None:
         scene.connect(stream)
+    else:
+        watchdog.follow(sys.stdin.buffer.fileno())
+        if arguments.sink == 'serve':
+            _serve(module, stream, arguments.port)
+            scene.connect(stream)
+        else:
+            viewer = _Viewer(module, scene, stream, arguments.port)
     inbox = _Inbox(sys.stdin.buffer)
-    with _Watchdog(code=0, source=sys.stdin.buffer.fileno()) as watchdog:
-        while not watchdog.is_told_to_end:
-            if viewer is not None:
-                viewer.check()
-            scene.show(inbox.take())
-            if inbox.is_over:
-                break
-            watchdog.wait(FILE_PERIOD if arguments.save else PERIOD)
-        watchdog.count_down()
-        if inbox.trouble:
-            _say(inbox.trouble)
-        scene.finish(is_waiting=False)
-        if module.flush(stream, EXIT_TIME):
-            stream.disconnect()
-        os._exit(2 if inbox.trouble and scene.is_empty else 0)
+    while not watchdog.is_told_to_end:
+        if viewer is not None:
+            viewer.check()
+        scene.show(inbox.take())
+        if inbox.is_over:
+            break
+        watchdog.wait(FILE_PERIOD if arguments.save else PERIOD)
+    watchdog.count_down()
+    if inbox.trouble:
+        _say(inbox.trouble)
+    scene.finish(is_waiting=False)
+    if module.flush(stream, EXIT_TIME):
+        stream.disconnect()
+    os._exit(2 if inbox.trouble and scene.is_empty else 0)
 
 
 class _Inbox:
@@ -448,34 +451,34 @@ class _Watchdog:
     Ends the process in bounded time after a signal, or after the end of a pipe.
 
     A call of Rerun may wait for ever for a viewer that hangs, and no signal handler of Python runs
-    until it returns. So the signal is written to a pipe as soon as it comes, and a thread of its
-    own, which Rerun does not hold up, waits for that, and for the other end of the input.
+    until it returns. So the signal is written to a pipe as soon as it comes, and that is what a
+    thread of its own waits for, which Rerun does not hold up.
 
     Parameters
     ----------
     code : int
         Exit code if it comes to that.
-    source : int, optional
-        File descriptor of the input; signals then do not interrupt what is being done.
+    is_gentle : bool
+        Whether a signal does not interrupt what is being done.
 
     Attributes
     ----------
     is_told_to_end : bool
-        Whether a signal has come.
+        Whether a signal has come that did not.
 
     """
 
-    def __init__(self, *, code: int, source: int | None = None) -> None:
+    def __init__(self, *, code: int, is_gentle: bool = False) -> None:
         self.is_told_to_end = False
         self._code = code
-        self._source = source
+        self._is_gentle = is_gentle
         self._has_ended = threading.Event()
         self._is_closed = threading.Event()
 
     def __enter__(self) -> _Watchdog:
         self._pipe = os.pipe()
         os.set_blocking(self._pipe[1], False)
-        handler: Any = signal.default_int_handler if self._source is None else self._on_signal
+        handler: Any = self._on_signal if self._is_gentle else signal.default_int_handler
         self._handlers = {
             number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)
         }
@@ -494,23 +497,30 @@ class _Watchdog:
         for end in self._pipe:
             os.close(end)
 
-    def wait(self, seconds: float) -> None:
-        """Sleep, but not beyond a signal or the end of the input."""
-        self._has_ended.wait(seconds)
+    def follow(self, source: int) -> None:
+        """Begin to count down when the other end of a pipe is closed."""
+        threading.Thread(target=self._follow, args=(source,), name='follow', daemon=True).start()
 
     def count_down(self) -> None:
         """End the process in bounded time, whatever is still to be done."""
         os.write(self._pipe[1], b'.')
 
+    def wait(self, seconds: float) -> None:
+        """Sleep, or only take breath once the end is near."""
+        if self._has_ended.wait(seconds):
+            time.sleep(_BREATH)
+
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.is_told_to_end = True
 
-    def _run(self) -> None:
+    def _follow(self, source: int) -> None:
         poll = select.poll()
-        poll.register(self._pipe[0], select.POLLIN)
-        if self._source is not None:
-            poll.register(self._source, 0)  # which tells all the same when the other end closes
+        poll.register(source, 0)  # which is told all the same when the other end is closed
         poll.poll()
+        self.count_down()
+
+    def _run(self) -> None:
+        os.read(self._pipe[0], 1)
         self._has_ended.set()
         if not self._is_closed.wait(EXIT_TIME):
             os._exit(self._code)

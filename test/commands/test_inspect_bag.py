@@ -464,6 +464,17 @@ def test_stream_becomes_a_recording(start, twin, tmp_path) -> None:
     assert process.lines == []
 
 
+def test_stream_of_a_whole_bag_becomes_a_whole_recording(bag, tmp_path) -> None:
+    """The writer is gone long before all is read."""
+    path = tmp_path / 'scene.rrd'
+    code = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
+    command = [sys.executable, '-c', code, '-', '--save', str(path)]
+    with subprocess.Popen(['cat', bag / 'bag_0.mcap'], stdout=subprocess.PIPE) as writer:
+        done = subprocess.run(command, stdin=writer.stdout, cwd=ROOT, check=False)
+    assert done.returncode == 0
+    assert rows(path)['/twin/position'] == 300 + 1
+
+
 def test_stream_is_served_to_viewers_on_this_machine(start, twin) -> None:
     port = free_port()
     process = start('--sink', 'serve', '--port', port)
