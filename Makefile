@@ -8,7 +8,7 @@
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
-#   make figures          draw the pictures of the README
+#   make figures          draw docs/: the paper's figures, its numbers, the README's picture
 #   make clean            delete what make made
 #
 # ROS_DISTRO=jazzy or kilted, PYTHON=python3.12 and ARGS='...' may follow.
@@ -56,7 +56,7 @@ bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
 
 figures: $(INSTALLED) $(KERNELS)
-	$(BIN)/python docs/figures.py
+	$(BIN)/soft-throw figures --output docs $(ARGS)
 
 test: test-jazzy test-kilted
 

@@ -55,13 +55,17 @@ setup(
         'zstandard',
     ],
     extras_require={
+        'dask': ['distributed'],
         'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
         'plot': ['matplotlib'],
+        'xarray': ['xarray'],
         'test': [
             'colcon-common-extensions',
+            'distributed',
             'hypothesis',
             'import-linter>=2.1',
             'mpmath',
+            'netCDF4',
             'mypy==2.4.1',  # these two have opinions that change with the version
             'ruff==0.17.5',
             'pip>=22.3',
@@ -70,6 +74,8 @@ setup(
             'rosbags',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
+            'types-tqdm',
+            'xarray',
         ],
     },
 )

@@ -14,8 +14,8 @@ CORE = sorted((ROOT / 'soft_throw_ros/core').rglob('*.py'))
 
 # Libraries of numbers, and the part of the standard library without a clock, a file or a process.
 KNOWN_TO_CORE = {
-    '__future__', 'abc', 'bisect', 'collections', 'concurrent', 'dataclasses', 'enum', 'fractions',
-    'functools', 'heapq', 'itertools', 'math', 'numba', 'numpy', 'operator', 'scipy',
+    '__future__', 'abc', 'bisect', 'cmath', 'collections', 'concurrent', 'dataclasses', 'enum',
+    'fractions', 'functools', 'heapq', 'itertools', 'math', 'numba', 'numpy', 'operator', 'scipy',
     'soft_throw_ros', 'types', 'typing',
 }  # fmt: skip
 

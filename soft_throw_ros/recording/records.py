@@ -19,7 +19,7 @@ import struct
 from typing import BinaryIO, NamedTuple
 import zlib
 
-import lz4.frame  # type: ignore[import-untyped]  # it has no types
+import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
