@@ -765,6 +765,8 @@ def _survey(
     names = ['now', 'recommended']
     if recommended is not None and np.allclose(now, recommended, rtol=0.01):
         places, names = [now], ['now, as recommended']
+    if rig.layer.loss_tangent:
+        names = [f'{name}, without loss' for name in names]
     for stride in _STRIDES:
         begin = time.monotonic()
         values = energy_transfer(rig, thickness[None, ::stride], wave_speed[::stride, None])
