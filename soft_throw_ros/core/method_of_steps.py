@@ -340,7 +340,7 @@ def follow(
     Parameters
     ----------
     rig : Rig
-        Its layer must be lossless.
+        Its layer must be of one material, and lossless.
     motion : PlateMotion, optional
         How the plate moves; that of the rig's engine if not given.
     until : float, optional
@@ -360,8 +360,8 @@ def follow(
     Raises
     ------
     ValueError
-        If the layer has loss, the projectile is so light that its force is lost in rounding,
-        `until` is not positive, or `max_events` is below 1.
+        If the layer is graded or has loss, the projectile is so light that its force is lost in
+        rounding, `until` is not positive, or `max_events` is below 1.
     ThrowTooLongError
         If no end is reached within 100 000 pieces.
 
@@ -373,11 +373,7 @@ def follow(
     5.732
 
     """
-    if rig.layer.loss_tangent > 0.0:
-        raise ValueError(
-            f'layer.loss_tangent must be 0 for the travelling-wave model, '
-            f'got {rig.layer.loss_tangent:g}'
-        )
+    rig.check_for_waves()
     lightness = rig.relaxation_time * rig.engine.frequency
     if lightness < _LIGHTEST:
         raise ValueError(

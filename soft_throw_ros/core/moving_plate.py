@@ -177,17 +177,23 @@ def plate_at(s: Any, path: Floats, time: float) -> tuple[float, float]:
 
 
 @_jit
-def acceleration_at(s: Any, path: Floats, time: float) -> float:
-    """Compute the acceleration of the plate."""
+def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
+    """Compute height, velocity and acceleration of the plate."""
     if s.kind == DAMPED:
-        decayed = math.exp(s.growth * time)
-        turning = s.turn * math.cos(s.turn * time) + s.growth * math.sin(s.turn * time)
-        return s.factor * decayed * turning  # type: ignore[no-any-return]
+        half_sine, half_cosine = math.sin(0.5 * s.turn * time), math.cos(0.5 * s.turn * time)
+        fading = math.expm1(s.growth * time)
+        decayed = 1.0 + fading
+        sine, versine = 2.0 * half_sine * half_cosine, 2.0 * half_sine * half_sine
+        rise = versine * decayed - fading + s.growth / s.turn * decayed * sine
+        turning = s.turn * (1.0 - versine) + s.growth * sine
+        return s.amplitude * rise, s.factor * decayed * sine, s.factor * decayed * turning
+    height, speed = plate_at(s, path, time)
     k = piece_at(s, path, time)
     u = time - path[0, k]
-    return 2.0 * path[3, k] + u * (  # type: ignore[no-any-return]
+    acceleration = 2.0 * path[3, k] + u * (
         6.0 * path[4, k] + u * (12.0 * path[5, k] + u * 20.0 * path[6, k])
     )
+    return height, speed, acceleration
 
 
 @_jit

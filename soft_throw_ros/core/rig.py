@@ -69,7 +69,9 @@ class Engine:
 @dataclass(frozen=True, kw_only=True)
 class Layer:
     r"""
-    The soft layer, a cylinder.
+    The soft layer, a cylinder of one material.
+
+    What is stacked or graded is a `soft_throw_ros.core.graded_layer.GradedLayer`.
 
     Parameters
     ----------
@@ -121,24 +123,34 @@ class Layer:
         return self.density * self.wave_speed * self.section
 
     @property
+    def stiffness(self) -> float:
+        """:math:`E_s S / L_s`, force over change of thickness. [N/m]"""
+        return self.youngs_modulus * self.section / self.thickness
+
+    @property
     def crossing_time(self) -> float:
         """:math:`t_s = L_s / c_s`, what a wave needs from plate to top. [s]"""
         return self.thickness / self.wave_speed
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether it is of one material, as the travelling-wave model needs it."""
+        return True
 
 
 @dataclass(frozen=True, kw_only=True)
 class Projectile:
     """
-    The rigid projectile.
+    The projectile, a cylinder as wide as the layer.
 
     Parameters
     ----------
     mass : float
         :math:`m`; the default is the paper's, 8.2 mm of 1300 kg/m3 and 12 mm diameter. [kg]
     length : float
-        :math:`L_r`; shown, and used by the elastic models only. [m]
+        :math:`L_r`; used by elastic models only, to which its mass is spread over it. [m]
     youngs_modulus : float
-        :math:`E_r`; used by the elastic models only. [Pa]
+        :math:`E_r`; used by elastic models only. [Pa]
 
     Raises
     ------
@@ -218,15 +230,42 @@ class Rig:
     @property
     def natural_frequency(self) -> float:
         """:math:`f_0` of the projectile on the layer as a massless spring (App. A). [Hz]"""
-        stiffness = self.layer.youngs_modulus * self.layer.section / self.layer.thickness
-        return math.sqrt(stiffness / self.projectile.mass) / (2.0 * math.pi)
+        return math.sqrt(self.layer.stiffness / self.projectile.mass) / (2.0 * math.pi)
 
     @property
     def static_sag(self) -> float:
         """How far gravity lowers the resting projectile: its weight over the stiffness. [m]"""
-        return self.gravity * self.relaxation_time * self.crossing_time
+        return self.projectile.mass * self.gravity / self.layer.stiffness
 
     @property
     def gravity_ratio(self) -> float:
         r""":math:`g / (A \omega^2)`. [-]"""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
+
+    @property
+    def crossing_ratio(self) -> float:
+        """What a wave needs through the projectile over what it needs through the layer. [-]"""
+        projectile = self.projectile
+        spring = projectile.youngs_modulus * self.layer.section / projectile.length
+        return math.sqrt(projectile.mass / spring) / self.crossing_time
+
+    def check_for_waves(self) -> None:
+        """
+        Refuse what the travelling-wave model cannot do.
+
+        Raises
+        ------
+        ValueError
+            If the layer is graded, or has internal loss.
+
+        """
+        if not self.layer.is_uniform:
+            raise ValueError(
+                'the travelling-wave model needs a layer of one material; finite differences '
+                f'take what was given, {self.layer!r}'
+            )
+        if self.layer.loss_tangent > 0.0:
+            raise ValueError(
+                'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
+                f'got {self.layer.loss_tangent:g}; finite differences take it'
+            )

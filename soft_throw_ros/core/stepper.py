@@ -195,8 +195,8 @@ def steps_per_crossing(rig: Rig) -> int:
     Raises
     ------
     ValueError
-        If the layer has internal loss, more than `MAX_STEPS` steps would be needed, or more than
-        `MAX_STEP_RATE` in a second; it says which number, which limit and what would do.
+        If the layer is graded or has loss, or more than `MAX_STEPS` steps, or `MAX_STEP_RATE` in
+        a second, would be needed; it says which number, which limit and what would do.
 
     Examples
     --------
@@ -204,7 +204,7 @@ def steps_per_crossing(rig: Rig) -> int:
     64
 
     """
-    _check_lossless(rig)
+    rig.check_for_waves()
     layer, crossing = rig.layer, rig.crossing_time
     shortest = _MIN_STEPS / MAX_STEP_RATE
     if crossing < shortest:
@@ -1025,7 +1025,7 @@ class Stepper(ThrowStepper):
     Parameters
     ----------
     rig : Rig
-        The rig; its layer must be lossless.
+        The rig; its layer must be of one material, and lossless.
     motion : Underdamped, Sampled, 'measured' or None
         How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for `feed`.
         A sampled motion must not begin before time 0.
@@ -1069,7 +1069,7 @@ class Stepper(ThrowStepper):
         steps: int | None = None,
         field_points: int = 64,
     ) -> None:
-        _check_lossless(rig)
+        rig.check_for_waves()
         super().__init__(rig, field_points)
         self.steps = (
             steps_per_crossing(rig)
@@ -1082,6 +1082,7 @@ class Stepper(ThrowStepper):
         self._path = self._prepare(motion)
         self._start_fronts = self._fronts.copy()
         self._memory = (self._core, self._waves, self._path, self._fronts, self._events)
+        self._scratch = np.zeros(field_points)
         self.state = self._core['state'][1]
         self.state.flags.writeable = False
         self.reset()
@@ -1195,12 +1196,3 @@ def warm_up() -> None:
     stepper.read_field(np.empty(2), np.empty(2))
     stepper.sample_field(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
-
-
-def _check_lossless(rig: Rig) -> None:
-    """Raise ValueError if the layer has internal loss."""
-    if rig.layer.loss_tangent > 0.0:
-        raise ValueError(
-            'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
-            f'got {rig.layer.loss_tangent:g}'
-        )

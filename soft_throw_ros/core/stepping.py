@@ -130,12 +130,13 @@ class ThrowStepper(ABC):
     """Kernel that goes to a time; it returns the number of events, or what is wrong."""
     _sample: Callable[..., tuple[int, int]]
     """Kernel that goes through times; it returns the row it came to, and what is wrong there."""
+    _scratch: Any
+    """What the latter needs besides."""
 
     def __init__(self, rig: Rig, field_points: int) -> None:
         self.rig = rig
         self.field_points = checked_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 3))
-        self._scratch = np.zeros(self.field_points)
         self._checked: tuple[Floats | None, Floats | None] = (None, None)
 
     def reset(self) -> None:
@@ -239,8 +240,7 @@ class ThrowStepper(ABC):
         times, values = checked_samples(times, values, kind, after=self._last_fed)
         if not times.size:
             return
-        grid = self._core[0]
-        ahead = int(grid['pieces'] - grid['piece']) + times.size
+        ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > FEED_SEGMENTS:
             raise FeedFullError(
                 f'samples must not be more than {FEED_SEGMENTS} ahead of advance_to, '
@@ -326,6 +326,11 @@ class ThrowStepper(ABC):
             Event('landing' if kind else 'release', time, velocity)
             for kind, time, velocity in rows
         ]
+
+    @property
+    def rest_position(self) -> float:
+        """Height of the projectile's lower face at rest. [m]"""
+        return float(self._core['rest_height'][1])
 
     @property
     def surface_position(self) -> float:
