@@ -6,19 +6,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
+from soft_throw_ros.core import checks, grid_stepper
+from soft_throw_ros.core.grid_history import GridHistory
 from soft_throw_ros.core.method_of_steps import Event, follow, WaveHistory
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
 
-MODELS = ('travelling_wave',)
-"""Models that `simulate` knows."""
+MODELS = ('travelling_wave', *grid_stepper.MODELS)
+"""Models that `simulate` knows, and that the twin can follow in real time."""
+
+_MOST_TIMES = 4000  # at which peaks are looked for on a grid
 
 
 class Peak(NamedTuple):
@@ -30,7 +33,7 @@ class Peak(NamedTuple):
 
 
 class Energies(NamedTuple):
-    """What the plate has done, and where it went; the first is the sum of the others. [J]"""
+    """What the plate has done, and where it is: the sum of the others and of heat. [J]"""
 
     plate_work: float
     layer: float
@@ -80,7 +83,9 @@ class Throw:
     """Largest magnitude of the layer's force on the plate up to the first release. [N]"""
     energies: Energies
     """At the first release, more than at rest. [J]"""
-    history: WaveHistory = field(repr=False)
+    heat: float = 0.0
+    """What internal loss has taken up to the first release. [J]"""
+    history: WaveHistory | GridHistory = field(repr=False)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -215,6 +220,8 @@ def simulate(
     motion: PlateMotion | None = None,
     *,
     model: str = 'travelling_wave',
+    cells: int | None = None,
+    step: float | None = None,
     until: float | None = None,
     max_events: int | None = None,
     max_strain: float = 0.1,
@@ -229,7 +236,11 @@ def simulate(
     motion : PlateMotion, optional
         How the plate moves; that of the rig's engine if not given.
     model : str
-        One of `MODELS`.
+        One of `MODELS`, see below.
+    cells : int, optional
+        Of the layer, for finite differences; chosen for errors of about 1e-4 if not given.
+    step : float, optional
+        Time step of finite differences, the longest stable one if not given. [s]
     until, max_events
         When to stop, as for `method_of_steps.follow`.
     max_strain : float
@@ -242,9 +253,23 @@ def simulate(
     Raises
     ------
     ValueError
-        For an unknown model, or a rig or a bound that the model refuses.
+        For an unknown model, or a rig, a bound or a step that the model refuses.
     ThrowUnfinishedError
         If the projectile is not released by the time that `until` or the plate's samples set.
+
+    Notes
+    -----
+    `travelling_wave` is exact, for a rigid projectile on a layer of one material without loss.
+    `finite_difference` takes any layer, with loss; `finite_difference_elastic` an elastic
+    projectile, too, whose speed is that of its centre of mass; `finite_difference_glued` has the
+    layer glued to the projectile and thrown along, as in [1]_, and speeds of their common centre
+    of mass. All three are of second order. `spring_mass` is a layer without mass (App. A of
+    [2]_), for any plate and with gravity, to 1e-5.
+
+    References
+    ----------
+    .. [1] Celestini, Raufaste et al. (2020), reference 27 of [2]_.
+    .. [2] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
 
     Examples
     --------
@@ -253,15 +278,52 @@ def simulate(
     >>> round(throw.ejection_time * 1e3, 3), round(throw.energy_transfer, 3)
     (7.647, 3.637)
 
+    The same gelatin with a loss tangent of 0.05, and glued to the projectile instead of the plate:
+
+    >>> layer = Layer(thickness=16.8e-3, loss_tangent=0.05)
+    >>> round(simulate(Rig(layer=layer), model='finite_difference').energy_transfer, 3)
+    3.256
+    >>> round(simulate(Rig(layer=layer), model='finite_difference_glued').energy_transfer, 3)
+    1.996
+
     """
     if model not in MODELS:
         raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
     checks.positive('max_strain', max_strain)
-    history = follow(rig, motion, until=until, max_events=max_events)
+    history: WaveHistory | GridHistory
+    if model == 'travelling_wave':
+        for name, value in (('cells', cells), ('step', step)):
+            if value is not None:
+                raise ValueError(f'{name} is for finite differences only, got {value!r}')
+        history = follow(rig, motion, until=until, max_events=max_events)
+    else:
+        history = GridHistory(
+            rig,
+            motion,
+            model=model,  # type: ignore[arg-type]  # as checked above
+            cells=cells,
+            step=step,
+            until=until,
+            max_events=max_events,
+        )
     if not history.events:
         raise ThrowUnfinishedError(
             f'the projectile is not released by {history.end_time:g} s; follow it for longer'
         )
+    describe = _describe_grid if isinstance(history, GridHistory) else _describe_waves
+    return Throw(
+        rig=rig,
+        model=model,
+        max_strain=max_strain,
+        peak_plate_speed=history.motion.peak_velocity,
+        history=history,
+        **describe(history),  # type: ignore[arg-type]  # as checked above
+    )
+
+
+def _describe_waves(history: WaveHistory) -> dict[str, Any]:
+    """Find peaks and energies."""
+    rig = history.rig
     end = history.events[0].time
     times = history.sample_times(end)
     mass = rig.projectile.mass
@@ -272,20 +334,37 @@ def simulate(
     def acceleration(time: Floats) -> Floats:
         return history.contact_force(time) / mass - rig.gravity
 
-    return Throw(
-        rig=rig,
-        model=model,
-        max_strain=max_strain,
-        peak_plate_speed=history.motion.peak_velocity,
-        peak_strain=_peak_strain(history, end),
-        peak_contact_strain=_largest_in_time(contact_strain, times)[0],
-        peak_acceleration=_largest_in_time(acceleration, times)[0],
-        peak_plate_force=_largest_in_time(history.plate_force, times)[0],
-        energies=Energies(
+    return {
+        'peak_strain': _peak_strain(history, end),
+        'peak_contact_strain': _largest_in_time(contact_strain, times)[0],
+        'peak_acceleration': _largest_in_time(acceleration, times)[0],
+        'peak_plate_force': _largest_in_time(history.plate_force, times)[0],
+        'energies': Energies(
             history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
         ),
-        history=history,
-    )
+    }
+
+
+def _describe_grid(history: GridHistory) -> dict[str, Any]:
+    """Find peaks, at whole steps if these are not too many, and energies."""
+    rig, start = history.rig, float(history.motion.knots[0])
+    end = history.events[0].time
+    times = np.linspace(start, end, 2 + min(int((end - start) / history.step), _MOST_TIMES))
+    depth, strain = history.strains(times)
+    row, column = np.unravel_index(np.argmax(np.abs(strain)), strain.shape)
+    push = history.contact_force(times) / rig.projectile.mass - rig.gravity
+    return {
+        'peak_strain': Peak(
+            float(abs(strain[row, column])), float(depth[column]), float(times[row])
+        ),
+        'peak_contact_strain': float(np.abs(strain[:, -1]).max()),
+        'peak_acceleration': float(np.abs(push).max()),
+        'peak_plate_force': float(np.abs(history.plate_force(times)).max()),
+        'energies': Energies(
+            history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
+        ),
+        'heat': history.heat(end),
+    }
 
 
 class ThrowUnfinishedError(RuntimeError):
