@@ -509,7 +509,7 @@ class Resimulation:
                 yield outputs
             else:
                 self._on_misfit(
-                    f'throw {stretch.throw} starts before step {stretch.begin} in the journal, '
+                    f'throw {stretch.throw} starts with step {stretch.begin} in the journal, '
                     'and not so when it is repeated'
                 )
                 session = None

@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 import contextlib
 from itertools import pairwise
-import json
-import math
 from pathlib import Path
 import struct
 from typing import Any
@@ -532,7 +530,7 @@ def test_missing_reset_makes_a_journal_that_does_not_fit(tmp_path) -> None:
     messages = without(twin, lambda message: is_entry(message, input='reset'))
     report = check(write(tmp_path / 'bag', messages))
     assert report.exit_code == 1
-    assert 'throw 2 starts before step 2300 in the journal' in report.misfits[0]
+    assert 'throw 2 starts with step 2300 in the journal' in report.misfits[0]
     assert report.misfits[0] in report.lines()
     assert 'throw 1, step 1300' in report.differences[0]
     assert report.states.same >= 2000  # what follows throw 2 among them
@@ -819,54 +817,3 @@ def test_any_run_with_any_losses_is_what_its_journal_gives(
         assert set(repeated) <= set(published)
     else:
         assert repeated == published[published.index(repeated[0]) :]
-
-
-@given(data=st.data())
-@hypothesis.settings(max_examples=150)
-def test_journal_of_any_kind_is_checked_or_refused(tmp_path_factory, data) -> None:
-    twin = Twin(throw__period=0.1)
-    twin.go(30)
-    twin.change(throw__period=0.05, gravity=3.0)
-    twin.go(100)
-    lines = [index for index, message in enumerate(twin.messages) if is_of(message, 'journal')]
-    messages = list(twin.messages)
-    for _ in range(data.draw(st.integers(1, 4))):
-        index = data.draw(st.sampled_from(lines))
-        messages[index] = messages[index]._replace(data=text(data.draw(spoilt(messages[index]))))
-    path = write(tmp_path_factory.mktemp('spoilt') / 'bag', messages)
-    with contextlib.suppress(CheckError):
-        report = check(path)
-        assert report.exit_code in (0, 1, 2)
-        assert list(report.lines())
-
-
-VALUES = st.one_of(
-    st.sampled_from([None, True, -1, 0, 2**70, 1e300, math.nan, '', [], {}, '[' * 100_000]),
-    st.floats(),
-    st.integers(),
-    st.text(max_size=5),
-)
-
-
-@st.composite
-def spoilt(draw: Any, message: Message) -> str:
-    """Change an entry of a journal in one place, or its line."""
-    line = message.data[8:-1].decode(errors='replace')
-    try:
-        entry = journal.decode(line)
-    except journal.JournalError:
-        return line
-    kind = draw(st.sampled_from(['cut', 'key', 'value', 'inner', 'other']))
-    if kind == 'cut':
-        return line[: draw(st.integers(0, len(line)))]
-    if kind == 'other':
-        return str(draw(VALUES))
-    where = entry
-    if kind == 'inner' and isinstance(entry.get('settings'), dict):
-        where = entry['settings']
-    key = draw(st.sampled_from(sorted(where)))
-    if kind == 'key':
-        del where[key]
-    else:
-        where[key] = draw(VALUES)
-    return json.dumps(entry)

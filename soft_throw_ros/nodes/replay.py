@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Play a bag: its messages come again on their topics. Or check it, without ROS.
+
+What is checked is whether the bag of a twin is what the journal in it gives when it is repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import math
+import sys
+from typing import Any
+
+from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.check import BagCheck, CheckError, Report
+from soft_throw_ros.recording.message import BagError
+
+CLOCK_RATE = 40.0
+"""How often `--clock` tells the time, if nothing is said. [Hz]"""
+
+_USAGE = """\
+%(prog)s [--rate R] [--start S] [--duration S] [--topics T ...] [--loop]
+              [--paused] [--clock [HZ]] BAG [--ros-args ...]
+       %(prog)s --check [--to OTHER_BAG] BAG"""
+
+
+def main(args: list[str] | None = None) -> int:
+    """
+    Play a bag until its end, or check it.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after the end or a signal, or if all that was checked is the same; 1 if the
+        bag is damaged, or something cannot be played, or is different; 2 if there is no bag, or
+        nothing in it to play or to check; 130 after Ctrl-C while a bag is checked.
+
+    Raises
+    ------
+    SystemExit
+        With exit code 2 if an argument is refused, after a line that says which.
+
+    """
+    own, of_ros = _split(sys.argv[1:] if args is None else args)
+    given = _parse(own)
+    try:
+        with BagReader(given.bag) as reader:
+            return _check(reader, given.to) if given.check else _play(reader, given, of_ros)
+    except (BagError, CheckError) as error:
+        print(f'replay: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Tell our arguments from those for ROS, which stand between --ros-args and --."""
+    own: list[str] = []
+    of_ros: list[str] = []
+    is_of_ros = False
+    for argument in arguments:
+        is_of_ros = is_of_ros or argument == '--ros-args'
+        (of_ros if is_of_ros else own).append(argument)
+        is_of_ros = is_of_ros and argument != '--'
+    return own, of_ros
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='replay',
+        description=__doc__,
+        usage=_USAGE,
+        allow_abbrev=False,
+        argument_default=argparse.SUPPRESS,
+    )
+    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one file of it')
+    playing = parser.add_argument_group('playing')
+    playing.add_argument(
+        '--rate', metavar='R', type=_positive, help='how much faster than it was (default 1)'
+    )
+    playing.add_argument(
+        '--start', metavar='S', type=_not_negative, help='seconds of the bag to leave out'
+    )
+    playing.add_argument(
+        '--duration', metavar='S', type=_not_negative, help='seconds of the bag to play'
+    )
+    playing.add_argument('--topics', metavar='T', nargs='+', help='these only')
+    playing.add_argument(
+        '--loop', dest='is_looping', action='store_true', help='begin again after the end'
+    )
+    playing.add_argument(
+        '--paused', dest='is_paused', action='store_true', help='wait for a call of ~/resume'
+    )
+    playing.add_argument(
+        '--clock',
+        dest='clock_rate',
+        metavar='HZ',
+        nargs='?',
+        type=_positive,
+        const=CLOCK_RATE,
+        help=f'tell the time of the bag on /clock (default {CLOCK_RATE:g} Hz), '
+        'in place of a recorded one',
+    )
+    checking = parser.add_argument_group('checking')
+    checking.add_argument(
+        '--check',
+        action='store_true',
+        default=False,
+        help='compare the bag with what its journal gives; exit code 1 if that is not the same',
+    )
+    checking.add_argument(
+        '--to', metavar='OTHER_BAG', default=None, help='write what it gives into a new bag'
+    )
+    given = parser.parse_args(arguments)
+    options = sorted(_choices(given))
+    if given.check and options:
+        option = {'is_looping': 'loop', 'is_paused': 'paused', 'clock_rate': 'clock'}
+        name = option.get(options[0], options[0])
+        parser.error(f'argument --{name}: not allowed with argument --check')
+    if given.to is not None and not given.check:
+        parser.error('argument --to: needs --check')
+    return given
+
+
+def _choices(given: argparse.Namespace) -> dict[str, Any]:
+    """Return what is said about playing."""
+    return {
+        name: value for name, value in vars(given).items() if name not in ('bag', 'check', 'to')
+    }
+
+
+def _positive(text: str) -> float:
+    value = _not_negative(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f'must be a positive number, got {text!r}')
+    return value
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'must be a number, and not negative, got {text!r}')
+    return value
+
+
+def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]) -> int:
+    choices = _choices(given)
+    topics = {channel.topic for channel in reader.channels}
+    unknown = sorted(set(choices.get('topics', ())) - topics)
+    if unknown:
+        raise CheckError(
+            f'{reader.path} has no topic {", ".join(unknown)}; there are: '
+            f'{", ".join(sorted(topics)) or "none"}'
+        )
+    length = 1e-9 * (reader.end_time - reader.start_time)
+    if choices.get('start', 0.0) > length:
+        raise CheckError(f'{reader.path} lasts {length:.3f} s, got --start {choices["start"]:g}')
+    try:
+        from soft_throw_ros.nodes.player import Choice, Player
+        from soft_throw_ros.nodes.process import run
+    except ModuleNotFoundError as error:
+        print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
+        return 1
+    return run(
+        'replay',
+        lambda _arguments: Player(reader, Choice(**choices)),
+        arguments,
+        usage=_USAGE % {'prog': 'replay'},
+    )
+
+
+def _check(reader: BagReader, to: str | None) -> int:
+    check = BagCheck(reader)
+    if to is None:
+        reports = check.run()
+    else:
+        with BagWriter(to, distribution=reader.distribution) as writer:
+            reports = check.run(writer)
+    for report in reports:
+        for line in report.lines():
+            print(f'{report.twin}: {line}')
+    if reader.damage:
+        print(f'replay: damaged, so that something may be missing: {reader.damage}')
+    return _exit_code(reports, reader.damage)
+
+
+def _exit_code(reports: Sequence[Report], damage: str) -> int:
+    codes = {report.exit_code for report in reports}
+    return 1 if damage or 1 in codes else max(codes)
