@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 CUSTOM = 'custom'
@@ -50,20 +51,21 @@ _ENTRIES = (
          unit='kg/m3', low=50.0, high=5000.0),
     row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer',
          unit='m', low=1e-3, high=0.2),
-    row('layer.loss_tangent', _RIG.layer.loss_tangent, 'Internal loss of the layer',
-         low=0.0, high=0.0,
-         hint='internal loss needs the finite-difference model, which this version has not'),
+    row('layer.loss_tangent', _RIG.layer.loss_tangent,
+         "Internal loss of the layer, as its loss tangent at the plate's frequency",
+         low=0.0, high=2.0),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
          unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
-         'Length L_r of the projectile; shown only, since it is rigid',
+         'Length L_r of the projectile, for the model `finite_difference_elastic`',
          unit='m', low=1e-4, high=0.5),
     row('projectile.youngs_modulus', _RIG.projectile.youngs_modulus,
-         'Modulus E_r of the projectile; shown only, since it is rigid',
+         'Modulus E_r of the projectile, for the model `finite_difference_elastic`',
          unit='Pa', low=1e6, high=1e12),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
-    row('model', 'travelling_wave', 'Model of the layer', choices=('travelling_wave',),
-         hint='no other model runs in real time in this version'),
+    row('model', 'travelling_wave',
+         'What layer and projectile are taken for; where there is internal loss, the travelling '
+         'wave gives way to finite differences', choices=MODELS),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
          unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,

@@ -55,6 +55,9 @@ Floats = NDArray[np.float64]
 MAX_PERIODS = 16.0
 """Plate periods, and periods of the projectile on the layer, after which one gives up."""
 
+MAX_CROSSINGS = 4096.0
+"""Crossings of the wave after which one gives up in any case."""
+
 MAX_CELLS = 1024
 """Most cells that are chosen, and that can be asked for."""
 
@@ -150,7 +153,8 @@ def first_releases(
         If a ratio is not finite and positive (damping: in [0, 1); gravity, loss and crossing
         ratio: not negative), the shapes do not fit, or an option is not one of its values.
     ThrowUnresolvedError
-        If a projectile does not leave within `MAX_PERIODS`, unless `unresolved` is 'nan'.
+        If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
+        `unresolved` is 'nan'.
 
     References
     ----------
@@ -348,7 +352,8 @@ def _load(nodes, lanes, lane, rows, case, cells, more, on_projectile):
 @_jit
 def _patience(mu, kappa):
     """Compute after how many crossings one gives up."""
-    return 1.0 + MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
+    periods = MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
+    return min(1.0 + periods, MAX_CROSSINGS)
 
 
 @_jit

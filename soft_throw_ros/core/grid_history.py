@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 from soft_throw_ros.core import checks, stepping
-from soft_throw_ros.core.grid_stepper import GridStepper, MAX_CELLS, Model
+from soft_throw_ros.core.grid_stepper import GridStepper, MAX_CELLS
 from soft_throw_ros.core.method_of_steps import Event
 from soft_throw_ros.core.plate import PlateMotion, Sampled, Underdamped
 from soft_throw_ros.core.rig import Rig
@@ -46,7 +46,7 @@ class GridHistory:
     motion : Underdamped or Sampled, optional
         How the plate moves; that of the rig's engine if not given.
     model : str
-        One of `grid_stepper.MODELS`.
+        One of `models.ON_GRIDS`.
     cells : int, optional
         Of the layer. If not given at least 256, 8 per relaxation time, and so many that there are
         160 steps in a plate period, for errors of about 1e-4; but no more than
@@ -76,7 +76,7 @@ class GridHistory:
         rig: Rig,
         motion: PlateMotion | None = None,
         *,
-        model: Model = 'finite_difference',
+        model: str = 'finite_difference',
         cells: int | None = None,
         step: float | None = None,
         until: float | None = None,
@@ -309,7 +309,7 @@ class GridHistory:
         return np.asarray(values)
 
 
-def cells_for(rig: Rig, model: Model) -> int:
+def cells_for(rig: Rig, model: str) -> int:
     """Choose the cells of a layer for errors of about 1e-4."""
     if model == 'spring_mass':
         return 1

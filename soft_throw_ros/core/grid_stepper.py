@@ -42,6 +42,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.grid import cut, massless
+from soft_throw_ros.core.models import ON_GRIDS
 from soft_throw_ros.core.moving_plate import (
     motion_at,
     PLATE,
@@ -70,18 +71,6 @@ from soft_throw_ros.core.stepping import (
 )
 
 Floats = NDArray[np.float64]
-
-Model = Literal[
-    'finite_difference', 'finite_difference_elastic', 'finite_difference_glued', 'spring_mass'
-]
-
-MODELS: tuple[Model, ...] = (
-    'finite_difference',
-    'finite_difference_elastic',
-    'finite_difference_glued',
-    'spring_mass',
-)
-"""What is cut into cells: the layer, the projectile too, a layer on the projectile, or nothing."""
 
 MAX_CELLS = 4096
 """Most cells of a layer."""
@@ -566,7 +555,9 @@ def _reset(core, nodes, path):
     speed = _drive(s, nodes, path)
     _accelerate(s, nodes)
     _weigh(s, nodes)
-    s.on_plate[:], s.on_projectile[:] = s.on_plate[2], s.on_projectile[2]
+    # the plate has not moved yet, whatever its acceleration
+    s.on_plate[:] = -s.weight if s.joint == 0 else -s.burden
+    s.on_projectile[:] = s.burden
     s.power = -s.on_plate[2] * speed
     if s.joint == 0:
         nodes[_V, 1] = speed
@@ -580,7 +571,7 @@ def _feed(core, path, times, values, of_positions):
     core[1].horizon = core[0].horizon
 
 
-def cells_per_layer(rig: Rig, model: Model = 'finite_difference') -> int:
+def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     r"""
     Choose how many cells the layer takes in real time, or refuse what cannot be done.
 
@@ -589,7 +580,7 @@ def cells_per_layer(rig: Rig, model: Model = 'finite_difference') -> int:
     rig : Rig
         The rig.
     model : str
-        One of `MODELS`.
+        One of `models.ON_GRIDS`.
 
     Returns
     -------
@@ -655,8 +646,8 @@ def cells_per_layer(rig: Rig, model: Model = 'finite_difference') -> int:
 
 def _check_model(model: str) -> None:
     """Raise ValueError for a model that is unknown."""
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    if model not in ON_GRIDS:
+        raise ValueError(f'model must be one of {", ".join(ON_GRIDS)}, got {model!r}')
 
 
 def _spring_step(rig: Rig) -> float:
@@ -676,8 +667,8 @@ class GridStepper(ThrowStepper):
         How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for `feed`.
         A sampled motion must not begin before time 0.
     model : str
-        One of `MODELS`: with a rigid projectile (default), with an elastic one, with the layer
-        glued to the (rigid) projectile, or without mass in the layer.
+        One of `models.ON_GRIDS`: with a rigid projectile (default), with an elastic one, with the
+        layer glued to the (rigid) projectile, or without mass in the layer.
     cells : int, optional
         Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.
     step : float, optional
@@ -726,7 +717,7 @@ class GridStepper(ThrowStepper):
         rig: Rig,
         motion: PlateMotion | Literal['measured'] | None = None,
         *,
-        model: Model = 'finite_difference',
+        model: str = 'finite_difference',
         cells: int | None = None,
         step: float | None = None,
         field_points: int = 64,

@@ -10,16 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks, grid_stepper
+from soft_throw_ros.core import checks
 from soft_throw_ros.core.grid_history import GridHistory
 from soft_throw_ros.core.method_of_steps import Event, follow, WaveHistory
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
-
-MODELS = ('travelling_wave', *grid_stepper.MODELS)
-"""Models that `simulate` knows, and that the twin can follow in real time."""
 
 _MOST_TIMES = 4000  # at which peaks are looked for on a grid
 
@@ -236,7 +234,7 @@ def simulate(
     motion : PlateMotion, optional
         How the plate moves; that of the rig's engine if not given.
     model : str
-        One of `MODELS`, see below.
+        One of `models.MODELS`, see below.
     cells : int, optional
         Of the layer, for finite differences; chosen for errors of about 1e-4 if not given.
     step : float, optional
@@ -300,7 +298,7 @@ def simulate(
         history = GridHistory(
             rig,
             motion,
-            model=model,  # type: ignore[arg-type]  # as checked above
+            model=model,
             cells=cells,
             step=step,
             until=until,

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 
-from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.stepping import (
     EventLimitError,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
+    ThrowStepper,
 )
-from soft_throw_ros.twin.plan import FIELD_POINTS, Plan
+from soft_throw_ros.twin.plan import make_stepper, Plan
 from soft_throw_ros.twin.results import Event, Release, State, ThrowField, ThrowResult
 
 LONGEST = 10.0
@@ -29,7 +29,7 @@ class Flight:
     ----------
     plan : Plan
         What throws.
-    stepper : Stepper
+    stepper : ThrowStepper
         Of that plan's rig; it is reset.
     number : int
         Of the throw.
@@ -46,7 +46,7 @@ class Flight:
 
     """
 
-    def __init__(self, plan: Plan, stepper: Stepper, *, number: int = 0) -> None:
+    def __init__(self, plan: Plan, stepper: ThrowStepper, *, number: int = 0) -> None:
         stepper.reset()
         self.plan = plan
         self.number = number
@@ -158,7 +158,7 @@ def time_until_over(plan: Plan, elapsed: float, *, max_events: int) -> float:
 
     At most `LONGEST`, and exact to a millisecond or a tick. [s]
     """
-    flight = Flight(plan, Stepper(plan.rig, field_points=FIELD_POINTS))
+    flight = Flight(plan, make_stepper(plan.rig, plan.model))
     tick = max(plan.tick, 1e-3)
     ticks = 0
     while not flight.ended_by:

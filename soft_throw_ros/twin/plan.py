@@ -3,17 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core import grid_stepper, spring_mass, stepper
+from soft_throw_ros.core.finite_difference import first_releases
+from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
 from soft_throw_ros.core.peak import first_peaks
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.stepper import Stepper, steps_per_crossing
+from soft_throw_ros.core.stepping import ThrowStepper
+from soft_throw_ros.core.travelling_wave import (
+    first_release,
+    FirstRelease,
+    ThrowUnresolvedError,
+)
 from soft_throw_ros.twin.results import Field, Release, State, ThrowField
 
 FIELD_POINTS = 64
@@ -23,6 +32,9 @@ THROW_FIELD_ROWS = 200
 """Times at which the field of a throw holds the layer."""
 
 _SWINGS = 4
+
+_CELLS = 64  # by which finite differences predict for comparison, ...
+_STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long to follow
 
 RETURN_TIME = 0.1
 """How long putting back takes, unless the period of the throws is too short for it. [s]"""
@@ -37,8 +49,10 @@ class Plan:
     ----------
     rig : Rig
         The rig.
-    stepper : Stepper
-        Its model, at rest.
+    model : str
+        By which it is followed.
+    stepper : ThrowStepper
+        This model, at rest.
     rate, field_rate : float
         Steps, and rows of the field, per second of the clock. [Hz]
     time_scale : float
@@ -60,7 +74,8 @@ class Plan:
     """
 
     rig: Rig
-    stepper: Stepper
+    model: str
+    stepper: ThrowStepper
     rate: float
     field_rate: float
     time_scale: float
@@ -82,13 +97,13 @@ class Plan:
             If the rig cannot be stepped in real time, with the number.
 
         """
-        rig = rig_of(settings)
-        stepper = Stepper(rig, field_points=FIELD_POINTS)
-        stepper.reset()
+        rig, model = rig_of(settings), model_of(settings)
+        stepper = make_stepper(rig, model)
         rest_field = Field(np.zeros(FIELD_POINTS), np.zeros(FIELD_POINTS))
         stepper.read_field(rest_field.strain, rest_field.velocity)
         return cls(
             rig=rig,
+            model=model,
             stepper=stepper,
             rate=settings['rate.state'],
             field_rate=settings['rate.field'],
@@ -96,9 +111,9 @@ class Plan:
             rest=State._make(stepper.state.tolist()[1:]),
             rest_field=rest_field,
             peak_plate_speed=Underdamped.of(rig.engine).peak_velocity,
-            peak_strain=_peak_strain(rig),
-            throw_field=_throw_field(stepper, rig),
-            models=_other_models(rig),
+            peak_strain=_peak_strain(stepper),
+            throw_field=_throw_field(stepper),
+            models=_other_models(rig, model),
         )
 
     @property
@@ -116,9 +131,61 @@ class Plan:
         return min(ticks, self.period_ticks(period) // 2) if period else ticks
 
 
-def _throw_field(stepper: Stepper, rig: Rig) -> ThrowField:
+def model_of(settings: Settings) -> str:
+    """
+    Choose by which model a rig is followed.
+
+    It is the one that is set, unless that is the travelling wave, which is lossless, and the layer
+    has internal loss: then it is finite differences.
+    """
+    if settings['model'] == 'travelling_wave' and settings['layer.loss_tangent'] > 0.0:
+        return 'finite_difference'
+    return str(settings['model'])
+
+
+def make_stepper(rig: Rig, model: str) -> ThrowStepper:
+    """
+    Make what follows a rig in real time.
+
+    Raises
+    ------
+    ValueError
+        If the rig cannot be stepped in real time, with the number.
+
+    """
+    if model == 'travelling_wave':
+        return Stepper(rig, field_points=FIELD_POINTS)
+    return GridStepper(rig, model=model, field_points=FIELD_POINTS)
+
+
+def check(settings: Settings) -> None:
+    """
+    Tell whether settings can be stepped in real time, which takes microseconds.
+
+    Raises
+    ------
+    ValueError
+        If not, with the number and what would do.
+
+    """
+    rig, model = rig_of(settings), model_of(settings)
+    if model == 'travelling_wave':
+        steps_per_crossing(rig)
+    else:
+        cells_per_layer(rig, model)
+
+
+def warm_up() -> None:
+    """Compile or load the kernels of all models, so that no change of settings has to."""
+    stepper.warm_up()
+    grid_stepper.warm_up()
+    _other_models(Rig(), '')
+    _peak_strain(make_stepper(Rig(), 'travelling_wave'))
+
+
+def _throw_field(stepper: ThrowStepper) -> ThrowField:
     """Let the layer go through a throw, to half as long again as the ejection time."""
-    times = np.linspace(0.0, 1.5 * _ejection_time(stepper, rig), THROW_FIELD_ROWS)
+    times = np.linspace(0.0, 1.5 * _ejection_time(stepper), THROW_FIELD_ROWS)
     strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
     stepper.reset()
     stepper.sample_field(times, strain)
@@ -126,8 +193,9 @@ def _throw_field(stepper: Stepper, rig: Rig) -> ThrowField:
     return ThrowField(times, strain)
 
 
-def _ejection_time(stepper: Stepper, rig: Rig) -> float:
+def _ejection_time(stepper: ThrowStepper) -> float:
     """Find when the projectile leaves, or, if it does not soon, how long its first swings take."""
+    rig = stepper.rig
     swing = 1.0 / min(rig.engine.frequency, rig.natural_frequency) + rig.crossing_time
     for eighth in range(1, 8 * _SWINGS + 1):
         if stepper.advance_to(0.125 * eighth * swing):
@@ -135,8 +203,14 @@ def _ejection_time(stepper: Stepper, rig: Rig) -> float:
     return _SWINGS * swing
 
 
-def _peak_strain(rig: Rig) -> float:
-    """Find what the stepper, which looks at plate and top, does not see within the layer."""
+def _peak_strain(stepper: ThrowStepper) -> float:
+    """Find the largest strain up to the first release, which may be within the layer."""
+    if isinstance(stepper, GridStepper):
+        _ejection_time(stepper)
+        peak = stepper.first_peak_strain if stepper.event_count else 0.0
+        stepper.reset()
+        return peak
+    rig = stepper.rig
     try:
         peaks = first_peaks(
             mass_ratio=rig.mass_ratio,
@@ -149,15 +223,41 @@ def _peak_strain(rig: Rig) -> float:
     return peaks.strain * rig.engine.speed_scale / rig.layer.wave_speed
 
 
-def _other_models(rig: Rig) -> dict[str, Release | None]:
-    """Let other models predict the first release."""
-    frequency = rig.engine.frequency
-    ratio = rig.natural_frequency / frequency
-    release = spring_mass.first_release(frequency_ratio=ratio)
-    return {
-        'spring_mass': Release(
-            time=float(release.ejection_phase) / frequency,
-            speed=float(release.speed) * rig.engine.speed_scale,
-            energy_transfer=float(release.energy_transfer),
-        )
+def _other_models(rig: Rig, model: str) -> dict[str, Release | None]:
+    """Let other models that can do it predict the first release; None if there is none."""
+    ratios: dict[str, Any] = {
+        'mass_ratio': rig.mass_ratio,
+        'speed_ratio': rig.speed_ratio,
+        'damping_ratio': rig.engine.damping_ratio,
+        'gravity_ratio': rig.gravity_ratio,
     }
+    loss = rig.layer.loss_tangent
+    on_grid = partial(first_releases, **ratios, loss_tangent=loss, cells=_CELLS)
+    ways: dict[str, Callable[[], FirstRelease | spring_mass.FirstRelease]] = {
+        'travelling_wave': partial(first_release, **ratios),
+        'finite_difference_elastic': partial(on_grid, crossing_ratio=rig.crossing_ratio),
+        'finite_difference_glued': partial(on_grid, glued_to='projectile'),
+        'spring_mass': partial(
+            spring_mass.first_release,
+            frequency_ratio=rig.natural_frequency / rig.engine.frequency,
+        ),
+    }
+    if loss > 0.0:
+        del ways['travelling_wave']
+    if rig.speed_ratio > _STIFFEST:
+        del ways['finite_difference_elastic'], ways['finite_difference_glued']
+    return {name: _released(rig, way) for name, way in ways.items() if name != model}
+
+
+def _released(
+    rig: Rig, way: Callable[[], FirstRelease | spring_mass.FirstRelease]
+) -> Release | None:
+    try:
+        release = way()
+    except ThrowUnresolvedError:
+        return None
+    return Release(
+        time=float(release.ejection_phase) / rig.engine.frequency,
+        speed=float(release.speed) * rig.engine.speed_scale,
+        energy_transfer=float(release.energy_transfer),
+    )

@@ -114,8 +114,11 @@ def test_check_value_refuses_what_is_no_thickness(value: Any) -> None:
         ('engine.motion', 'measured', "engine.motion must be one of 'underdamped', 'harmonic', "
                                       "got 'measured'; 'measured' needs plate measurements as "
                                       'input, which this version does not take'),
-        ('layer.loss_tangent', 0.02, 'layer.loss_tangent must be 0, got 0.02; internal loss needs '
-                                     'the finite-difference model, which this version has not'),
+        ('layer.loss_tangent', -0.02, 'layer.loss_tangent must be a number from 0 to 2, '
+                                      'got -0.02'),
+        ('model', 'magic', "model must be one of 'travelling_wave', 'finite_difference', "
+                           "'finite_difference_elastic', 'finite_difference_glued', "
+                           "'spring_mass', got 'magic'"),
         ('throw.period', 0.01, 'throw.period must be a number from 0.05 to 3600 s, or 0, '
                                'got 0.01'),
         ('throw.max_events', 2.0, 'throw.max_events must be a whole number from 1 to 1000, '

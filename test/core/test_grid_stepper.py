@@ -17,10 +17,10 @@ from soft_throw_ros.core.grid_stepper import (
     cells_per_layer,
     GridStepper,
     MAX_CELLS,
-    MODELS,
     warm_up,
 )
 from soft_throw_ros.core.method_of_steps import follow
+from soft_throw_ros.core.models import ON_GRIDS
 from soft_throw_ros.core.plate import peak_velocity_ratio, Sampled, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepping import (
@@ -644,7 +644,7 @@ def test_fed_plate_is_followed_to_the_last_whole_step():
     mass=st.floats(math.log(1e-5), 0.0).map(math.exp),
     youngs_modulus=st.floats(math.log(1e6), math.log(1e12)).map(math.exp),
     gravity=st.sampled_from([0.0, 9.81, 30.0]),
-    name=st.sampled_from(MODELS),
+    name=st.sampled_from(ON_GRIDS),
 )
 def test_whole_range_of_parameters_gives_finite_throws(
     frequency, amplitude, damping_ratio, thickness, wave_speed, density, loss, mass,

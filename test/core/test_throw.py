@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.peak import first_peaks
 from soft_throw_ros.core.plate import Sampled, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throw import MODELS, simulate, ThrowUnfinishedError
+from soft_throw_ros.core.throw import simulate, ThrowUnfinishedError
 
 
 # Computed with 40-digit closed forms, checked by a second method

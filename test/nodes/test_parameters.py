@@ -114,8 +114,8 @@ def test_bad_value_is_refused_with_our_words(ros: Any, twin: Twin, value: Any) -
     [
         ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
         ({'engine__motion': 'measured'}, "'measured' needs plate measurements"),
-        ({'layer__loss_tangent': 0.02}, 'internal loss needs the finite-difference model'),
-        ({'model': 'spring_mass'}, "model must be 'travelling_wave', got 'spring_mass'"),
+        ({'layer__loss_tangent': -0.02}, 'must be a number from 0 to 2, got -0.02'),
+        ({'model': 'magic'}, "model must be one of 'travelling_wave', "),
         ({'throw__max_events': 2.0}, 'must be a whole number from 1 to 1000, got 2.0'),
         ({'recommended__thickness': 0.01}, 'is a result; set layer.thickness or call '
                                            '~/apply_recommendation'),
