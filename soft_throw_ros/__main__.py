@@ -18,6 +18,7 @@ EXECUTABLES = {
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'look at a bag, or at a stream, in Rerun'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
     'recover': ('soft_throw_ros.commands.recover', 'repair a bag that a crash has cut off'),
+    'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag, or check it'),
     'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
 }
