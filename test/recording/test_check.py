@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 import contextlib
 from itertools import pairwise
+import math
 from pathlib import Path
 import struct
 from typing import Any
@@ -639,6 +640,23 @@ def test_what_another_version_computed_may_differ_a_little(
 def test_same_version_may_not_differ_at_all(plain, tmp_path, names) -> None:
     report = check(write(tmp_path / 'bag', nudged(plain.messages, names, 4e-16)))
     assert report.exit_code == 1
+
+
+def test_another_version_is_followed_until_the_projectile_lands(tmp_path) -> None:
+    frequency = math.nextafter(63.2, 100.0)  # which makes the last bits other ones
+    twin = Twin(engine__frequency=frequency)
+    twin.go(3000)
+    messages = [
+        message._replace(data=message.data.replace(repr(frequency).encode(), b'63.2'.ljust(17)))
+        for message in elsewhere(twin, machine='z80')
+    ]
+    report = check(write(tmp_path / 'bag', messages))
+    assert report.exit_code == 0
+    assert report.states.same + report.bouncing == 3000
+    assert 0.5 * report.bouncing < report.states.same < 3.0 * report.bouncing
+    assert f'{report.bouncing} states are not checked: they follow a landing' in report.lines()
+    again = elsewhere(twin, machine=journal.VERSIONS['machine'])
+    assert check(write(tmp_path / 'again', again)).bouncing == 0
 
 
 def test_repetition_is_of_the_present_version(plain, tmp_path) -> None:
