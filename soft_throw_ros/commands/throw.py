@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import contextlib
 import csv
+from functools import partial
 import io
 import itertools
 import json
@@ -22,8 +23,14 @@ import threading
 from typing import Any, NamedTuple
 
 import numpy as np
-from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
-from soft_throw_ros.core import method_of_steps, spring_mass, stepper, stepping
+from soft_throw_ros.commands.rig_options import (
+    add_rig_options,
+    number_or_text,
+    OPTIONS,
+    read_settings,
+)
+from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.core import method_of_steps, spring_mass, stepping
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
@@ -32,18 +39,10 @@ from soft_throw_ros.core.travelling_wave import (
     first_releases,
     ThrowUnresolvedError,
 )
+from soft_throw_ros.twin.plan import make_stepper, model_of
 
 Prediction = Mapping[str, float]
 """What a model says, by name and in SI units; what it does not know is left out."""
-
-_OPTIONS = {
-    entry.name: '--layer'
-    if entry.name == 'layer.name'
-    else '--' + entry.name.rpartition('.')[2].replace('_', '-')
-    for entry in TWIN.entries
-    if (entry.is_of_rig and entry.name != 'model') or entry.name == 'max_strain'
-}
-"""The parameters that describe a throw, and what their options are called."""
 
 _LONGEST = 10.0  # the stepper is not followed any longer [s]
 
@@ -80,7 +79,10 @@ _ROWS = (
     _Row('plate_work', 'work of the plate', 'mJ', 1e3),
     _Row('layer_energy', '  to the layer', 'mJ', 1e3),
     _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
+    _Row('heat', '  to heat', 'mJ', 1e3),
 )
+
+_COLUMN = 12  # characters of the table
 
 
 class InputError(ValueError):
@@ -108,30 +110,28 @@ def main(args: list[str] | None = None) -> int:
 
     """
     parser = _parser()
-    given = vars(parser.parse_args(args))
-    request = {name: given[name] for name in _OPTIONS if name in given}
+    arguments = parser.parse_args(args)
+    given = vars(arguments)
     try:
         if 'cases' in given:
             other = sorted(given.keys() - {'cases', 'output'})
             if other:
-                option = _OPTIONS.get(other[0], f'--{other[0]}')
+                option = OPTIONS.get(other[0], '--' + other[0].replace('_', '-'))
                 parser.error(f'argument {option}: not allowed with argument --cases')
             text = _release_cases_of(given['cases'])
         else:
-            settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
-            settings.update(TWIN.change(settings, request))
+            settings = read_settings(arguments)
+            if 'max_strain' in given:
+                settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
             with _patience():
-                throw = predict(settings)
+                throw = predict(settings, given.get('model', MODELS))
             text = (
                 json.dumps(throw, indent=2, allow_nan=False) + '\n'
                 if 'json' in given
                 else table(throw)
             )
         _write(text, given.get('output'))
-    except ParameterError as error:
-        options = (f'argument {_OPTIONS[name]}: ' for name in error.names if name in request)
-        parser.error(f'{next(options, "")}{error}')
-    except InputError as error:
+    except (ParameterError, InputError) as error:
         parser.error(str(error))
     return 0
 
@@ -139,12 +139,25 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description='Predict one throw by every model, or many first releases from a CSV file.',
-        usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--json | --cases FILE] '
-        '[--output FILE]',
+        usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--model NAME ...] '
+        '[--json | --cases FILE] [--output FILE]',
         argument_default=argparse.SUPPRESS,
         allow_abbrev=False,
     )
-    parser.add_argument('--config', metavar='FILE', help='parameter file of the twin')
+    parser.add_argument(
+        '--model',
+        metavar='NAME',
+        action='append',
+        choices=tuple(MODELS),
+        help=f'only this model; may be repeated: {", ".join(MODELS)} (default all)',
+    )
+    most = TWIN.by_name['max_strain']
+    parser.add_argument(
+        '--max-strain',
+        metavar='NUMBER',
+        type=number_or_text,
+        help=f'{most.meaning}; {most.rule} (default {most.default:g})',
+    )
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
@@ -156,29 +169,8 @@ def _parser() -> argparse.ArgumentParser:
         'te_f and alpha are added to them, without gravity',
     )
     parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
-    parameters = parser.add_argument_group(
-        'parameters', 'as those of the twin; each replaces what the file says'
-    )
-    for name, option in _OPTIONS.items():
-        entry = TWIN.by_name[name]
-        default = f'{entry.default:g}' if isinstance(entry.default, float) else entry.default
-        parameters.add_argument(
-            option,
-            dest=name,
-            metavar=entry.unit.upper() or ('NAME' if entry.choices else 'NUMBER'),
-            type=_number_or_text,
-            help=f'{entry.meaning}; {entry.rule} (default {default})'.replace('`', '')
-            .replace('%', '%%'),
-        )  # fmt: skip
+    add_rig_options(parser)
     return parser
-
-
-def _number_or_text(text: str) -> float | str:
-    """Read a number if it is one; what it may be is for the table to say."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 @contextlib.contextmanager
@@ -208,14 +200,16 @@ def _write(text: str, output: str | None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def predict(settings: Settings) -> dict[str, Any]:
+def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
     """
-    Predict a throw by all models.
+    Predict a throw by several models.
 
     Parameters
     ----------
     settings : mapping of str to value
         Complete settings; those of the twin itself do not matter.
+    names : iterable of str
+        Some of `MODELS`.
 
     Returns
     -------
@@ -228,9 +222,10 @@ def predict(settings: Settings) -> dict[str, Any]:
     rig = rig_of(settings)
     models: dict[str, Prediction | None] = {}
     notes: dict[str, str] = {}
-    for name, (model, note) in _MODELS.items():
+    for name in dict.fromkeys(names):
+        model, note = MODELS[name]
         try:
-            models[name], notes[name] = model(rig), note
+            models[name], notes[name] = model(settings), note
         except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
             models[name], notes[name] = None, f'none, {error}'
     strains = [
@@ -240,7 +235,7 @@ def predict(settings: Settings) -> dict[str, Any]:
         if key in ('peak_strain', 'peak_plate_strain')
     ]
     return {
-        'parameters': {name: settings[name] for name in _OPTIONS},
+        'parameters': {name: settings[name] for name in (*OPTIONS, 'max_strain')},
         'rig': {
             'mass_ratio': rig.mass_ratio,
             'speed_ratio': rig.speed_ratio,
@@ -255,14 +250,15 @@ def predict(settings: Settings) -> dict[str, Any]:
     }
 
 
-def _by_travelling_wave(rig: Rig) -> Prediction:
-    throw = simulate(rig)
-    return {
+def _simulated(model: str, settings: Settings) -> Prediction:
+    throw = simulate(rig_of(settings), model=model)
+    rig = throw.rig
+    prediction = {
         **_first(rig, throw.ejection_time, throw.ejection_speed, throw.peak_plate_speed),
         **_last(rig, throw.ejections, throw.last_release.position, throw.peak_plate_speed),
         'peak_strain': throw.peak_strain.value,
         'peak_strain_depth': throw.peak_strain.depth,
-        'peak_plate_strain': throw.peak_plate_force / _stiffness(rig),
+        'peak_plate_strain': throw.peak_plate_strain,
         'peak_contact_strain': throw.peak_contact_strain,
         'peak_acceleration': throw.peak_acceleration,
         'peak_plate_force': throw.peak_plate_force,
@@ -270,16 +266,18 @@ def _by_travelling_wave(rig: Rig) -> Prediction:
         'layer_energy': throw.energies.layer,
         'projectile_energy': throw.energies.projectile,
     }
+    return _with_heat(prediction, throw.heat)
 
 
-def _by_stepper(rig: Rig) -> Prediction:
-    model = stepper.Stepper(rig, field_points=2)
+def _stepped(settings: Settings) -> Prediction:
+    rig = rig_of(settings)
+    model = make_stepper(rig, model_of(settings))
     ejections = _follow(model)
     first = ejections[0]
     plate_speed = Underdamped.of(rig.engine).peak_velocity
     model.reset()
     model.advance_to(first.time)
-    rise = model.state[stepping.PROJECTILE_POSITION] - rig.layer.thickness + rig.static_sag
+    rise = model.state[stepping.PROJECTILE_POSITION] - model.rest_position
     projectile_energy = rig.projectile.mass * (0.5 * first.velocity**2 + rig.gravity * rise)
     prediction = {
         **_first(rig, first.time, first.velocity, plate_speed),
@@ -291,12 +289,14 @@ def _by_stepper(rig: Rig) -> Prediction:
         'layer_energy': model.stored_energy() - projectile_energy,
         'projectile_energy': float(projectile_energy),
     }
+    heat = model.dissipated
     model.advance_to(ejections[-1].time)
     height = float(model.state[stepping.PROJECTILE_POSITION])
-    return {**prediction, **_last(rig, ejections, height, plate_speed)}
+    return _with_heat({**prediction, **_last(rig, ejections, height, plate_speed)}, heat)
 
 
-def _by_spring_mass(rig: Rig) -> Prediction:
+def _by_spring_mass(settings: Settings) -> Prediction:
+    rig = rig_of(settings)
     release = spring_mass.first_release(
         frequency_ratio=rig.natural_frequency / rig.engine.frequency
     )
@@ -308,11 +308,34 @@ def _by_spring_mass(rig: Rig) -> Prediction:
     )
 
 
-_MODELS: Mapping[str, tuple[Callable[[Rig], Prediction], str]] = {
-    'travelling_wave': (_by_travelling_wave, 'exact for a rigid projectile on a lossless layer'),
-    'stepper': (_by_stepper, 'the same in small steps, as the twin follows it in real time'),
-    'spring_mass': (_by_spring_mass, 'layer without mass, harmonic plate, no gravity (App. A)'),
+MODELS: Mapping[str, tuple[Callable[[Settings], Prediction], str]] = {
+    'travelling_wave': (
+        partial(_simulated, 'travelling_wave'),
+        'exact for a rigid projectile on a lossless layer',
+    ),
+    'stepper': (_stepped, 'as the twin follows it in real time'),
+    'finite_difference': (
+        partial(_simulated, 'finite_difference'),
+        'to about 1e-4, with internal loss',
+    ),
+    'finite_difference_elastic': (
+        partial(_simulated, 'finite_difference_elastic'),
+        'the same with an elastic projectile, whose centre of mass it is',
+    ),
+    'finite_difference_glued': (
+        partial(_simulated, 'finite_difference_glued'),
+        'layer glued to the projectile, thrown along; speeds of both together',
+    ),
+    'spring_mass': (
+        _by_spring_mass,
+        'layer without mass and loss, harmonic plate, no gravity (App. A)',
+    ),
 }
+"""How each of the models predicts, and what is to be known about it."""
+
+
+def _with_heat(prediction: Prediction, heat: float) -> Prediction:
+    return {**prediction, 'heat': heat} if heat else prediction
 
 
 def _first(rig: Rig, time: float, speed: float, plate_speed: float) -> dict[str, float]:
@@ -345,7 +368,7 @@ def _last(
     return description
 
 
-def _follow(model: stepper.Stepper) -> list[stepping.Event]:
+def _follow(model: stepping.ThrowStepper) -> list[stepping.Event]:
     """Step until the projectile falls back on the layer, and return the releases before."""
     ejections: list[stepping.Event] = []
     for time in np.linspace(0.0, _LONGEST, 101)[1:]:
@@ -363,11 +386,6 @@ def _follow(model: stepper.Stepper) -> list[stepping.Event]:
     return ejections
 
 
-def _stiffness(rig: Rig) -> float:
-    """Force over strain of the layer. [N]"""
-    return rig.layer.youngs_modulus * rig.layer.section
-
-
 def table(throw: Mapping[str, Any]) -> str:
     """Write what `predict` returns for people to read."""
     rig, models = throw['rig'], throw['models']
@@ -375,14 +393,13 @@ def table(throw: Mapping[str, Any]) -> str:
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
-    lines = [
-        numbers,
-        '',
-        f'{"":28}' + ''.join(f'{name.replace("_", " "):>18}' for name in models),
-    ]
+    words = [name.split('_') for name in models]
+    heads = itertools.zip_longest(*words, fillvalue='')
+    lines = [numbers, '', *(_line('', '', head) for head in heads)]
     for row in _ROWS:
         cells = [_cell((model or {}).get(row.key), row.scale) for model in models.values()]
-        lines.append(f'{row.title:22}{row.unit:>6}' + ''.join(f'{cell:>18}' for cell in cells))
+        if any(cell != '-' for cell in cells):
+            lines.append(_line(row.title, row.unit, cells))
     lines.append('')
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in throw['notes'].items()]
     if throw['leaves_linear_range']:
@@ -391,6 +408,11 @@ def table(throw: Mapping[str, Any]) -> str:
             'range (--max-strain): a real layer will do otherwise.'
         )
     return '\n'.join(lines) + '\n'
+
+
+def _line(title: str, unit: str, cells: Iterable[str]) -> str:
+    line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_COLUMN}}' for cell in cells)
+    return line.rstrip()
 
 
 def _cell(value: float | None, scale: float) -> str:
@@ -494,7 +516,7 @@ def _read_cases(file: Iterable[str], name: str) -> tuple[list[int], list[list[fl
 
 def _case_value(column: str, text: str, where: str) -> float:
     rule, allows = _CASES[column]
-    value = _number_or_text(text)
+    value = number_or_text(text)
     if not isinstance(value, float) or not allows(value):
         raise InputError(f'{where}: {column} must be a number, {rule}, got {text!r}')
     return value

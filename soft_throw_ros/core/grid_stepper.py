@@ -866,7 +866,7 @@ class GridStepper(ThrowStepper):
 
     @property
     def dissipated(self) -> float:
-        """What the layer has turned into heat so far. [J]"""
+        """Energy that the layer has turned to heat so far, by the trapezoidal rule. [J]"""
         return float(self._core[1]['loss'])
 
     def stored_energy(self) -> float:

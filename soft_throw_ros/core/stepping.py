@@ -366,6 +366,11 @@ class ThrowStepper(ABC):
     def peak_work(self) -> float:
         """Largest work of the plate so far: what the engine has to have handed out. [J]"""
 
+    @property
+    def dissipated(self) -> float:
+        """Energy that the layer has turned to heat so far. [J]"""
+        return 0.0
+
     @abstractmethod
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""

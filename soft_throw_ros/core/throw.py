@@ -73,6 +73,8 @@ class Throw:
     """:math:`V_p^*`. [m/s]"""
     peak_strain: Peak
     """Largest strain magnitude in the layer up to the first release. [-]"""
+    peak_plate_strain: float
+    """Largest strain magnitude at the plate up to the first release. [-]"""
     peak_contact_strain: float
     """Largest strain magnitude at the projectile up to the first release. [-]"""
     peak_acceleration: float
@@ -332,11 +334,13 @@ def _describe_waves(history: WaveHistory) -> dict[str, Any]:
     def acceleration(time: Floats) -> Floats:
         return history.contact_force(time) / mass - rig.gravity
 
+    plate_force = _largest_in_time(history.plate_force, times)[0]
     return {
         'peak_strain': _peak_strain(history, end),
+        'peak_plate_strain': plate_force / (rig.layer.youngs_modulus * rig.layer.section),
         'peak_contact_strain': _largest_in_time(contact_strain, times)[0],
         'peak_acceleration': _largest_in_time(acceleration, times)[0],
-        'peak_plate_force': _largest_in_time(history.plate_force, times)[0],
+        'peak_plate_force': plate_force,
         'energies': Energies(
             history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
         ),
@@ -355,6 +359,7 @@ def _describe_grid(history: GridHistory) -> dict[str, Any]:
         'peak_strain': Peak(
             float(abs(strain[row, column])), float(depth[column]), float(times[row])
         ),
+        'peak_plate_strain': float(np.abs(strain[:, 0]).max()),
         'peak_contact_strain': float(np.abs(strain[:, -1]).max()),
         'peak_acceleration': float(np.abs(push).max()),
         'peak_plate_force': float(np.abs(history.plate_force(times)).max()),

@@ -11,6 +11,7 @@ import sys
 
 import pytest
 from soft_throw_ros.commands import throw
+from soft_throw_ros.commands.rig_options import OPTIONS
 from soft_throw_ros.configuration import files, LAYERS, TWIN
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Layer, Rig
@@ -28,6 +29,9 @@ def run(capsys, *args):
 
 def run_json(capsys, *args):
     return json.loads(run(capsys, '--json', *args))
+
+
+EXACT = ('--model', 'travelling_wave')
 
 
 def refused(capsys, *args):
@@ -56,6 +60,7 @@ def write(tmp_path):
 
 def test_json_has_the_models_to_the_last_digit(capsys):
     printed = run_json(capsys, '--thickness', 0.01)
+    assert tuple(printed['models']) == tuple(printed['notes']) == tuple(throw.MODELS)
     rig = Rig(layer=Layer(thickness=0.01))
     exact = simulate(rig)
     model = printed['models']['travelling_wave']
@@ -86,23 +91,61 @@ def test_json_has_the_models_to_the_last_digit(capsys):
     ],
     ids=lambda options: ' '.join(map(str, options)),
 )
-def test_stepper_agrees_with_the_exact_model_on_every_line(capsys, options):
-    models = run_json(capsys, *options)['models']
-    exact, stepped = models['travelling_wave'], models['stepper']
-    assert exact.keys() - stepped.keys() == {'peak_strain', 'peak_strain_depth'}
-    assert stepped == pytest.approx({name: exact[name] for name in stepped}, rel=5e-4)
-    assert stepped['recontacts'] == exact['recontacts']
+def test_other_models_agree_with_the_exact_one_on_every_line(capsys, options):
+    same = ('stepper', 'finite_difference', 'finite_difference_elastic')
+    asked = [word for name in same for word in ('--model', name)]
+    models = run_json(capsys, *EXACT, *asked, *options)['models']
+    exact = models['travelling_wave']
+    for name in same:
+        found = models[name]
+        missing = {'peak_strain', 'peak_strain_depth'} if name == 'stepper' else set()
+        assert exact.keys() - found.keys() == missing
+        if name != 'stepper':  # it is known to half a cell
+            depth = found.pop('peak_strain_depth')
+            assert depth == pytest.approx(exact['peak_strain_depth'], rel=1e-2)
+        assert found == pytest.approx({key: exact[key] for key in found}, rel=5e-4), name
+        assert found['recontacts'] == exact['recontacts']
+
+
+def test_internal_loss_costs_energy_and_is_what_is_missing(capsys):
+    printed = run_json(capsys, '--loss-tangent', 0.05)
+    models = printed['models']
+    assert models['travelling_wave'] is None
+    assert printed['notes']['travelling_wave'].startswith('none, layer.loss_tangent must be 0')
+    lossy = models['finite_difference']
+    assert lossy['energy_transfer'] == pytest.approx(3.2556, abs=1e-4)
+    for name in ('stepper', 'finite_difference', 'finite_difference_glued'):
+        parts = ('layer_energy', 'projectile_energy', 'heat')
+        total = sum(models[name][part] for part in parts)
+        assert total == pytest.approx(models[name]['plate_work'], rel=1e-3)
+        assert models[name]['heat'] > 0.0
+    shared = {key: lossy[key] for key in models['stepper']}
+    assert models['stepper'] == pytest.approx(shared, rel=2e-3)
+    lines = run(capsys, '--loss-tangent', 0.05, '--model', 'finite_difference').splitlines()
+    (heat,) = [line for line in lines if line.startswith('  to heat')]
+    assert float(heat.split()[3]) == pytest.approx(1e3 * lossy['heat'], rel=5e-6)
+    assert 'to heat' not in run(capsys, '--model', 'finite_difference')
+
+
+def test_stepper_is_that_of_the_twin(capsys, write):
+    path = write('twin: {ros__parameters: {model: finite_difference_glued}}', 'a.yaml')
+    asked = ('--model', 'stepper', '--model', 'finite_difference_glued')
+    models = run_json(capsys, '--config', path, *asked)['models']
+    assert models['stepper']['energy_transfer'] == pytest.approx(
+        models['finite_difference_glued']['energy_transfer'], rel=1e-3
+    )
 
 
 def test_table_lines_up_and_has_the_numbers_of_the_json(capsys):
     lines = run(capsys).splitlines()
     models = run_json(capsys)['models']
-    head = lines[2]
-    columns = [head.index(name.replace('_', ' ')) + len(name) for name in models]
-    assert len(columns) == 3
+    assert max(map(len, lines)) <= 100
+    head = [line.ljust(100) for line in lines[2:5]]
+    columns = [28 + 12 * n for n in range(len(models))]
+    words = ['_'.join(line[start : start + 12].strip() for line in head) for start in columns]
+    assert [word.strip('_') for word in words] == list(models)
     (alpha,) = [line for line in lines if line.startswith('energy transfer alpha')]
-    assert all(not alpha[end : end + 1].strip() for end in columns)
-    shown = [float(text) for text in alpha.split()[-3:]]
+    shown = [float(alpha[start : start + 12]) for start in columns]
     assert shown == pytest.approx(
         [model['energy_transfer'] for model in models.values()], rel=5e-6
     )
@@ -114,14 +157,16 @@ def test_table_lines_up_and_has_the_numbers_of_the_json(capsys):
 
 
 def test_table_warns_beyond_the_linear_range_only(capsys):
-    assert 'Strain beyond 10 % leaves the linear range' in run(capsys)
-    assert 'linear range' not in run(capsys, '--max-strain', 0.2)
-    assert 'Strain beyond 1 %' in run(capsys, '--max-strain', 0.01)
+    assert 'Strain beyond 10 % leaves the linear range' in run(capsys, *EXACT)
+    assert 'linear range' not in run(capsys, *EXACT, '--max-strain', 0.2)
+    assert 'Strain beyond 1 %' in run(capsys, *EXACT, '--max-strain', 0.01)
 
 
 def test_model_that_refuses_a_rig_says_why_and_leaves_the_others(capsys):
     # So light a projectile relaxes 40 times per step that real time can afford
-    options = ('--mass', 1e-5, '--thickness', 0.1, '--diameter', 0.2)
+    options = (
+        '--mass', 1e-5, '--thickness', 0.1, '--diameter', 0.2, *EXACT, '--model', 'stepper',
+    )  # fmt: skip
     printed = run_json(capsys, *options)
     assert printed['models']['stepper'] is None
     assert re.match(r'none, projectile\.mass 1e-05 kg', printed['notes']['stepper'])
@@ -138,20 +183,22 @@ def test_every_parameter_of_the_rig_is_an_option(capsys):
     shown = ''.join(capsys.readouterr().out.split())
     for entry in TWIN.entries:
         if entry.group in ('engine', 'layer', 'projectile') or entry.name == 'gravity':
-            option = throw._OPTIONS[entry.name]
+            option = OPTIONS[entry.name]
             assert f'{option}{entry.unit.upper()}' in shown
             assert ''.join(entry.meaning.replace('`', '').split()) in shown
-    assert len(set(throw._OPTIONS.values())) == len(throw._OPTIONS)
+    assert len(set(OPTIONS.values())) == len(OPTIONS)
+    assert '--modelNAME' in shown
+    assert '--max-strainNUMBER' in shown
 
 
 def test_options_replace_what_the_file_says(capsys, write):
     path = write('twin: {ros__parameters: {gravity: 0.0, layer.name: gelatin_2.0mm}}', 'a.yaml')
-    printed = run_json(capsys, '--config', path)['parameters']
+    printed = run_json(capsys, '--config', path, *EXACT)['parameters']
     assert printed['gravity'] == 0.0
     assert printed['layer.thickness'] == LAYERS['gelatin_2.0mm']['layer.thickness']
-    printed = run_json(capsys, '--config', path, '--thickness', 0.01)['parameters']
+    printed = run_json(capsys, '--config', path, '--thickness', 0.01, *EXACT)['parameters']
     assert (printed['layer.name'], printed['layer.thickness']) == ('custom', 0.01)
-    assert run(capsys, '--config', files.default_file()) == run(capsys)
+    assert run(capsys, '--config', files.default_file(), *EXACT) == run(capsys, *EXACT)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +210,9 @@ def test_options_replace_what_the_file_says(capsys, write):
         (('--mass', '-1'), 'argument --mass: .* got -1'),
         (('--frequency', '0'), 'argument --frequency: .* got 0'),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
-        (('--loss-tangent', '0.1'), 'argument --loss-tangent: .* got 0.1; internal loss'),
+        (('--loss-tangent', '-0.1'), 'argument --loss-tangent: .* from 0 to 2, got -0.1'),
+        (('--model', 'magic'), "argument --model: invalid choice: 'magic'"),
+        (('--max-strain', '0'), 'max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),
         (('--thicknes', '0.01'), 'unrecognized arguments: --thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: No such file'),
@@ -172,6 +221,8 @@ def test_options_replace_what_the_file_says(capsys, write):
         (('--cases', 'a.csv', '--json'), 'argument --json: not allowed with argument --cases'),
         (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: not allowed with argument --ca'),
         (('--cases', 'a.csv', '--config', 'b'), 'argument --config: not allowed'),
+        (('--cases', 'a.csv', '--max-strain', '1'), 'argument --max-strain: not allowed'),
+        (('--cases', 'a.csv', *EXACT), 'argument --model: not allowed'),
     ],
 )
 def test_what_is_refused_is_quoted(capsys, args, message):
@@ -228,7 +279,7 @@ def test_bad_case_is_named_with_file_line_and_value(capsys, write, text, message
 
 def test_output_goes_to_the_file(capsys, write, tmp_path):
     path = tmp_path / 'result'
-    assert run(capsys, '--json', '--output', path) == ''
+    assert run(capsys, '--json', '--output', path, *EXACT) == ''
     assert json.loads(path.read_text())['parameters'].keys() <= TWIN.defaults().keys()
     cases = write('mu,kappa,zeta\n1,2,0\n')
     assert run(capsys, '--cases', cases, '--output', path) == ''
