@@ -366,9 +366,12 @@ class Recorder(Program):
         """Publish how recording goes, and say what is wrong."""
         now = self.get_clock().now().nanoseconds
         self._diagnostics.publish(statuses_to_msg(now, self._statuses()))
-        if self.recording is not None and self.recording.trouble:
-            lost = sum(self.recording.losses().values())
-            self.get_logger().error(f'{self.recording.trouble}; {lost} messages lost so far')
+        recording = self.recording
+        if recording is not None and recording.writer is not None and recording.trouble:
+            lost = sum(recording.losses().values())
+            self.get_logger().error(
+                f'{recording.trouble}; {recording.writer.waiting} messages wait, {lost} are lost'
+            )
 
     def _report(self) -> None:
         """Publish whether it records; late subscribers get it too."""

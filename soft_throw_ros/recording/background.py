@@ -30,7 +30,8 @@ class BackgroundWriter:
     open_bag : callable
         Makes the bag, or raises BagError; then it is called again every `FLUSH_TIME`.
     capacity : int
-        How much may wait for the disk. What comes beyond is dropped. [bytes]
+        How much may wait for the disk, or for the end of its trouble. What comes beyond is
+        dropped. [bytes]
 
     Attributes
     ----------
@@ -53,7 +54,6 @@ class BackgroundWriter:
         self._capacity = capacity
         self._dropped: Counter[Channel] = Counter()
         self._waiting: deque[Message | Callable[[BagWriter], None]] = deque()
-        self._early: list[Callable[[BagWriter], None]] = []
         self._came = 0  # [bytes]
         self._went = 0  # [bytes]
         self._error: BagError | None = None
@@ -85,6 +85,11 @@ class BackgroundWriter:
         """Have a file written into the bag."""
         self._waiting.append(lambda bag: bag.attach(name, data, media_type, time=time.time_ns()))
 
+    @property
+    def waiting(self) -> int:
+        """How many messages wait to be written."""
+        return len(self._waiting)
+
     def lost(self) -> Counter[Channel]:
         """Return how many messages could not be written, by their channels."""
         bag = self.bag
@@ -104,7 +109,10 @@ class BackgroundWriter:
             if time.monotonic() >= next_time:
                 next_time = time.monotonic() + FLUSH_TIME
                 self._keep()
+        if self.trouble:
+            self._keep()
         self._write()
+        self._dropped.update(item.channel for item in self._waiting if isinstance(item, Message))
         if self.bag is not None:
             try:
                 self.bag.close()
@@ -112,19 +120,14 @@ class BackgroundWriter:
                 self._error = error
 
     def _write(self) -> None:
-        """Write what waits; the bag itself counts what it cannot write."""
+        """Write what waits, up to the first trouble; what the bag loses then it counts."""
         waiting, bag = self._waiting, self.bag
-        while waiting:
+        while waiting and bag is not None and not self.trouble:
             item = waiting.popleft()
             try:
                 if isinstance(item, Message):
                     self._went += len(item.data) + _OVERHEAD
-                    if bag is None:
-                        self._dropped[item.channel] += 1
-                    else:
-                        bag.write(item)
-                elif bag is None:
-                    self._early.append(item)
+                    bag.write(item)
                 else:
                     item(bag)
             except BagError as error:
@@ -135,8 +138,6 @@ class BackgroundWriter:
         try:
             if self.bag is None:
                 self.bag = self._open_bag()
-                for item in self._early:
-                    item(self.bag)
             self.bag.flush()
         except BagError as error:
             self.trouble = str(error)

@@ -145,7 +145,7 @@ def test_full_disk_is_told_every_second_and_what_was_written_stays(
     recorder = record('bag', 'compression:=none', preexec_fn=let_files_be_small)
     recorder.wait_for('File too large')
     ros.spin_until(
-        lambda: sum('messages lost so far' in line for line in recorder.lines) >= 2, 'it again'
+        lambda: sum('messages wait' in line for line in recorder.lines) >= 2, 'it again'
     )
     assert recorder.end(signal.SIGINT) == 0
     assert not any('Traceback' in line for line in recorder.lines), recorder.lines
@@ -160,11 +160,12 @@ def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tm
     place = tmp_path / 'place'
     place.write_text('in the way')
     recorder = record('bag', f'folder:={place}')
-    recorder.wait_for('messages lost so far')
+    recorder.wait_for('messages wait')
     assert any(f'{place / "bag"}: Not a directory' in line for line in recorder.lines)
     place.unlink()
     wait_for_states(ros, place / 'bag', 100)
     assert recorder.end(signal.SIGINT) == 0
+    assert ' 0 lost, in ' in recorder.lines[-1]
     with Reader(place / 'bag') as bag:
         assert bag.message_count > 100
 

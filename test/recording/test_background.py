@@ -65,15 +65,25 @@ def test_bag_that_cannot_be_made_is_tried_again(tmp_path: Path) -> None:
     assert writer.bag is None
     writer.attach('file.txt', b'content', 'text/plain')
     writer.put([message(number) for number in range(7)])
-    wait_until(lambda: writer.lost()[CHANNEL] == 7)
+    assert writer.waiting == 8
     place.unlink()
     wait_until(lambda: not writer.trouble)
-    writer.put([message(8)])
+    writer.put([message(7)])
+    writer.close()
+    assert not writer.lost()
+    with BagReader(place / 'bag') as bag:
+        assert [item.sequence for item in bag.messages()] == list(range(8))
+        assert [item.name for item in bag.attachments()] == ['file.txt']
+
+
+def test_what_waits_in_vain_is_counted_in_the_end(tmp_path: Path) -> None:
+    place = tmp_path / 'place'
+    place.write_text('in the way')
+    writer = BackgroundWriter(lambda: BagWriter(place / 'bag', distribution=''), capacity=10**7)
+    writer.put([message(number) for number in range(7)])
     writer.close()
     assert writer.lost()[CHANNEL] == 7
-    with BagReader(place / 'bag') as bag:
-        assert [item.sequence for item in bag.messages()] == [8]
-        assert [item.name for item in bag.attachments()] == ['file.txt']
+    assert writer.bag is None
 
 
 class SlowBag(BagWriter):
