@@ -205,15 +205,11 @@ class Report:
                 f'{name}: {tally.same} messages are the same, {tally.different} are different, '
                 f'{tally.unchecked} are not checked'
             )
-        yield from _some(self.gaps)
-        yield from _some(self.misfits)
+        for sentences in (self.gaps, self.misfits):
+            yield from (f'{_JOURNAL}: {sentence}' for sentence in sentences[:_SHOWN])
+            if len(sentences) > _SHOWN:
+                yield f'{_JOURNAL}: and {len(sentences) - _SHOWN} more of this kind'
         yield from self.differences
-
-
-def _some(sentences: list[str]) -> Iterator[str]:
-    yield from sentences[:_SHOWN]
-    if len(sentences) > _SHOWN:
-        yield f'and {len(sentences) - _SHOWN} more of this kind'
 
 
 class BagCheck:
@@ -246,6 +242,8 @@ class BagCheck:
                 f'and has {", ".join(types) or "none"}'
             )
         self._twins = [_TwinCheck(reader, node) for node in nodes]
+        if not any(twin.has_start for twin in self._twins):
+            raise CheckError(f'{reader.path}: {nodes[0]}/{_JOURNAL} has no start of a throw')
 
     def run(self, writer: BagWriter | None = None) -> list[Report]:
         """
@@ -267,8 +265,7 @@ class _TwinCheck:
         self._reader = reader
         self._node = node
         self._timeline = Timeline(read_stretches(self._lines()))
-        if not self._timeline.pieces:
-            raise CheckError(f'{reader.path}: {node}/{_JOURNAL} has no start of a throw')
+        self.has_start = bool(self._timeline.pieces)
         topics = {channel.topic for channel in reader.channels}
         self._followers = {
             f'{node}/{side.name}': _Follower(side)
@@ -277,7 +274,7 @@ class _TwinCheck:
         }
         self._report = Report(
             twin=node,
-            gaps=self._timeline.gaps,
+            gaps=self._timeline.gaps if self.has_start else ['there is no start of a throw'],
             sides={follower.side.name: follower.tally for follower in self._followers.values()},
         )
         self._resimulation = Resimulation(
@@ -342,6 +339,9 @@ class _TwinCheck:
         if place is None and self._place is None and state.stamp < self._timeline.begin_ns:
             report.before += 1
             return
+        if place is None and self._place is not None and self._place.step < 0:
+            report.states.unchecked += 1  # in a gap, of which the pace is not known
+            return
         if place is None:
             after = f' after step {self._last.number}' if self._last is not None else ''
             self._differ(f'no step{after} is due at {_seconds(state.stamp)}')
@@ -373,9 +373,13 @@ class _TwinCheck:
             fits_after = timeline.find(next_stamp, place) is not None
             if not fits_after and timeline.find(next_stamp, before) is not None:
                 return None
-        if before is not None and timeline.pieces[place.piece].run == self._run:
-            return place if place.step - before.step <= LONGEST else None
-        return place
+        piece, last = timeline.pieces[place.piece], self._last
+        is_far = (
+            piece.run == self._run
+            and last is not None
+            and place.step - max(last.number, piece.begin) > LONGEST
+        )
+        return None if is_far else place
 
     def _repeat(self, run: int, number: int, *, is_first: bool) -> bool:
         """Repeat the steps up to one, and tell whether it could be."""

@@ -345,19 +345,20 @@ class Timeline:
     def find(self, time_ns: int, after: Place | None) -> Place | None:
         """Return the first place after another, or of all, whose step is due at a time."""
         begin = after.piece if after is not None else 0
+        gap = None
         for index in range(begin, len(self.pieces)):
             if time_ns < self._earliest[index]:
                 break
             piece = self.pieces[index]
-            if piece.pace is None and piece.begin_ns <= time_ns < piece.end_ns:
-                return Place(index, -1)
+            if gap is None and piece.pace is None and piece.begin_ns <= time_ns < piece.end_ns:
+                gap = Place(index, -1)  # unless something later is known to be due then
             step = piece.step_due(time_ns)
             if step is None:
                 continue
             is_passed = after is not None and index == after.piece and step <= after.step
             if not is_passed:
                 return Place(index, step)
-        return None
+        return gap
 
     def _add(self, stretch: Stretch) -> None:
         if stretch.gap:

@@ -309,6 +309,26 @@ def test_two_twins_in_a_bag_are_both_checked(tmp_path) -> None:
     ]
 
 
+def test_another_journal_in_a_bag_is_told_and_does_not_keep_the_twin_from_being_checked(
+    plain, tmp_path
+) -> None:
+    arm = Twin(node='/arm')
+    arm.go(1)
+    moved = [
+        message._replace(data=text('moved'))
+        if message.channel is arm.channels['journal']
+        else message
+        for message in arm.messages
+    ]
+    messages = plain.messages + moved
+    with BagReader(write(tmp_path / 'bag', messages)) as reader:
+        reports = {report.twin: report for report in BagCheck(reader).run()}
+    assert reports['/twin'].exit_code == 0
+    assert reports['/twin'].states.same == 1300
+    assert reports['/arm'].exit_code == 2
+    assert 'journal: there is no start of a throw' in reports['/arm'].lines()
+
+
 def test_bag_in_several_files_is_checked_like_one(plain, tmp_path) -> None:
     path = write(tmp_path / 'bag', plain.messages, max_duration=0.3)
     assert len(list(path.glob('*.mcap'))) > 3
@@ -480,7 +500,7 @@ def test_missing_throws_are_told_and_the_next_one_is_checked(
     assert f'{unchecked} states are not checked: lines of the journal are missing' in [
         *report.lines()
     ]
-    assert words in report.lines()
+    assert f'journal: {words}' in report.lines()
 
 
 @pytest.mark.parametrize(
@@ -523,6 +543,18 @@ def test_missing_line_is_noticed(tmp_path, kind, words) -> None:
     assert report.states.different == 0
 
 
+def test_gap_at_which_the_clock_was_set_back_ends(tmp_path) -> None:
+    twin = Twin(throw__period=0.3)
+    twin.go(500)
+    twin.set_clock(twin.now - SECOND + 137)
+    twin.go(1000)
+    paces = [message for message in twin.messages if is_entry(message, kind='pace', step=500)]
+    report = check(write(tmp_path / 'bag', without(twin, lambda message: message in paces)))
+    assert report.gaps == ['a line about the pace is missing before throw 2']
+    assert (report.states.unchecked, report.states.same) == (300, 1200)
+    assert report.exit_code == 0
+
+
 def test_missing_reset_makes_a_journal_that_does_not_fit(tmp_path) -> None:
     twin = Twin()
     twin.go(1300)
@@ -532,7 +564,7 @@ def test_missing_reset_makes_a_journal_that_does_not_fit(tmp_path) -> None:
     report = check(write(tmp_path / 'bag', messages))
     assert report.exit_code == 1
     assert 'throw 2 starts with step 2300 in the journal' in report.misfits[0]
-    assert report.misfits[0] in report.lines()
+    assert f'journal: {report.misfits[0]}' in report.lines()
     assert 'throw 1, step 1300' in report.differences[0]
     assert report.states.same >= 2000  # what follows throw 2 among them
 
