@@ -11,6 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
@@ -18,7 +19,8 @@ from soft_throw_ros.nodes import taps, topics
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag import BagReader, read_stream
+from soft_throw_ros.recording.message import Message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -270,3 +272,19 @@ def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypat
     assert node.exit_code is None
     monkeypatch.setattr(node.recording.taps, 'drain', fail)
     ros.spin_until(lambda: node.exit_code == 1, 'the exit code')
+
+
+def test_stream_is_shown_without_writing(ros, recorder, talker, tmp_path) -> None:
+    shown = tmp_path / 'shown'
+    viewer = tmp_path / 'viewer'
+    viewer.write_text(f'#!/bin/sh\nexec cat > {shown}\n')
+    viewer.chmod(0o755)
+    node = recorder(storage='none', rerun__sink='viewer', rerun__python=viewer)
+    publisher = talker.create_publisher(String, '/talk', 100)
+    say(ros, node, publisher, ['a', 'b', 'c'])
+    assert node._message() == 'showing only'
+    node.close()
+    with shown.open('rb') as stream:
+        messages = [item for item in read_stream(stream) if isinstance(item, Message)]
+    assert [deserialize_message(item.data, String).data for item in messages] == ['a', 'b', 'c']
+    assert sorted(tmp_path.iterdir()) == [shown, viewer]
