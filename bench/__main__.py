@@ -23,6 +23,7 @@ import scipy
 PARTS = {
     'throw': 'bench.one_throw',
     'landscape': 'bench.landscape',
+    'elastic': 'bench.elastic_landscape',
     'second': 'bench.one_second',
     'twin': 'bench.twin_node',
     'recorder': 'bench.recorder_node',

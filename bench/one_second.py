@@ -8,8 +8,10 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.grid_stepper import GridStepper
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.stepping import ThrowStepper
 from soft_throw_ros.core.throw import simulate
 
 from bench import peers
@@ -56,7 +58,8 @@ def _ways() -> dict[str, Way]:
     rig = Rig()
     case = peers.Case.of(rig)
     second = 1.0 / rig.crossing_time
-    true = simulate(rig, max_events=1).ejection_time * rig.engine.frequency
+    frequency = rig.engine.frequency
+    true = simulate(rig, max_events=1).ejection_time * frequency
     ways: dict[str, Way] = {}
     for steps in (None, 200):
         stepper = Stepper(rig, steps=steps)
@@ -71,6 +74,20 @@ def _ways() -> dict[str, Way]:
                 stepper.steps * second,
                 true,
             )
+    lossy = Rig(layer=Layer(loss_tangent=0.05))
+    with_loss = simulate(lossy, model='finite_difference', max_events=1, cells=2048)
+    for title, model, its_rig, its_true in (
+        ('', 'finite_difference', rig, true),
+        (', internal loss', 'finite_difference', lossy, with_loss.ejection_time * frequency),
+        (', elastic projectile', 'finite_difference_elastic', rig, true),
+    ):
+        grid = GridStepper(its_rig, model=model)
+        cells = grid.grid.cells
+        ways[f'our finite differences, {cells} cells{title}, with the field'] = Way(
+            functools.partial(_step, grid, ticks=TICKS, has_field=True),
+            cells * second,
+            its_true,
+        )
     for cells in (64, 200):
         ways[f'finite differences, rigid projectile, numba, {cells} cells'] = Way(
             functools.partial(_differences, case, second, cells), cells * second, true
@@ -92,7 +109,7 @@ def _ways() -> dict[str, Way]:
     return ways
 
 
-def _step(stepper: Stepper, *, ticks: int, has_field: bool) -> float:
+def _step(stepper: ThrowStepper, *, ticks: int, has_field: bool) -> float:
     strain, velocity = np.empty((2, stepper.field_points))
     stepper.reset()
     for tick in range(1, ticks + 1):

@@ -75,8 +75,8 @@ Floats = NDArray[np.float64]
 MAX_CELLS = 4096
 """Most cells of a layer."""
 
-MAX_UPDATE_RATE = 5e7
-"""Most cells times steps in a second of rig time; a processor takes 2e8 and more. [1/s]"""
+MAX_UPDATE_RATE = 2e7
+"""Most cells times steps in a second of rig time; a processor takes 1e8 and more. [1/s]"""
 
 _MIN_CELLS = 64
 _CELLS_PER_RELAXATION = 4.0
@@ -181,36 +181,38 @@ _CORE = np.dtype(
 def _accelerate(s, nodes):
     """Work out the loads of all links and the accelerations of all nodes but the plate."""
     last, joint = s.last, s.joint
-    u, v, a = nodes[_U], nodes[_V], nodes[_A + (s.cell & 1)]
-    load, stiffness = nodes[_LOAD], nodes[_STIFFNESS]
+    A = _A + (s.cell & 1)
     case = 1 if s.contact else 0
-    share, gain, implicit = nodes[_SHARE + case], nodes[_GAIN + case], nodes[_IMPLICIT + case]
     for j in range(last):
-        load[j] = stiffness[j] * (u[j + 1] - u[j])
+        nodes[_LOAD, j] = nodes[_STIFFNESS, j] * (nodes[_U, j + 1] - nodes[_U, j])
     if s.lossy:
-        viscosity = nodes[_VISCOSITY]
         for j in range(last):
-            load[j] += viscosity[j] * (v[j + 1] - v[j])
+            nodes[_LOAD, j] += nodes[_VISCOSITY, j] * (nodes[_V, j + 1] - nodes[_V, j])
     if not s.contact:
         for side in range(2):
             j = joint - 1 + 2 * side
             if s.calming[side] > 0.0:
-                load[j] += s.calming[side] * (v[j + 1] - v[j])
+                nodes[_LOAD, j] += s.calming[side] * (nodes[_V, j + 1] - nodes[_V, j])
     for j in range(1, last):
-        a[j] = load[j] - load[j - 1]
-    a[last] = -load[last - 1]
+        nodes[A, j] = nodes[_LOAD, j] - nodes[_LOAD, j - 1]
+    nodes[A, last] = -nodes[_LOAD, last - 1]
     if not s.contact:
-        a[joint + 1] -= s.weight
+        nodes[A, joint + 1] -= s.weight
         if joint > 0:
-            a[joint] += s.weight
+            nodes[A, joint] += s.weight
     low, high = s.coupled[case, 0], s.coupled[case, 1]
+    value = nodes[A, high + 1]
     for j in range(high, max(low, 1) - 1, -1):
-        a[j] += share[j] * a[j + 1]
+        value = nodes[A, j] + nodes[_SHARE + case, j] * value
+        nodes[A, j] = value
     for j in range(1, last + 1):
-        a[j] *= gain[j]
+        nodes[A, j] *= nodes[_GAIN + case, j]
+    value = nodes[A, low]
     for j in range(low, high + 1):
-        a[j + 1] += share[j] * a[j]
-        load[j] += implicit[j] * (a[j + 1] - a[j])
+        value = nodes[A, j + 1] + nodes[_SHARE + case, j] * value
+        nodes[A, j + 1] = value
+    for j in range(low, high + 1):
+        nodes[_LOAD, j] += nodes[_IMPLICIT + case, j] * (nodes[A, j + 1] - nodes[A, j])
 
 
 @_jit
@@ -223,16 +225,16 @@ def _force_from_below(s, nodes, j, mass):
 @_jit
 def _drive(s, nodes, path):
     """Move the plate, and what goes with it."""
-    u, v, a = nodes[_U], nodes[_V], nodes[_A + (s.cell & 1)]
-    stretch = s.lower - u[0]
-    u[0], speed, a[0] = motion_at(s, path, s.cell * s.step)
-    v[0] = speed - 0.5 * s.step * a[0]
+    A = _A + (s.cell & 1)
+    stretch = s.lower - nodes[_U, 0]
+    nodes[_U, 0], speed, nodes[A, 0] = motion_at(s, path, s.cell * s.step)
+    nodes[_V, 0] = speed - 0.5 * s.step * nodes[A, 0]
     if s.contact and s.joint == 0:
-        u[1], v[1] = u[0], v[0]
+        nodes[_U, 1], nodes[_V, 1] = nodes[_U, 0], nodes[_V, 0]
     elif s.massless and not s.contact:  # the free end creeps to where it has no load
         free = s.weight / nodes[_STIFFNESS, 0]
-        u[1] = u[0] + free + (stretch - free) * s.creep
-        v[1] = (u[1] - s.lower) / s.step
+        nodes[_U, 1] = nodes[_U, 0] + free + (stretch - free) * s.creep
+        nodes[_V, 1] = (nodes[_U, 1] - s.lower) / s.step
     return speed
 
 
@@ -325,17 +327,17 @@ def _land(s, nodes, events):
 def _march(s, nodes, path, events):
     """Advance by one step, or into one with more events than there is room for."""
     step, joint, last = s.step, s.joint, s.last
-    u, v, before = nodes[_U], nodes[_V], nodes[_A + (s.cell & 1)]
-    s.lower, s.upper = u[joint], u[joint + 1]
+    before = _A + (s.cell & 1)
+    s.lower, s.upper = nodes[_U, joint], nodes[_U, joint + 1]
     for j in range(1, last + 1):
-        v[j] += step * before[j]
-        u[j] += step * v[j]
+        nodes[_V, j] += step * nodes[before, j]
+        nodes[_U, j] += step * nodes[_V, j]
     s.cell += 1
     s.event_time = math.inf
     s.on_plate[0], s.on_projectile[0] = s.on_plate[2], s.on_projectile[2]
     s.work_before, s.loss_before = s.work, s.loss
     speed = _drive(s, nodes, path)
-    lands = not s.contact and u[joint + 1] < u[joint]
+    lands = not s.contact and nodes[_U, joint + 1] < nodes[_U, joint]
     if lands:
         _land(s, nodes, events)
     _accelerate(s, nodes)
@@ -352,7 +354,7 @@ def _march(s, nodes, path, events):
     s.work += 0.5 * step * (s.power + power)
     s.power = power
     s.most_work = max(s.most_work, s.work)
-    s.highest = max(s.highest, u[s.face])
+    s.highest = max(s.highest, nodes[_U, s.face])
     if s.lossy:
         heating = _heating(s, nodes)
         s.loss += 0.5 * step * (s.heating + heating)
@@ -381,24 +383,22 @@ def _weigh(s, nodes):
 @_jit
 def _heating(s, nodes):
     """Compute the power that turns to heat in the layer."""
-    v, a, viscosity = nodes[_V], nodes[_A + (s.cell & 1)], nodes[_VISCOSITY]
+    A, half = _A + (s.cell & 1), 0.5 * s.step
     total = 0.0
-    half = 0.5 * s.step
     for j in range(s.last):
-        rate = (v[j + 1] + half * a[j + 1]) - (v[j] + half * a[j])
-        total += viscosity[j] * rate * rate
+        rate = nodes[_V, j + 1] - nodes[_V, j] + half * (nodes[A, j + 1] - nodes[A, j])
+        total += nodes[_VISCOSITY, j] * rate * rate
     return total
 
 
 @_jit
 def _compare(s, nodes):
     """Look if anything is larger than it has been."""
-    u, inverse, static = nodes[_U, s.bottom :], nodes[_INVERSE], nodes[_STATIC]
-    largest = nodes[_LARGEST]
-    cells = s.top - s.bottom
-    for i in range(cells):
-        strain = abs((u[i + 1] - u[i]) * inverse[i] - static[i])
-        largest[i] = max(largest[i], strain)
+    bottom = s.bottom
+    for i in range(s.top - bottom):
+        stretch = nodes[_U, bottom + i + 1] - nodes[_U, bottom + i]
+        strain = abs(stretch * nodes[_INVERSE, i] - nodes[_STATIC, i])
+        nodes[_LARGEST, i] = max(nodes[_LARGEST, i], strain)
     s.plate_strain = max(s.plate_strain, abs(_edge_strain(s, nodes, 0)))
     s.contact_strain = max(s.contact_strain, abs(_edge_strain(s, nodes, 1)))
     s.acceleration = max(s.acceleration, (s.on_projectile[2] - s.burden) / s.mass)
