@@ -336,15 +336,8 @@ class _TwinCheck:
             self._differ(f'a message is not read as states of {" and ".join(JOINTS)}')
             return
         place = self._find(state.stamp, next_stamp)
-        if place is None and self._place is None and state.stamp < self._timeline.begin_ns:
-            report.before += 1
-            return
-        if place is None and self._place is not None and self._place.step < 0:
-            report.states.unchecked += 1  # in a gap, of which the pace is not known
-            return
         if place is None:
-            after = f' after step {self._last.number}' if self._last is not None else ''
-            self._differ(f'no step{after} is due at {_seconds(state.stamp)}')
+            self._take_without_place(state.stamp)
             return
         self._place, self._now = place, None
         piece = self._timeline.pieces[place.piece]
@@ -362,6 +355,16 @@ class _TwinCheck:
             report.before += 1
         else:
             report.states.unchecked += 1
+
+    def _take_without_place(self, stamp: int) -> None:
+        """Account for a state whose stamp tells no step."""
+        if self._place is None and stamp < self._timeline.begin_ns:
+            self._report.before += 1
+        elif self._place is not None and self._place.step < 0:
+            self._report.states.unchecked += 1  # in a gap, of which the pace is not known
+        else:
+            after = f' after step {self._last.number}' if self._last is not None else ''
+            self._differ(f'no step{after} is due at {_seconds(stamp)}')
 
     def _find(self, stamp: int, next_stamp: int | None) -> Place | None:
         """Find the step of a stamp, unless the next stamp, or the distance, shows it is wrong."""
