@@ -148,7 +148,7 @@ class Projectile:
     mass : float
         :math:`m`; the default is the paper's, 8.2 mm of 1300 kg/m3 and 12 mm diameter. [kg]
     length : float
-        :math:`L_r`; used by elastic models only, to which its mass is spread over it. [m]
+        :math:`L_r`, over which the mass is spread; used by elastic models only. [m]
     youngs_modulus : float
         :math:`E_r`; used by elastic models only. [Pa]
 

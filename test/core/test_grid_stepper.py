@@ -584,6 +584,21 @@ def test_sampled_field_has_the_rows_of_read_field():
             assert row.tobytes() == strain.tobytes()
 
 
+@pytest.mark.parametrize('gravity', [0.0, 9.81])
+def test_plate_that_falls_away_leaves_the_projectile_behind(gravity):
+    rig = Rig(gravity=gravity)
+    times = np.arange(3e-4, 0.03, 2e-4)
+    motion = Sampled.from_positions(times, -Underdamped.of(rig.engine).position(times))
+    history = follow(rig, motion, until=0.02)
+    model = GridStepper(rig, motion, cells=400)
+    model.advance_to(0.02)
+    assert [event.kind for event in model.events()] == ['release', 'landing', 'release']
+    for ours, exact in zip(model.events(), history.events, strict=True):
+        assert ours.kind == exact.kind
+        assert ours.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=1e-3)
+        assert ours.velocity == pytest.approx(exact.velocity, abs=1e-3)
+
+
 @pytest.mark.parametrize('kind', ['positions', 'velocities'])
 def test_sampled_and_fed_plates_agree_with_the_analytic_one(kind):
     exact = GridStepper(LOSSY, cells=64)
