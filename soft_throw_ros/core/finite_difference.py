@@ -61,6 +61,9 @@ MAX_CROSSINGS = 4096.0
 MAX_CELLS = 1024
 """Most cells that are chosen, and that can be asked for."""
 
+MAX_CROSSING_RATIO = 32.0
+"""Slowest projectile: it is cut into as many times more cells than the layer."""
+
 _FEWEST_CELLS = 64  # that are chosen, ...
 _CELLS_PER_RELAXATION = 2.0  # with so many for tau, ...
 _CELLS_PER_PERIOD = 16.0  # and for the plate's period
@@ -128,7 +131,7 @@ def first_releases(
         Of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
     crossing_ratio : array_like
         What a wave needs through the projectile over what it needs through the layer,
-        :math:`L_r c_s / (c_r L_s)`; 0 is rigid. [-]
+        :math:`L_r c_s / (c_r L_s)`; 0 is rigid, and `MAX_CROSSING_RATIO` is the most. [-]
     glued_to : {'plate', 'projectile'}
         Where the layer is glued. On the projectile it is thrown along, as in [1]_, and the
         release is at the plate.
@@ -151,7 +154,8 @@ def first_releases(
     ------
     ValueError
         If a ratio is not finite and positive (damping: in [0, 1); gravity, loss and crossing
-        ratio: not negative), the shapes do not fit, or an option is not one of its values.
+        ratio: not negative), a projectile is too slow, the shapes do not fit, or an option is not
+        one of its values.
     ThrowUnresolvedError
         If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
         `unresolved` is 'nan'.
@@ -184,13 +188,18 @@ def first_releases(
             f'cells must be an even number from 16 to {MAX_CELLS} or None, got {cells!r}'
         )
     damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
+    crossing_ratio = checks.not_negative_array('crossing_ratio', crossing_ratio)
+    if crossing_ratio.max(initial=0.0) > MAX_CROSSING_RATIO:
+        raise ValueError(
+            f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {crossing_ratio.max()}'
+        )
     cases = np.broadcast_arrays(
         checks.positive_array('mass_ratio', mass_ratio),
         checks.positive_array('speed_ratio', speed_ratio),
         damping_ratio,
         checks.not_negative_array('gravity_ratio', gravity_ratio),
         checks.not_negative_array('loss_tangent', loss_tangent),
-        checks.not_negative_array('crossing_ratio', crossing_ratio),
+        crossing_ratio,
     )
     shape = cases[0].shape
     rows = np.stack([case.ravel() for case in cases], axis=1)

@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 AVERAGE_ACCELERATION = 0.25
 """Newmark's parameter for cells that a wave crosses in less than a step."""
 
+MAX_PROJECTILE_CELLS = 1 << 16
+"""Most cells of an elastic projectile."""
+
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
 
@@ -235,7 +238,8 @@ def cut(
     Raises
     ------
     ValueError
-        If the step is not positive, or too long to be stable, with the number.
+        If the step is not positive, or too long to be stable, or an elastic projectile so slow
+        that it takes more than `MAX_PROJECTILE_CELLS`; with the number.
 
     """
     pieces = _pieces(rig)
@@ -343,6 +347,12 @@ def _cut_projectile(rig: Rig, step: float) -> Floats:
     projectile = rig.projectile
     crossing = rig.crossing_ratio * rig.crossing_time
     count = max(_FEWEST_PROJECTILE_CELLS, int(crossing / step * (1.0 + _ROUNDING)))
+    if count > MAX_PROJECTILE_CELLS:
+        stiffer = projectile.youngs_modulus * (count / MAX_PROJECTILE_CELLS) ** 2
+        raise ValueError(
+            f'projectile.youngs_modulus {projectile.youngs_modulus:g} Pa takes {count} cells, the '
+            f'limit is {MAX_PROJECTILE_CELLS}; feasible: {1.001 * stiffer:.4g} Pa or more'
+        )
     mass = projectile.mass / count
     stiffness = projectile.youngs_modulus * rig.layer.section / projectile.length * count
     too_fast = crossing / count * (1.0 + _ROUNDING) < step

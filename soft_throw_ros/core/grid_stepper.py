@@ -81,6 +81,7 @@ MAX_UPDATE_RATE = 2e7
 _MIN_CELLS = 64
 _CELLS_PER_RELAXATION = 4.0
 _STEPS_PER_PERIOD = 80.0
+_SLOWEST = 8.0  # projectile, whose waves take so many times longer than those of the layer
 _SPRING_STEPS = 1000  # without cells, per period of plate or projectile
 _NOISE = 1e-12  # of the plate's speed, as a wave, which is no pull
 
@@ -614,6 +615,14 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     per_cell = 1.0
     if model == 'finite_difference_elastic':
         per_cell += max(rig.crossing_ratio, 2.0 / _MIN_CELLS)
+        modulus = rig.projectile.youngs_modulus
+        if rig.crossing_ratio > _SLOWEST:
+            stiffer = modulus * (rig.crossing_ratio / _SLOWEST) ** 2
+            raise ValueError(
+                f'projectile.youngs_modulus {modulus:g} Pa needs {rig.crossing_ratio:.3g} times '
+                f'the cells of the layer, the limit is {_SLOWEST:g}; '
+                f'feasible: projectile.youngs_modulus of {1.001 * stiffer:.4g} Pa or more'
+            )
     rate = MAX_UPDATE_RATE * crossing / per_cell
     limit = min(MAX_CELLS, math.floor(math.sqrt(rate)))
     if limit < _MIN_CELLS:

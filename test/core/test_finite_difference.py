@@ -297,6 +297,7 @@ def test_arguments_are_broadcast():
         ({'gravity_ratio': -1.0}, r'gravity_ratio must be .* got -1\.0'),
         ({'loss_tangent': -0.1}, r'loss_tangent must be at least 0 and finite, got -0\.1'),
         ({'crossing_ratio': -1.0}, r'crossing_ratio must be .* got -1\.0'),
+        ({'crossing_ratio': [1.0, 40.0]}, r'crossing_ratio must be at most 32, got 40\.0'),
         ({'glued_to': 'both'}, "glued_to must be 'plate' or 'projectile', got 'both'"),
         ({'cells': 101}, f'cells must be an even number from 16 to {MAX_CELLS} .* got 101'),
         ({'cells': 14}, 'got 14'),

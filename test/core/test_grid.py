@@ -148,6 +148,12 @@ def test_step_too_long_to_be_stable_is_refused_with_the_limit():
     assert cut(Rig(layer=STACK), cells=100, step=1.2e-5).is_stiff.any()
 
 
+def test_endless_cells_of_a_slow_projectile_are_refused():
+    rig = Rig(projectile=Projectile(youngs_modulus=1.0))
+    with pytest.raises(ValueError, match=r'modulus 1 Pa takes \d+ cells, the limit is 65536; fe'):
+        cut(rig, cells=1000, is_elastic=True)
+
+
 @LAYERS
 def test_linear_functions_are_read_exactly_within_slabs(layer):
     grid = cut(Rig(layer=layer), cells=40)

@@ -798,6 +798,16 @@ def test_rigs_beyond_real_time_are_refused_with_what_would_do(rig, complaint, be
     assert cells_per_layer(better(float(feasible))) <= MAX_CELLS
 
 
+def test_projectile_too_slow_for_real_time_is_refused_with_what_would_do():
+    rig = Rig(projectile=Projectile(youngs_modulus=1e4, length=0.1, mass=0.02))
+    model = 'finite_difference_elastic'
+    with pytest.raises(ValueError, match=r'youngs_modulus 10000 Pa needs 19\.\d times') as refusal:
+        cells_per_layer(rig, model)
+    feasible = float(str(refusal.value).split('feasible: ')[1].split()[2])
+    better = replace(rig, projectile=replace(rig.projectile, youngs_modulus=feasible))
+    assert GridStepper(better, model=model).grid.cells == cells_per_layer(better, model) == 64
+
+
 def test_spring_too_fast_for_real_time_is_refused():
     rig = Rig(layer=Layer(wave_speed=200.0, diameter=0.2), projectile=Projectile(mass=1e-5))
     with pytest.raises(ValueError, match=r'swings at .* Hz .* updates per second'):
