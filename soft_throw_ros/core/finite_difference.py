@@ -460,12 +460,16 @@ def _step(nodes, lanes, width, cells, more, on_projectile):
 
 
 @_jit
-def _release(nodes, lanes, lane, cells, more, on_projectile):
-    """Compute when the force fell to 0 in the last step, and the speed of the centre of mass."""
-    step = 1.0 / cells
-    after, before = lanes[_FORCE, lane], lanes[_FORCE + 1, lane]
-    earlier, first = lanes[_FORCE + 2, lane], lanes[_FORCE + 3, lane]
-    # the cubic through them, in steps since `before`
+def release_within(
+    after: float, before: float, earlier: float, first: float, weight: float
+) -> tuple[float, float]:
+    """
+    Find when the contact force falls below zero within a step, and what it has done.
+
+    The force is the cubic through its values at the end of this step and of the three before. It
+    returns the part of the step that has passed, and the integral of force less weight from half
+    of the step to there, in steps. For use inside compiled code.
+    """
     third = (after - first + 3.0 * (earlier - before)) / 6.0
     second = 0.5 * (earlier + after) - before
     slope = after - before - second - third
@@ -478,16 +482,22 @@ def _release(nodes, lanes, lane, cells, more, on_projectile):
             high = part
         else:
             low = part
+    impulse = (before - weight) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
+    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
+    return part, impulse
+
+
+@_jit
+def _release(nodes, lanes, lane, cells, more, on_projectile):
+    """Compute when the force fell to 0 in the last step, and the speed of the centre of mass."""
+    step = 1.0 / cells
+    force, weight = lanes[_FORCE:, lane], lanes[_WEIGHT, lane]
+    part, impulse = release_within(force[0], force[1], force[2], force[3], weight)
     # from half a step beyond the last one back to there
-    momentum = 0.0
+    momentum = step * (impulse - (force[0] - weight))
     for j in range(0 if on_projectile else cells, cells + more + 1):
         mass = _mass_of(j, lanes[_FACE, lane], cells, more)
         if j == cells and not on_projectile:
             mass = lanes[_FACE, lane]
         momentum += mass * nodes[j * _NODE + _V + lane]
-    weight = lanes[_WEIGHT, lane]
-    momentum -= step * (after - weight)
-    impulse = (before - weight) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
-    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
-    time = (lanes[_STEPS, lane] - 2.0 + part) * step
-    return time, (momentum + step * impulse) / lanes[_MASS, lane]
+    return (lanes[_STEPS, lane] - 2.0 + part) * step, momentum / lanes[_MASS, lane]

@@ -41,6 +41,7 @@ from typing import Literal
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.finite_difference import release_within
 from soft_throw_ros.core.grid import cut, massless
 from soft_throw_ros.core.models import ON_GRIDS
 from soft_throw_ros.core.moving_plate import (
@@ -264,23 +265,11 @@ def _note(s, events, kind, part, velocity):
 @_jit
 def _leave(s, nodes, events):
     """Let go, now that the force is below zero."""
-    before = s.forces[1]
-    third = second = 0.0
-    if s.known >= 4:  # the cubic through them, in steps since `before`; else a line
-        third = (s.forces[0] - s.forces[3] + 3.0 * (s.forces[2] - before)) / 6.0
-        second = 0.5 * (s.forces[2] + s.forces[0]) - before
-    slope = s.forces[0] - before - second - third
-    low, high = 0.0, 1.0
-    while True:
-        part = 0.5 * (low + high)
-        if not low < part < high:
-            break
-        if before + part * (slope + part * (second + part * third)) < 0.0:
-            high = part
-        else:
-            low = part
-    impulse = (before - s.weight) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
-    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
+    after, before = s.forces[0], s.forces[1]
+    earlier, first = s.forces[2], s.forces[3]
+    if s.known < 4:  # so short after a landing it is a line
+        earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
+    part, impulse = release_within(after, before, earlier, first, s.weight)
     velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
     s.contact = False
     if s.events == 0:
