@@ -175,5 +175,6 @@ def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
     assert replay.wait() == 0
     assert recorder.end(signal.SIGINT) == 0
     second = check('second')
-    assert second[0].split()[1] == first[0].split()[1]
     assert ' 0 are different, 0 were lost' in second[0]
+    # the player may find the recorder, which the observer has found, only after the first of them
+    assert 100 < int(second[0].split()[1]) <= int(first[0].split()[1])
