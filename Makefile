@@ -17,6 +17,9 @@ ROS_DISTRO ?= jazzy
 PYTHON ?= python3
 ARGS ?=
 
+# Files of tests go to a process for each core; each has a ROS domain of its own.
+PARALLEL := -n auto --dist loadfile
+
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
 INSTALLED := .venv/$(ROS_DISTRO)/.installed
@@ -66,10 +69,10 @@ lint: .venv/jazzy/.testable
 	.venv/jazzy/bin/mypy
 
 test-jazzy: lint $(KERNELS)
-	.venv/jazzy/bin/python -m pytest
+	.venv/jazzy/bin/python -m pytest $(PARALLEL)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
-	.venv/kilted/bin/python -m pytest test/nodes test/test_package.py
+	.venv/kilted/bin/python -m pytest $(PARALLEL) test/nodes test/test_package.py
 
 clean:
 	rm -rf .venv build install log *.egg-info .*_cache .hypothesis

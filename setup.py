@@ -71,6 +71,7 @@ setup(
             'pip>=22.3',
             'pytest>=7.4',
             'pytest-timeout',
+            'pytest-xdist',
             'rosbags',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
