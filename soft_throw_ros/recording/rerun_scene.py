@@ -962,6 +962,16 @@ _LAYER_ROWS = (
 )
 
 
+# What other models are called where there is little room.
+_MODELS = {
+    'travelling_wave': 'wave',
+    'finite_difference': 'grid',
+    'finite_difference_elastic': 'elastic',
+    'finite_difference_glued': 'glued on',
+    'spring_mass': 'spring',
+}
+
+
 def _throw_text(report: Report) -> str:
     """Write what a throw gave, and what other models say."""
     values = report.values
@@ -972,7 +982,7 @@ def _throw_text(report: Report) -> str:
     stage = 'in all' if values.get('stage') == 'final' else 'up to the release'
     if not values.get('recontacts'):
         values = {key: value for key, value in values.items() if not key.startswith('last_')}
-    heads = ['twin', *(model.replace('_', '-') for model in models)]
+    heads = ['twin', *(_MODELS.get(model, model) for model in models)]
     text = _table(values, _THROW_ROWS, heads, ['', *(f'{model}.' for model in models)])
     number = f'{throw:.0f}' if isinstance(throw, float) else '?'
     return f'**Throw {number}**, {stage}\n\n{text}{_strain_note(values)}'

@@ -166,7 +166,7 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(tmp_path):
     script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
     script.write_text(LOUD)
     with subprocess.Popen(
-        [sys.executable, script, 'x=0.1:0.9:60', 'C=0.2:12:60', '--release', 'last',
+        [sys.executable, script, 'x=0.1:0.9:300', 'C=0.2:12:300', '--release', 'last',
          '--workers', '2', '--output', path],
         env=os.environ | {'PYTHONPATH': str(ROOT)},
         stdout=subprocess.PIPE,
@@ -187,11 +187,11 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(tmp_path):
 @pytest.fixture
 def picture(tmp_path, monkeypatch):
     """Draw a map with a rig marked; give the figure and the landscape."""
-    matplotlib = pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
+    module = pytest.importorskip('matplotlib.figure', reason='comes with the extra [plot]')
     figures = []
-    save = matplotlib.figure.Figure.savefig
+    save = module.Figure.savefig
     monkeypatch.setattr(
-        matplotlib.figure.Figure,
+        module.Figure,
         'savefig',
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
