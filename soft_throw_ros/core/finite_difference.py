@@ -69,6 +69,7 @@ _CELLS_PER_RELAXATION = 2.0  # with so many for tau, ...
 _CELLS_PER_PERIOD = 16.0  # and for the plate's period
 _FEWEST_PROJECTILE_CELLS = 2
 _THROWS_PER_THREAD = 32
+_NOISE = 1e-12  # of the plate's speed, as a wave, which is no pull
 
 _LANES = 32
 _U, _V, _A, _SHARE, _GAIN = (_LANES * k for k in range(5))  # of a node, for all lanes
@@ -91,8 +92,9 @@ _NODE = 5 * _LANES
     _SLOPE,  # zeta / sqrt(1 - zeta^2)
     _SPEED,  # w / sqrt(1 - zeta^2)
     _ACCELERATION,  # w^2
+    _FLOOR,  # below which a force is a pull, and no noise
     _FORCE,  # now, and at three steps before
-) = range(18)
+) = range(19)
 _LANE_ROWS = _FORCE + 4
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
@@ -289,7 +291,7 @@ def _releases(rows, cells, more, on_projectile):
         lane = 0
         while lane < width:
             steps = lanes[_STEPS, lane]
-            falls = lanes[_FORCE, lane] < 0.0 and steps > (3 if on_projectile else cells)
+            falls = lanes[_FORCE, lane] < lanes[_FLOOR, lane] and steps > 3
             if falls or steps > lanes[_LAST, lane]:
                 case = int(lanes[_CASE, lane])
                 found[case, 0], found[case, 1] = math.nan, math.nan
@@ -344,6 +346,7 @@ def _load(nodes, lanes, lane, rows, case, cells, more, on_projectile):
     lanes[_SLOPE, lane] = zeta / root
     lanes[_SPEED, lane] = omega / root
     lanes[_ACCELERATION, lane] = omega * omega
+    lanes[_FLOOR, lane] = -_NOISE * omega
     # from the top down: the row of each node in the matrix, freed of the one above it
     last = cells + more
     above = pivot = 0.0
