@@ -39,6 +39,7 @@ VERSIONS: Mapping[str, str] = {
     'numpy': np.__version__,
     'numba': numba.__version__,
     'machine': platform.machine(),
+    'libc': ' '.join(platform.libc_ver()),
 }
 """What the digits of a run depend on."""
 
