@@ -53,14 +53,14 @@ def qos_to_profile(qos: Qos) -> QoSProfile:
     """
     Return the profile that a bag tells of.
 
-    What a bag does not know, since the middleware did not tell its recorder, becomes what rclpy
-    takes by default.
+    What a bag does not know, since the middleware did not tell its recorder, or rclpy does not
+    know any more, becomes what rclpy takes by default.
 
     """
     values = {
         name: policy[getattr(qos, name).upper()]
         for name, policy in _POLICIES.items()
-        if getattr(qos, name) != 'unknown'
+        if getattr(qos, name) != 'unknown' and getattr(qos, name).upper() in policy.__members__
     }
     times = {name: Duration(nanoseconds=getattr(qos, name)) for name in _TIMES}
     return QoSProfile(

@@ -9,7 +9,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, HistoryPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy
 from rclpy.serialization import deserialize_message
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.nodes import topics
@@ -110,7 +110,11 @@ def test_profile_comes_back(topic) -> None:
 
 
 def test_profile_that_is_not_known_in_full_can_be_offered() -> None:
-    profile = qos_to_profile(Qos(history='unknown', depth=0, durability='transient_local'))
+    qos = Qos(
+        history='unknown', depth=0, durability='transient_local', liveliness='manual_by_node'
+    )
+    profile = qos_to_profile(qos)
+    assert profile.liveliness is LivelinessPolicy.SYSTEM_DEFAULT
     assert profile.history is HistoryPolicy.KEEP_LAST
     assert profile.depth == 1
     assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
