@@ -43,7 +43,7 @@ class Program(Node):
 def run(
     name: str,
     make: Callable[[Sequence[str]], Program],
-    arguments: Sequence[str],
+    args: Sequence[str] | None,
     *,
     usage: str,
 ) -> int:
@@ -56,10 +56,10 @@ def run(
         Of the executable, to begin a message with.
     make : callable
         Makes the node from the arguments, once ROS has begun.
-    arguments : sequence of str
-        Those of ROS.
+    args : sequence of str or None
+        The arguments of ROS, or the request for help; those of the process if None.
     usage : str
-        What to say if there is something else among them.
+        What to say if there is something else among them, or if help is asked for.
 
     Returns
     -------
@@ -68,6 +68,10 @@ def run(
         if it has come to an end by itself.
 
     """
+    arguments = sys.argv[1:] if args is None else args
+    if '--help' in arguments or '-h' in arguments:
+        print(usage)
+        return 0
     on_signals(signal.default_int_handler)  # until the node runs
     node = None
     code = 0

@@ -460,8 +460,4 @@ def main(args: list[str] | None = None) -> int:
         has come to an end by itself.
 
     """
-    arguments = sys.argv[1:] if args is None else args
-    if '--help' in arguments or '-h' in arguments:
-        print(USAGE)
-        return 0
-    return run('recorder', lambda given: Recorder(arguments=given), arguments, usage=USAGE)
+    return run('recorder', lambda given: Recorder(arguments=given), args, usage=USAGE)

@@ -306,11 +306,7 @@ def main(args: list[str] | None = None) -> int:
         have come to an end by themselves.
 
     """
-    arguments = sys.argv[1:] if args is None else args
-    if '--help' in arguments or '-h' in arguments:
-        print(USAGE)
-        return 0
-    return run('twin', _make, arguments, usage=USAGE)
+    return run('twin', _make, args, usage=USAGE)
 
 
 def _make(arguments: Sequence[str]) -> Twin:
