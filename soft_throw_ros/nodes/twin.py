@@ -19,8 +19,7 @@ from typing import Any
 
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
-from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
-from soft_throw_ros.core.stepper import steps_per_crossing, warm_up
+from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.advice import Advice, advise, matters
 from soft_throw_ros.nodes.conversions import statuses_to_msg, throw_result_to_msg
@@ -30,7 +29,7 @@ from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.nodes.reports import Observer
 from soft_throw_ros.nodes.worker import LatestWins
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
-from soft_throw_ros.twin.plan import FIELD_POINTS, THROW_FIELD_ROWS
+from soft_throw_ros.twin.plan import check, FIELD_POINTS, THROW_FIELD_ROWS, warm_up
 from soft_throw_ros.twin.results import Event, Outputs, ThrowResult
 from soft_throw_ros.twin.session import Refused, Session
 from std_msgs.msg import String
@@ -128,7 +127,7 @@ class Twin(Program):
     def _make_rig(self, arguments: Sequence[str]) -> None:
         self._wake = self.create_guard_condition(self._do_jobs)
         self.parameters = NodeParameters(
-            self, TWIN, self._on_changed, check=_check, arguments=arguments
+            self, TWIN, self._on_changed, check=check, arguments=arguments
         )
         self.session = Session(self.parameters.settings, on_entry=self._on_entry)
         self._node_clock = NodeClock(self)
@@ -283,11 +282,6 @@ class Twin(Program):
         statuses = self._observer.statuses(self._last_result)
         now = self.get_clock().now().nanoseconds
         self._diagnostics.publish(statuses_to_msg(now, statuses))
-
-
-def _check(settings: Settings) -> None:
-    """Raise ValueError if the rig cannot be stepped in real time."""
-    steps_per_crossing(rig_of(settings))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -14,6 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from soft_throw_ros.configuration import ParameterError, TWIN
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import (
     msg_to_array,
@@ -249,6 +251,20 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     again = list(replay(lines, until=twin.session.step, throw=1))
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05
+
+
+def test_layer_with_loss_is_followed_by_finite_differences(ros, twin, listener) -> None:
+    listener.listen(topics.THROW_RESULT)
+    assert ros.parameters(twin).set(layer__loss_tangent=0.05) == ['']
+    trigger(ros, listener, twin, topics.THROW)
+    twin.go(800)
+    result = msg_to_throw_result(listener.hear(topics.THROW_RESULT)[0].status[0])
+    assert result.rig.layer.loss_tangent == 0.05
+    lossless = simulate(Rig()).energy_transfer
+    lossy = simulate(result.rig, model='finite_difference', cells=400).energy_transfer
+    assert result.first is not None
+    assert result.first.energy_transfer == pytest.approx(lossy, rel=2e-3)
+    assert result.first.energy_transfer < 0.95 * lossless
 
 
 def test_both_stages_are_published(ros, twin, listener) -> None:
