@@ -162,11 +162,12 @@ def test_nothing_is_kept_for_a_map_without_a_file(capsys, bars):
     assert capsys.readouterr().err == 'design map: stopped; nothing is kept\n'
 
 
-def test_ctrl_c_stops_workers_too_and_without_traceback(tmp_path):
+def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
+    run(capsys, *SMALL, '--release', 'last')  # so that no worker has to compile
     script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
     script.write_text(LOUD)
     with subprocess.Popen(
-        [sys.executable, script, 'x=0.1:0.9:300', 'C=0.2:12:300', '--release', 'last',
+        [sys.executable, script, 'x=0.6:0.9:300', 'C=5:8:300', '--release', 'last',
          '--workers', '2', '--output', path],
         env=os.environ | {'PYTHONPATH': str(ROOT)},
         stdout=subprocess.PIPE,
@@ -174,7 +175,7 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(tmp_path):
         start_new_session=True,
         text=True,
     ) as process:  # fmt: skip
-        watchdog = threading.Timer(100, process.kill)
+        watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
         watchdog.start()
         assert process.stdout.readline() == '32\n'
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
