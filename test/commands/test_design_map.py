@@ -162,6 +162,11 @@ def test_nothing_is_kept_for_a_map_without_a_file(capsys, bars):
     assert capsys.readouterr().err == 'design map: stopped; nothing is kept\n'
 
 
+def hear_ctrl_c():
+    """Begin as from a terminal: what a shell has put into the background ignores Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
     run(capsys, *SMALL, '--release', 'last')  # so that no worker has to compile
     script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
@@ -173,6 +178,7 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
+        preexec_fn=hear_ctrl_c,
         text=True,
     ) as process:  # fmt: skip
         watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
