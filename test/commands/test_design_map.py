@@ -23,7 +23,7 @@ SMALL = ('x=0.2:0.9:30', 'C=1:12:24')
 
 # Says aloud what a progress bar would show, so that somebody can press Ctrl-C in the middle.
 LOUD = """
-import sys
+import signal, sys
 from soft_throw_ros.commands import design, design_map
 
 class LoudBar(design_map.tqdm):
@@ -31,6 +31,7 @@ class LoudBar(design_map.tqdm):
         print(count, flush=True)
 
 if __name__ == '__main__':
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell may have ignored
     design_map.tqdm = LoudBar
     sys.exit(design.main(['map', *sys.argv[1:]]))
 """
@@ -162,11 +163,6 @@ def test_nothing_is_kept_for_a_map_without_a_file(capsys, bars):
     assert capsys.readouterr().err == 'design map: stopped; nothing is kept\n'
 
 
-def hear_ctrl_c():
-    """Begin as from a terminal: what a shell has put into the background ignores Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
     run(capsys, *SMALL, '--release', 'last')  # so that no worker has to compile
     script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
@@ -178,7 +174,6 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
-        preexec_fn=hear_ctrl_c,
         text=True,
     ) as process:  # fmt: skip
         watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
