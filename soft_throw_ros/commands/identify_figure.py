@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw what was fitted: data, model, residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.throw_analysis import Ejection
+from soft_throw_ros.identification.wave_speed import Ringing, WaveSpeed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+# Okabe and Ito's colours, which everybody can tell apart
+_COLOURS = {'plate': '#000000', 'projectile': '#0072b2', 'layer': '#d55e00'}
+_DATA: dict[str, Any] = {'ls': '', 'marker': '.', 'ms': 4.0, 'alpha': 0.5, 'mew': 0.0}
+_MILLI, _MICRO = 1e3, 1e6
+_PERIODS = 2.5  # of the plate that are shown large, and ...
+_RISES = 2.2  # times its rise
+_POINTS = 2000  # of the model
+_MOST = 6  # throws or layers that are drawn, one over the other
+
+
+def draw_throws(
+    found: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
+) -> None:
+    """
+    Draw tracks and model of the first few throws, over the time since each began.
+
+    Parameters
+    ----------
+    found : RigFit
+    ejection : Ejection or None
+        Of the model.
+    summary : sequence of str
+        To stand above.
+    path : Path
+        Of a PNG, PDF or SVG file.
+
+    Raises
+    ------
+    FitError
+        If matplotlib is not installed.
+    OSError
+        If the file cannot be written.
+
+    """
+    residuals = {id(each.track): each for each in found.fit.residuals}
+    bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in found.throws)]
+    figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
+    layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
+    panels = figure.subplot_mosaic(
+        layout,
+        height_ratios=[2.6, *[1.0] * len(bodies)],
+    )
+    for body in bodies[1:]:
+        panels[body].sharex(panels['plate'])
+    for number, throw in enumerate(found.throws[:_MOST]):
+        start = found.start_time(number)
+        rest = found.heights(number, np.array([start]))
+        for place, body in enumerate(bodies):
+            track = (throw.plate, throw.projectile)[place]
+            if track is None:
+                continue
+            colour = _COLOURS[body]
+            since = _MILLI * (track.time - start)
+            fine = np.linspace(track.time[0], track.time[-1], _POINTS)
+            model = _MILLI * (found.heights(number, fine)[place] - rest[place])
+            height = _MILLI * (track.position - rest[place])
+            for name in ('near', 'whole'):
+                label = body if number == 0 else None
+                panels[name].plot(since, height, color=colour, **_DATA)
+                panels[name].plot(_MILLI * (fine - start), model, color=colour, lw=1, label=label)
+            residual = residuals[id(track)]
+            band = 2.0 * _MICRO * track.noise
+            panels[body].axhspan(-band, band, color='0.9', zorder=0)
+            panels[body].plot(since, _MICRO * residual.values, color=colour, **_DATA)
+    if ejection is not None:
+        for panel in panels.values():
+            panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
+    period = _MILLI / found.rig.engine.frequency
+    highest = _MILLI * max(float(np.ptp(throw.plate.position)) for throw in found.throws)
+    panels['near'].set(
+        xlim=(-0.3 * period, _PERIODS * period),
+        ylim=(-0.3 * highest, _RISES * highest),
+        ylabel='height above rest (mm)',
+    )
+    panels['near'].legend(loc='upper right')
+    for body in bodies:
+        panels[body].set(ylabel=f'{body},\ndata - model (µm)')
+    panels[bodies[-1]].set(
+        xlabel='time since the plate began to move (ms)'
+        + (', dotted: the projectile leaves' if ejection is not None else '')
+    )
+    rows = [', '.join(summary[k : k + 4]) for k in range(0, len(summary), 4)]
+    figure.suptitle('\n'.join(rows).replace('+-', '±'), fontsize='medium')
+    _save(figure, path)
+
+
+def draw_layers(
+    layers: Sequence[tuple[float, Ringing]], speed: WaveSpeed, thickness_error: float, path: Path
+) -> None:
+    """
+    Draw how free layers ring, and their periods over their thicknesses [m].
+
+    Raises
+    ------
+    FitError, OSError
+        As for `draw_throws`.
+
+    """
+    figure = _figure(9.6, 6.0)
+    panels = figure.subplot_mosaic(
+        [['ring', 'line'], ['left', 'apart']], height_ratios=[2.6, 1.0], sharex=False
+    )
+    step = 0.0
+    for thickness, ringing in layers[:_MOST]:
+        (residual,) = ringing.fit.residuals
+        track, rest = residual.track, ringing.fit['length'].value
+        step -= 2.2 * _MILLI * float(np.abs(track.position - rest).max())
+        since = _MILLI * (track.time - ringing.start_time)
+        panels['ring'].plot(since, _MILLI * (track.position - rest) + step, color='black', **_DATA)
+        panels['ring'].plot(
+            since, _MILLI * (residual.fitted - rest) + step, color=_COLOURS['layer'], lw=1.0
+        )
+        panels['ring'].annotate(
+            f'{_MILLI * thickness:.3g} mm',
+            xy=(since[-1], step),
+            xytext=(0, 12),
+            textcoords='offset points',
+            ha='right',
+        )
+        panels['left'].plot(since, _MICRO * residual.values, color='black', **_DATA)
+    panels['ring'].set(ylabel='change of length (mm), one below the other', xticklabels=[])
+    panels['left'].set(xlabel='time (ms)', ylabel='data - model (µm)')
+    thicknesses = np.array([thickness for thickness, _ in layers])
+    period = np.array([ringing.period.value for _, ringing in layers])
+    expected = 2.0 * thicknesses / speed.value.value
+    error = np.hypot(
+        [ringing.period.error for _, ringing in layers],
+        2.0 * thickness_error / speed.value.value,
+    )
+    ends = np.array([0.0, 1.08 * thicknesses.max()])
+    label = f'$2 L_s / c_s$, $c_s$ = {speed.value} m/s'.replace('+-', '±')
+    for name, values, scale in (('line', period, _MILLI), ('apart', period - expected, _MICRO)):
+        panels[name].errorbar(
+            _MILLI * thicknesses,
+            scale * values,
+            yerr=scale * error,
+            fmt='o',
+            color='black',
+            ms=4.0,
+            capsize=2.0,
+        )
+        line = 2.0 * ends / speed.value.value if name == 'line' else np.zeros(2)
+        panels[name].plot(
+            _MILLI * ends, scale * line, color=_COLOURS['layer'], lw=1.2, label=label
+        )
+        panels[name].set(xlim=_MILLI * ends)
+    panels['line'].set(ylabel='period $T_0$ (ms)', ylim=(0, None), xticklabels=[])
+    panels['line'].legend(loc='upper left')
+    panels['apart'].set(xlabel='thickness $L_s$ (mm)', ylabel='apart (µs)')
+    _save(figure, path)
+
+
+def _figure(width: float, height: float) -> Figure:
+    try:
+        from matplotlib.figure import Figure as Canvas
+    except ModuleNotFoundError as error:
+        raise FitError(
+            f"a figure needs what pip installs with 'soft_throw_ros[plot]': {error}"
+        ) from None
+    return Canvas(figsize=(width, height), layout='constrained')
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with whole_file(path) as unfinished:
+        figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

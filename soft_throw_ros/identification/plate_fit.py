@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+Frequency, damping, amplitude and start of the plate from its track (App. D.2 of the paper).
+
+Notes
+-----
+The model is Eq. (D2) from a start :math:`t_0` on, above a height :math:`z_0` at rest. For given
+frequency and damping the amplitude and :math:`z_0` enter linearly, and a shift in time is a
+correlation. So the sum of squares is computed for a table of frequencies and dampings and, by
+FFT, for every sample as the start; the best of these are refined by least squares. No guess is
+needed from anybody.
+
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.fit import Fit, fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.tracks import Track
+
+Floats = NDArray[np.float64]
+
+NAMES = ('frequency', 'damping_ratio', 'amplitude', 'start_time', 'offset')
+"""Parameters of the fit; the last is the height of the plate at rest."""
+
+MOST_DAMPED = 0.99
+"""Largest damping ratio."""
+
+_DAMPINGS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # of the table
+_MOST_SAMPLES = 4096  # for which the table is made
+_SAMPLES_PER_PERIOD = 5.0  # at least, of the highest frequency
+_PERIODS_SEEN = 0.25  # at least, of the lowest one
+_BLOCK = 2**18  # numbers at once
+_REFINED = 3  # of the table's best
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateFit:
+    """
+    How the plate moves, from its track.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of `NAMES`, or of all but the last.
+    offset : float
+        Height of the plate at rest. [m]
+
+    """
+
+    fit: Fit
+    offset: float
+
+    @property
+    def motion(self) -> Underdamped:
+        """The motion, from its start on."""
+        frequency, damping_ratio, amplitude = (float(value) for value in self.fit.values[:3])
+        return Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
+
+    @property
+    def start_time(self) -> float:
+        """When it begins, on the clock of the track. [s]"""
+        return self.fit['start_time'].value
+
+    @property
+    def peak_velocity(self) -> Value:
+        """:math:`V_p^*` (D4), with its standard error. [m/s]"""
+        gradient = np.zeros(len(self.fit.names))
+        gradient[:3] = peak_velocity_slopes(self.motion)
+        error = math.sqrt(float(gradient @ self.fit.covariance @ gradient))
+        return Value(self.motion.peak_velocity, error)
+
+
+def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
+    """
+    Fit the plate's motion to its track.
+
+    Parameters
+    ----------
+    track : Track
+        Of a plate that rests, jumps up once, and settles. It need not be seen to the end, but
+        its rise must be.
+    offset : float, optional
+        Height of the plate at rest; fitted if not given. [m]
+
+    Raises
+    ------
+    FitError
+        If the track does not look like such a motion, saying what it looks like.
+
+    Examples
+    --------
+    >>> time = np.linspace(0.0, 0.1, 201)
+    >>> plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+    >>> found = fit_plate(Track(time=time, position=plate.position(time - 0.02)))
+    >>> round(found.motion.frequency, 6), round(found.start_time, 6)
+    (63.2, 0.02)
+
+    """
+    free = len(NAMES) if offset is None else len(NAMES) - 1
+    fixed = () if offset is None else (offset,)
+    model = Model(
+        names=NAMES[:free],
+        predict=lambda values: _position(np.append(values, fixed), track.time),
+        slopes=lambda values: _slopes(np.append(values, fixed), track.time)[:, :free],
+        low=np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
+        high=np.array([np.inf, MOST_DAMPED, np.inf, track.time[-1], np.inf])[:free],
+    )
+    tried = [
+        fit_tracks(model, start[:free], [('plate', track)], max_steps=200)
+        for start in _starts(track)
+    ]
+    best = min(tried, key=lambda found: found.chi2)
+    if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
+        raise FitError(
+            f'the plate does not move up: its height goes from {track.position.min():g} m to '
+            f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
+        )
+    return PlateFit(fit=best, offset=best['offset'].value if offset is None else offset)
+
+
+def motion_slopes(motion: Underdamped, time: Floats) -> tuple[Floats, Floats, Floats]:
+    r"""
+    Differentiate the height of a plate by frequency, damping ratio and amplitude.
+
+    Parameters
+    ----------
+    motion : Underdamped
+    time : ndarray
+        Since its start. [s]
+
+    Returns
+    -------
+    tuple of ndarray
+        [m/Hz], [m], [-]
+
+    Notes
+    -----
+    Of Eq. (D2); by the damping ratio it is :math:`A e^{-\zeta \theta} (\theta \cos s \theta -
+    \sin (s \theta) / s) / s^2` with :math:`\theta = \omega t, s = \sqrt{1 - \zeta^2}`.
+
+    """
+    time = np.maximum(time, 0.0)
+    root = math.sqrt(1.0 - motion.damping_ratio**2)
+    angle = 2.0 * math.pi * motion.frequency * time
+    swing = angle * np.cos(root * angle) - np.sin(root * angle) / root
+    by_damping = motion.amplitude * np.exp(-motion.damping_ratio * angle) * swing / root**2
+    by_frequency = time * motion.velocity(time) / motion.frequency
+    return by_frequency, by_damping, motion.position(time) / motion.amplitude
+
+
+def peak_velocity_slopes(motion: Underdamped) -> Floats:
+    """Differentiate the largest velocity by frequency, damping ratio and amplitude."""
+    zeta, peak = motion.damping_ratio, motion.peak_velocity
+    square = 1.0 - zeta**2
+    by_damping = peak * (zeta / square - math.acos(zeta) / square**1.5)
+    return np.array([peak / motion.frequency, by_damping, peak / motion.amplitude])
+
+
+def _motion(values: Floats) -> Underdamped:
+    """Make the motion; while it is searched for the amplitude may touch 0."""
+    return Underdamped(
+        frequency=float(values[0]),
+        damping_ratio=float(values[1]),
+        amplitude=max(float(values[2]), 1e-15),
+    )
+
+
+def _position(values: Floats, time: Floats) -> Floats:
+    return np.asarray(values[4] + _motion(values).position(time - values[3]))
+
+
+def _slopes(values: Floats, time: Floats) -> Floats:
+    motion, since = _motion(values), time - values[3]
+    return np.stack(
+        [*motion_slopes(motion, since), -motion.velocity(since), np.ones_like(time)], axis=1
+    )
+
+
+def _starts(track: Track) -> list[Floats]:
+    """
+    Find where to start from.
+
+    Raises
+    ------
+    FitError
+        If the plate goes down.
+
+    """
+    count = min(_MOST_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
+    time = np.linspace(track.time[0], track.time[-1], count)
+    height = np.interp(time, track.time, track.position)
+    table = [_best_of(_frequencies(time, damping), damping, time, height) for damping in _DAMPINGS]
+    table.sort(key=lambda entry: entry[0], reverse=True)
+    if table[0][1][2] < 0.0:
+        raise FitError(
+            f'the plate goes down by about {-table[0][1][2]:.1g} m; heights must count upwards'
+        )
+    return [start for _, start in table[:_REFINED]]
+
+
+def _frequencies(time: Floats, damping: float) -> Floats:
+    """Choose frequencies as dense as a swing of that damping and so long a track need them."""
+    duration = float(time[-1] - time[0])
+    lowest = _PERIODS_SEEN / duration
+    highest = 1.0 / (_SAMPLES_PER_PERIOD * (time[1] - time[0]))
+    chosen = [lowest]
+    while chosen[-1] < highest:
+        chosen.append(chosen[-1] + max(0.25 / duration, 0.3 * damping * chosen[-1]))
+    return np.array(chosen)
+
+
+def _best_of(
+    frequencies: Floats, damping: float, time: Floats, height: Floats
+) -> tuple[float, Floats]:
+    """
+    Find which frequency and which start leave least, for one damping.
+
+    Returns by how much the sum of squares falls, and the values of `NAMES`; the amplitude is
+    negative if the plate goes down.
+    """
+    count = time.size
+    size = 2 ** math.ceil(math.log2(2 * count))
+    mean = float(height.mean())
+    transform = np.fft.rfft(height - mean, size)
+    best: tuple[float, Floats] = (-1.0, np.zeros(len(NAMES)))
+    latest = count - 4  # what begins later is seen too little of
+    since = time - time[0]
+    unit = Underdamped(frequency=1.0, damping_ratio=damping, amplitude=1.0)
+    for some in np.array_split(frequencies, -(-frequencies.size * size // _BLOCK)):
+        shapes = unit.position(np.outer(some, since))
+        spectra = transform * np.conj(np.fft.rfft(shapes, size))
+        products = np.fft.irfft(spectra, size)[:, :latest]
+        sums = np.cumsum(shapes, axis=1)[:, ::-1][:, :latest]
+        squares = np.cumsum(shapes**2, axis=1)[:, ::-1][:, :latest] - sums**2 / count
+        gains = products**2 / np.maximum(squares, 1e-300)
+        row, shift = np.unravel_index(np.argmax(gains), gains.shape)
+        if gains[row, shift] > best[0]:
+            amplitude = float(products[row, shift] / squares[row, shift])
+            offset = mean - amplitude * float(sums[row, shift]) / count
+            values = (some[row], damping, amplitude, time[shift], offset)
+            best = (float(gains[row, shift]), np.array(values))
+    return best

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+Wave speed and loss of layers from how they ring when nothing holds them (App. B of the paper).
+
+The wave speed that throws show comes from `soft_throw_ros.identification.rig_fit`.
+
+Notes
+-----
+A free layer that was squeezed lengthens and shortens with the period :math:`T_0 = 2 L_s / c_s`,
+and odd multiples of that frequency. With the loss of Kelvin and Voigt, :math:`\sigma = E_s
+(\epsilon + \theta \dot\epsilon)`, each mode :math:`\omega_n = (2 n - 1) 2 \pi / T_0` decays as
+:math:`e^{-\theta \omega_n^2 t / 2}` and is slowed down to :math:`\omega_n \sqrt{1 - (\theta
+\omega_n / 2)^2}`. Two modes are fitted, so that what is left is noise; :math:`T_0` is that without
+the loss.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from soft_throw_ros.core import checks
+from soft_throw_ros.identification.fit import Fit, fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
+
+Floats = NDArray[np.float64]
+
+_MODES = (1.0, 3.0)  # their frequencies, over that of the first
+_LOSSES = (0.01, 0.1, 0.4)  # loss tangents to start from
+_MOST_LOSS = 1.9  # beyond 2 nothing rings
+_MOST_SAMPLES = 1024  # at which many frequencies are tried
+_SWINGS = 1.5  # that are seen at least
+_ONSET = 0.7  # of the largest change of length, below which the layer is taken to be free
+_STEP = 1e-5  # relative, for derivatives
+_REFINED = 3  # of the best frequencies
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ringing:
+    r"""
+    How a free layer rings.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of `period` :math:`T_0` [s], `loss_tangent` at that period [-], `length` at rest [m], and
+        of the modes.
+    start_time : float
+        From when on it was fitted. [s]
+
+    """
+
+    fit: Fit
+    start_time: float
+
+    @property
+    def period(self) -> Value:
+        """Eigenperiod :math:`T_0`. [s]"""
+        return self.fit['period']
+
+    @property
+    def loss_tangent(self) -> Value:
+        """Loss tangent at the eigenperiod; with this kind of loss it grows with frequency. [-]"""
+        return self.fit['loss_tangent']
+
+    def loss_tangent_at(self, frequency: float) -> Value:
+        """Loss tangent at another frequency. [-]"""
+        factor = frequency * self.period.value
+        return Value(factor * self.loss_tangent.value, factor * self.loss_tangent.error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveSpeed:
+    """
+    The wave speed of a material, from layers of several thicknesses.
+
+    Parameters
+    ----------
+    value : Value
+        :math:`c_s`. [m/s]
+    chi2 : float
+        Sum over the layers of squared differences over errors.
+    dof : int
+        Layers less one.
+
+    """
+
+    value: Value
+    chi2: float
+    dof: int
+
+    @property
+    def agreement(self) -> float:
+        """Probability that proportional periods scatter as much; 1 for a single layer. [-]"""
+        return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
+
+
+def change_of_length(bottom: Track, top: Track) -> Track:
+    """
+    Subtract the track of a layer's bottom from that of its top, where both were seen.
+
+    Raises
+    ------
+    TrackError
+        If that is too seldom.
+
+    """
+    time, lower, upper = np.intersect1d(bottom.time, top.time, return_indices=True)
+    if time.size < FEWEST:
+        raise TrackError(
+            f'both ends of the layer are seen at {time.size} moments, where at least {FEWEST} '
+            'are needed'
+        )
+    known = None
+    if bottom.known_noise and top.known_noise:
+        known = math.hypot(bottom.known_noise, top.known_noise)
+    return Track(
+        time=time, position=top.position[upper] - bottom.position[lower], known_noise=known
+    )
+
+
+def fit_ringing(length: Track) -> Ringing:
+    """
+    Find period and loss of a free layer from its length over time.
+
+    Parameters
+    ----------
+    length : Track
+        From `change_of_length`. What comes before the end of its first large change is left out.
+
+    Raises
+    ------
+    FitError
+        If it does not ring.
+
+    Examples
+    --------
+    >>> time = np.linspace(0.0, 0.02, 201)
+    >>> rings = 1e-3 * np.exp(-50.0 * time) * np.cos(2.0 * np.pi * 232.0 * time)
+    >>> found = fit_ringing(Track(time=time, position=16.8e-3 + rings))
+    >>> round(1.0 / found.period.value, 1)
+    232.1
+
+    """
+    late = length.position[length.position.size // 2 :]
+    change = np.abs(length.position - np.median(late))
+    large = change >= _ONSET * change.max()
+    first = int(np.argmax(large))
+    held = int(np.argmin(np.append(large[first:], False)))  # it may have been squeezed for long
+    onset = float(length.time[min(first + held, length.time.size - 1)])
+    try:
+        free = length.between(onset, math.inf)
+    except TrackError as error:
+        raise FitError(f'the layer is not seen ringing: {error}') from None
+    tried = [_fit_from(free, *start) for start in _starts(free)]
+    best = min(tried, key=lambda found: found.chi2)
+    size = math.hypot(*best.values[3:5])
+    if size < 5.0 * math.hypot(*best.errors[3:5]):
+        raise FitError(
+            f'the layer does not ring: its length goes from {length.position.min():.4g} m to '
+            f'{length.position.max():.4g} m, with a noise of {length.noise:.2g} m'
+        )
+    return Ringing(fit=best, start_time=onset)
+
+
+def fit_wave_speed(
+    thicknesses: Sequence[float],
+    periods: Sequence[Value],
+    *,
+    thickness_error: float,
+) -> WaveSpeed:
+    r"""
+    Find the wave speed by which the periods of layers are proportional to their thicknesses.
+
+    Parameters
+    ----------
+    thicknesses : sequence of float
+        [m]
+    periods : sequence of Value
+        Eigenperiods :math:`T_0` of the free layers, with errors. [s]
+    thickness_error : float
+        Standard error of each thickness. [m]
+
+    Raises
+    ------
+    ValueError
+        If the series do not fit, or a number is not positive (the error: not negative).
+
+    Notes
+    -----
+    Least squares of :math:`T_0 - 2 L_s / c_s` over its error, to which both contribute. If the
+    layers scatter more than that, the error of the result is larger by as much.
+
+    Examples
+    --------
+    >>> speed = fit_wave_speed([0.01, 0.02], [Value(2e-3, 1e-5), Value(4e-3, 1e-5)],
+    ...                        thickness_error=1e-4)
+    >>> str(speed.value)
+    '10.000 +- 0.050'
+
+    """
+    if not thicknesses or len(thicknesses) != len(periods):
+        raise ValueError(
+            f'there must be a period for each thickness, got {len(periods)} for {len(thicknesses)}'
+        )
+    thickness = checks.positive_array('thicknesses', list(thicknesses))
+    period = checks.positive_array('periods', [each.value for each in periods])
+    error = checks.not_negative_array('periods', [each.error for each in periods])
+    spread = checks.not_negative('thickness_error', thickness_error)
+    slowness = float(np.sum(period * thickness) / np.sum(thickness**2))  # T_0 / L_s = 2 / c_s
+    for _ in range(20):
+        variance = np.maximum(error**2 + (slowness * spread) ** 2, 1e-300)
+        information = float(np.sum(thickness**2 / variance))
+        slowness = float(np.sum(period * thickness / variance)) / information
+    chi2 = float(np.sum((period - slowness * thickness) ** 2 / variance))
+    dof = len(periods) - 1
+    scatter = max(1.0, chi2 / dof) if dof else 1.0
+    speed = 2.0 / slowness
+    relative = math.sqrt(scatter / information) / slowness
+    return WaveSpeed(value=Value(speed, speed * relative), chi2=chi2, dof=dof)
+
+
+def _fit_from(length: Track, period: float, loss_tangent: float) -> Fit:
+    """Fit from a period and a loss, at which the rest is linear."""
+    time = length.time - length.time[0]
+    count = len(_MODES)
+    if _MODES[-1] / period > 0.4 / length.interval:
+        count = 1  # the others cannot be seen
+    phases = ('cosine', 'sine')
+    names = ['period', 'loss_tangent', 'length']
+    names += [f'{phase} {mode + 1}' for mode in range(count) for phase in phases]
+
+    def predict(values: Floats) -> Floats:
+        return np.asarray(_modes(time, values[0], values[1], count) @ values[2:])
+
+    def slopes(values: Floats) -> Floats:
+        columns = []
+        for place, step in enumerate((_STEP * values[0], max(_STEP, _STEP * values[1]))):
+            change = np.zeros_like(values)
+            change[place] = step
+            columns.append((predict(values + change) - predict(values - change)) / (2.0 * step))
+        return np.column_stack([*columns, _modes(time, values[0], values[1], count)])
+
+    linear, *_ = np.linalg.lstsq(
+        _modes(time, period, loss_tangent, count), length.position, rcond=None
+    )
+    low, high = np.full((2, len(names)), np.array([[-np.inf], [np.inf]]))
+    low[:2] = 2.0 * length.interval, 0.0
+    high[:2] = 2.0 * length.duration, _MOST_LOSS
+    return fit_tracks(
+        Model(tuple(names), predict, slopes, low, high),
+        np.array([period, loss_tangent, *linear]),
+        [('length', length)],
+    )
+
+
+def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floats:
+    """Give the columns of 1 and of the modes; negative loss appears in derivatives only."""
+    columns = [np.ones_like(time)]
+    for multiple in _MODES[:count]:
+        omega = multiple * 2.0 * math.pi / period
+        half = 0.5 * multiple * loss_tangent
+        decay = np.exp(-min(half, 50.0) * omega * time)
+        turn = omega * math.sqrt(abs(1.0 - half**2))
+        if half < 1.0:
+            columns += [decay * np.cos(turn * time), decay * np.sin(turn * time)]
+        else:  # it creeps back without ringing
+            slow = np.exp(-(half * omega - turn) * time)
+            columns += [slow, np.exp(-(half * omega + turn) * time)]
+    return np.stack(columns, axis=1)
+
+
+def _starts(length: Track) -> list[tuple[float, float]]:
+    """Find periods and losses to start from, by trying all."""
+    every = -(-length.time.size // _MOST_SAMPLES)
+    time = length.time[::every] - length.time[0]
+    position = length.position[::every]
+    found = []
+    for loss_tangent in _LOSSES:
+        frequency = _SWINGS / length.duration
+        while frequency < 0.4 / length.interval:
+            columns = _modes(time, 1.0 / frequency, loss_tangent, 1)
+            linear, *_ = np.linalg.lstsq(columns, position, rcond=None)
+            misfit = float(np.sum((position - columns @ linear) ** 2))
+            found.append((misfit, 1.0 / frequency, loss_tangent))
+            frequency += max(0.25 / length.duration, 0.1 * loss_tangent * frequency)
+    if not found:
+        raise FitError(
+            f'the layer is seen for {length.duration:.3g} s only, every {length.interval:.3g} s'
+        )
+    return [(period, loss) for _, period, loss in sorted(found)[:_REFINED]]

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.method_of_steps import follow
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.tracks import read_csv, ThrowTracks, Track
+
+DATA = Path(__file__).parents[1] / 'data'
+
+
+def _make_throw(
+    rig: Rig,
+    *,
+    rate: float = 5000.0,
+    duration: float = 0.1,
+    start: float = 0.0153,
+    noise: float = 2e-5,
+    seed: int = 0,
+    zeros: tuple[float, float] = (0.0, 0.0),
+) -> ThrowTracks:
+    """Throw by the exact model, and look at it from zeros of height, with noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration, 1.0 / rate)
+    since = time - start
+    history = follow(rig, until=since[-1])
+    plate = Underdamped.of(rig.engine).position(since)
+    projectile = history.projectile_position(since)
+    plate_track, projectile_track = (
+        Track(time=time, position=height - zero + noise * rng.normal(size=time.size))
+        for height, zero in zip((plate, projectile), zeros, strict=True)
+    )
+    return ThrowTracks(name='made', plate=plate_track, projectile=projectile_track)
+
+
+@pytest.fixture
+def make_throw() -> Callable[..., ThrowTracks]:
+    return _make_throw
+
+
+@pytest.fixture(scope='session')
+def reference_throw() -> ThrowTracks:
+    """The 5 kHz tracks with noise of 20 um whose best fits are known."""
+    with (DATA / 'reference_tracks.csv').open() as file:
+        return ThrowTracks(
+            name='reference', **read_csv(file, 'reference', ('plate', 'projectile'))
+        )

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares, and what is said of a fit."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+from soft_throw_ros.identification.fit import fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.tracks import Track
+
+TIME = np.linspace(0.0, 2.0, 200)
+TRUTH = np.array([1.5, 0.8])
+
+
+def decay(time, size, rate):
+    return size * np.exp(-rate * time)
+
+
+MODEL = Model(
+    names=('size', 'rate'),
+    predict=lambda values: decay(TIME, *values),
+    slopes=lambda values: np.stack(
+        [np.exp(-values[1] * TIME), -TIME * decay(TIME, *values)], axis=1
+    ),
+    low=np.array([0.0, 0.0]),
+    high=np.array([np.inf, np.inf]),
+)
+
+
+def track(seed=0, *, noise=0.01, known=None, correlated=0.0, extra=0.0):
+    rng = np.random.default_rng(seed)
+    scatter = rng.normal(size=TIME.size)
+    for place in range(1, TIME.size):
+        scatter[place] += correlated * scatter[place - 1]
+    heights = decay(TIME, *TRUTH) + extra * np.sin(9.0 * TIME)
+    return Track(time=TIME, position=heights + noise * scatter, known_noise=known)
+
+
+@pytest.mark.parametrize('known', [None, 0.01, 0.02])
+def test_fit_agrees_with_curve_fit(known):
+    data = track(known=known)
+    found = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
+    values, covariance = curve_fit(
+        decay,
+        TIME,
+        data.position,
+        p0=[1.0, 1.0],
+        sigma=np.full(TIME.size, data.noise),
+        absolute_sigma=known is not None,
+    )
+    assert found.values == pytest.approx(values, rel=1e-6)
+    assert found.covariance == pytest.approx(covariance, rel=1e-4)
+    assert found['rate'].error == pytest.approx(math.sqrt(covariance[1, 1]), rel=1e-4)
+    assert found.chi2 == pytest.approx(
+        np.sum((data.position - decay(TIME, *values)) ** 2) / data.noise**2
+    )
+    assert found.dof == 198
+
+
+def test_fit_of_noise_alone_is_seldom_doubted():
+    doubted = [
+        bool(fit_tracks(MODEL, TRUTH, [('decay', track(seed))]).warnings()) for seed in range(300)
+    ]
+    assert sum(doubted) <= 1
+
+
+def test_whiteness_of_white_noise_is_any_probability():
+    seen = [
+        fit_tracks(MODEL, TRUTH, [('decay', track(seed))]).residuals[0].whiteness
+        for seed in range(200)
+    ]
+    assert np.mean(seen) == pytest.approx(0.5, abs=0.1)
+    assert np.mean(np.array(seen) < 0.1) == pytest.approx(0.1, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ('data', 'message'),
+    [
+        (track(correlated=0.7), 'residuals of decay are no white noise'),
+        (track(extra=0.02), 'the model leaves out something'),
+        (track(noise=0.02, known=0.01), r'residuals are (1\.9|2|2\.1) times the noise'),
+    ],
+)
+def test_fit_that_is_not_to_be_trusted_says_why(data, message):
+    warnings = fit_tracks(MODEL, TRUTH, [('decay', data)]).warnings()
+    assert any(re.search(message, warning) for warning in warnings), warnings
+
+
+def test_parameters_that_do_the_same_are_named():
+    def predict(values):
+        return decay(TIME, values[0] * (1.0 + 0.01 * TIME * values[2]), values[1])
+
+    def slopes(values):
+        growth = 1.0 + 0.01 * TIME * values[2]
+        one = np.exp(-values[1] * TIME)
+        return np.stack(
+            [growth * one, -TIME * predict(values), 0.01 * TIME * values[0] * one], axis=1
+        )
+
+    model = Model(('size', 'rate', 'growth'), predict, slopes, -np.inf * np.ones(3), np.ones(3) * 9)
+    found = fit_tracks(model, np.array([1.4, 0.7, 0.0]), [('decay', track())])
+    (warning,) = found.warnings()
+    assert warning.startswith('rate and growth can hardly be told apart')
+    assert found['growth'].error > 1.0
+    # errors are true none the less
+    assert found['rate'].value == pytest.approx(TRUTH[1], abs=4.0 * found['rate'].error + 0.01)
+
+
+def test_parameter_that_does_nothing_is_not_known_at_all():
+    model = Model(
+        names=('size', 'rate', 'idle'),
+        predict=lambda values: MODEL.predict(values[:2]),
+        slopes=lambda values: np.column_stack([MODEL.slopes(values[:2]), np.zeros(TIME.size)]),
+        low=-np.inf * np.ones(3),
+        high=np.inf * np.ones(3),
+    )
+    found = fit_tracks(model, np.array([1.4, 0.7, 0.3]), [('decay', track())])
+    assert found['idle'].error > 1e10
+    assert found['rate'].error < 0.1
+
+
+def test_fit_with_too_few_samples_is_refused():
+    short = track().between(0.0, 0.12)
+    many = Model(
+        names=tuple('abcdefghijklmn'),
+        predict=lambda values: np.zeros(short.time.size),
+        slopes=lambda values: np.zeros((short.time.size, 14)),
+        low=-np.ones(14),
+        high=np.ones(14),
+    )
+    with pytest.raises(FitError, match='12 samples are too few for 14 parameters: a, b'):
+        fit_tracks(many, np.zeros(14), [('decay', short)])
+
+
+@pytest.mark.parametrize(
+    ('value', 'text'),
+    [
+        (Value(63.19175, 0.0141), '63.192 +- 0.014'),
+        (Value(2.0e-3, 1.97e-6), '0.0020000 +- 0.0000020'),
+        (Value(7.8, 0.3), '7.80 +- 0.30'),
+        (Value(1234.0, 56.0), '1234 +- 56'),
+        (Value(1.0, 0.0), '1 +- 0'),
+        (Value(1.0, math.inf), '1 +- inf'),
+    ],
+)
+def test_value_is_written_with_two_digits_of_its_error(value, text):
+    assert str(value) == text

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fitting the plate's motion to its track."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.plate_fit import (
+    fit_plate,
+    motion_slopes,
+    NAMES,
+    peak_velocity_slopes,
+)
+from soft_throw_ros.identification.tracks import Track
+
+TRUTH = {'frequency': 63.2, 'amplitude': 2e-3, 'damping_ratio': 0.064}
+START = 0.0204
+
+
+def track_of(motion, time, start, *, noise=0.0, offset=0.0, seed=0):
+    scatter = noise * np.random.default_rng(seed).normal(size=time.size)
+    return Track(time=time, position=offset + motion.position(time - start) + scatter)
+
+
+def slopes_at_truth(time):
+    """Differentiate the heights by `NAMES`, by plain differences."""
+
+    def heights(values):
+        given = dict(zip(NAMES, values, strict=True))
+        start, offset = given.pop('start_time'), given.pop('offset')
+        return offset + Underdamped(**given).position(time - start)
+
+    values = np.array([TRUTH['frequency'], TRUTH['damping_ratio'], TRUTH['amplitude'], START, 0.0])
+    columns = []
+    for place in range(5):
+        step = np.zeros(5)
+        step[place] = 1e-5 * max(values[place], 1e-3)
+        columns.append((heights(values + step) - heights(values - step)) / (2.0 * step[place]))
+    return np.stack(columns, axis=1)
+
+
+# Least squares of the reference tracks, and Cramer-Rao bounds, by another program
+WITH_OFFSET = {
+    'frequency': (63.19175365382672, 0.01410801176804514),
+    'damping_ratio': (0.06406504136291553, 0.0001644711582044226),
+    'amplitude': (0.001999905450430715, 1.97091783799517e-06),
+    'start_time': (0.02039991627309855, 5.526605082306597e-06),
+    'offset': (6.764128972192504e-07, 1.8030179883050006e-06),
+}
+WITHOUT_OFFSET = {
+    'frequency': (63.191473606150126, 0.014088365759851505),
+    'damping_ratio': (0.06408908013762486, 0.00015152912191608112),
+    'amplitude': (0.002000545205905229, 9.885512259116918e-07),
+    'start_time': (0.020399658399847885, 5.483870727487657e-06),
+}
+
+
+@pytest.mark.parametrize(
+    ('offset', 'expected', 'chi2', 'dof'),
+    [
+        (None, WITH_OFFSET, 468.66172293788003, 495),
+        (0.0, WITHOUT_OFFSET, 468.8024152120081, 496),
+    ],
+)
+def test_plate_fit_gives_the_reference_values(reference_throw, offset, expected, chi2, dof):
+    found = fit_plate(replace(reference_throw.plate, known_noise=2e-5), offset=offset).fit
+    assert set(found.names) == set(expected)
+    for name, (value, error) in expected.items():
+        assert found[name].value == pytest.approx(value, abs=1e-2 * error)
+        assert found[name].error == pytest.approx(error, rel=5e-3)
+    assert found.chi2 == pytest.approx(chi2, rel=1e-6)
+    assert found.dof == dof
+    assert found.warnings() == []
+
+
+def test_plate_fit_is_unbiased_and_as_exact_as_can_be():
+    # The bound of Cramer and Rao is met by the linear estimate from the true values on. How that
+    # scatters over 200 tracks is known to 5 % only, so it is compared on the very same tracks.
+    time = np.arange(0.0, 0.1, 1.0 / 1500.0)
+    motion = Underdamped(**TRUTH)
+    truth = np.array([motion.frequency, motion.damping_ratio, motion.amplitude, START, 0.0])
+    slopes = slopes_at_truth(time) / 2e-5
+    covariance = np.linalg.inv(slopes.T @ slopes)
+    bound = np.sqrt(np.diag(covariance))
+    apart, best, pulls = [], [], []
+    for seed in range(200):
+        track = track_of(motion, time, START, noise=2e-5, seed=seed)
+        found = fit_plate(track).fit
+        apart.append((found.values - truth) / bound)
+        noise = track.position - motion.position(time - START)
+        best.append(covariance @ slopes.T @ (noise / 2e-5) / bound)
+        pulls.append((found.values - truth) / found.errors)
+    assert np.abs(np.mean(apart, axis=0)).max() < 3.0 / np.sqrt(200.0)
+    assert np.abs(np.mean(np.subtract(apart, best), axis=0)).max() < 0.02
+    assert np.std(apart, axis=0) == pytest.approx(np.std(best, axis=0), rel=0.1)
+    # and it says itself how exact it is
+    assert np.std(pulls, axis=0) == pytest.approx(np.ones(5), abs=0.15)
+
+
+@pytest.mark.parametrize('frequency', [4.0, 63.2, 400.0])
+@pytest.mark.parametrize('damping_ratio', [0.0, 0.064, 0.6])
+@pytest.mark.parametrize('periods', [0.8, 25.0])
+def test_plate_fit_needs_no_guess(frequency, damping_ratio, periods):
+    motion = Underdamped(frequency=frequency, amplitude=5e-3, damping_ratio=damping_ratio)
+    begin = -17.0
+    time = begin + np.linspace(0.0, (periods + 0.4) / frequency, 900)
+    start = begin + 0.4 / frequency
+    found = fit_plate(track_of(motion, time, start, noise=3e-5, offset=0.7)).fit
+    truth = dict(zip(NAMES, (frequency, damping_ratio, 5e-3, start, 0.7), strict=True))
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, abs=4.5 * found[name].error), name
+
+
+def test_plate_fit_takes_gaps_and_jitter():
+    rng = np.random.default_rng(5)
+    time = np.sort(rng.uniform(0.0, 0.1, 400))
+    time = time[(time < 0.03) | (time > 0.037)]
+    motion = Underdamped(**TRUTH)
+    found = fit_plate(track_of(motion, time, START, noise=1e-5))
+    assert found.motion.frequency == pytest.approx(
+        63.2, abs=4.0 * found.fit['frequency'].error
+    )
+    assert found.start_time == pytest.approx(START, abs=4.0 * found.fit['start_time'].error)
+
+
+def test_plate_fit_knows_how_exact_its_peak_velocity_is():
+    motion = Underdamped(**TRUTH)
+    time = np.arange(0.0, 0.1, 1e-3)
+    pulls = []
+    for seed in range(60):
+        peak = fit_plate(track_of(motion, time, START, noise=2e-5, seed=seed)).peak_velocity
+        pulls.append((peak.value - motion.peak_velocity) / peak.error)
+    assert abs(np.mean(pulls)) < 0.4
+    assert 0.75 < np.std(pulls) < 1.25
+
+
+def test_slopes_are_those_of_the_motion():
+    motion = Underdamped(**TRUTH)
+    time = np.linspace(-0.01, 0.08, 50)
+    for place, name in enumerate(('frequency', 'damping_ratio', 'amplitude')):
+        step = 1e-5 * getattr(motion, name)
+        high, low = (
+            replace(motion, **{name: getattr(motion, name) + sign * step}) for sign in (1, -1)
+        )
+        by_difference = (high.position(time) - low.position(time)) / (2.0 * step)
+        slope = motion_slopes(motion, time)[place]
+        assert slope == pytest.approx(by_difference, abs=1e-6 * np.abs(slope).max())
+        peak = (high.peak_velocity - low.peak_velocity) / (2.0 * step)
+        assert peak_velocity_slopes(motion)[place] == pytest.approx(peak, rel=1e-6)
+
+
+def test_plate_that_goes_down_is_refused():
+    time = np.arange(0.0, 0.1, 2e-4)
+    position = -Underdamped(**TRUTH).position(time - START)
+    with pytest.raises(FitError, match='goes down by about 0.002 m; heights must count upwards'):
+        fit_plate(Track(time=time, position=position))
+
+
+def test_plate_that_does_not_move_is_refused():
+    time = np.arange(0.0, 0.1, 2e-4)
+    noise = 1e-5 * np.random.default_rng(0).normal(size=time.size)
+    with pytest.raises(FitError, match='the plate does not move up|goes down'):
+        fit_plate(Track(time=time, position=noise))

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fitting a whole rig to throws."""
+
+from dataclasses import replace
+import re
+
+import numpy as np
+import pytest
+from soft_throw_ros.core import method_of_steps
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.path import follow
+from soft_throw_ros.identification.problem import ENGINE, PARAMETERS, rest_height, USUAL
+from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
+
+KNOWN = Rig(
+    engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),  # nonsense, which is no guess
+    layer=Layer(wave_speed=50.0),
+)
+
+# Least squares of the reference tracks, and Cramer-Rao bounds, by another program
+REFERENCE = {
+    'engine.frequency': (63.19137048111235, 0.01040214679247918),
+    'engine.damping_ratio': (0.06409112828858043, 0.0001499256539475817),
+    'engine.amplitude': (0.002000522379315976, 8.668036915683924e-07),
+    'start_time': (0.020399559746852123, 2.864297503748516e-06),
+    'layer.wave_speed': (7.7992031547331315, 0.007802020115142609),
+}
+
+
+def truth_of(rig, start=0.0153):
+    return {
+        'engine.frequency': rig.engine.frequency,
+        'engine.damping_ratio': rig.engine.damping_ratio,
+        'engine.amplitude': rig.engine.amplitude,
+        'layer.wave_speed': rig.layer.wave_speed,
+        'layer.thickness': rig.layer.thickness,
+        'layer.loss_tangent': rig.layer.loss_tangent,
+        'start_time': start,
+    }
+
+
+def pulls_of(fit, truth, names=PARAMETERS):
+    """How many of its own errors a fit is from the truth."""
+    return {
+        name: (fit[name].value - truth[name]) / fit[name].error for name in names if name in fit
+    }
+
+
+def test_rig_fit_gives_the_reference_values(reference_throw):
+    throw = replace(
+        reference_throw,
+        plate=replace(reference_throw.plate, known_noise=2e-5),
+        projectile=replace(reference_throw.projectile, known_noise=2e-5),
+    )
+    found = fit_rig([throw], replace(KNOWN, gravity=0.0), heights='absolute', reference='centre')
+    assert set(found.fit.names) == set(REFERENCE)
+    for name, (value, error) in REFERENCE.items():
+        assert found.fit[name].value == pytest.approx(value, abs=1e-2 * error)
+        assert found.fit[name].error == pytest.approx(error, rel=5e-3)
+    assert found.fit.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
+    assert found.fit.dof == 995
+    assert found.fit.warnings() == []
+    assert found.rig.layer.wave_speed == found.fit['layer.wave_speed'].value
+    assert found.rig.projectile == KNOWN.projectile
+
+
+def heights_of(values, time):
+    """Heights of plate and projectile by the exact model; of both from a zero of their own."""
+    frequency, damping_ratio, amplitude, wave_speed, start, plate, projectile = values
+    rig = Rig(
+        engine=Engine(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude),
+        layer=Layer(thickness=9.5e-3, wave_speed=wave_speed),
+    )
+    history = method_of_steps.follow(rig, until=time[-1] - start)
+    return np.concatenate(
+        [
+            plate + Underdamped.of(rig.engine).position(time - start),
+            projectile + history.projectile_position(time - start) - rest_height(rig),
+        ]
+    )
+
+
+def test_rig_fit_is_as_exact_as_can_be(make_throw):
+    # The bound of Cramer and Rao is met by the linear estimate from the true values on
+    rig = Rig(layer=Layer(thickness=9.5e-3))
+    time = np.arange(0.0, 0.06, 5e-4)
+    truth = np.array([63.2, 0.064, 2e-3, 7.8, 0.0153, 0.0, rest_height(rig)])
+    columns = []
+    for place, value in enumerate(truth):
+        step = np.zeros(7)
+        step[place] = 1e-4 * max(value, 1e-2)
+        columns.append(
+            (heights_of(truth + step, time) - heights_of(truth - step, time)) / (2 * step[place])
+        )
+    slopes = np.stack(columns, axis=1) / 2e-5
+    covariance = np.linalg.inv(slopes.T @ slopes)
+    bound = np.sqrt(np.diag(covariance))
+    for seed in range(4):
+        throw = make_throw(rig, rate=2000.0, duration=0.06, seed=seed)
+        fit = fit_rig([throw], replace(KNOWN, layer=rig.layer)).fit
+        noise = np.concatenate([throw.plate.position, throw.projectile.position])
+        best = covariance @ slopes.T @ ((noise - heights_of(truth, time)) / 2e-5)
+        assert fit.names == (*USUAL, 'start_time', 'plate_offset', 'projectile_offset')
+        assert (fit.values - truth) / bound == pytest.approx(best / bound, abs=0.1)
+        assert fit.errors == pytest.approx(bound, rel=0.2)
+
+
+def test_many_throws_are_as_exact_as_they_should(make_throw):
+    rig = Rig()
+    throws = [
+        make_throw(rig, rate=1500.0, duration=0.06, seed=seed, start=0.01 + 1e-4 * seed)
+        for seed in range(4)
+    ]
+    one = fit_rig(throws[:1], KNOWN).fit
+    found = fit_rig(throws, KNOWN)
+    for name in USUAL:
+        assert found.fit[name].error == pytest.approx(0.5 * one[name].error, rel=0.2)
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    for number in range(4):
+        name = f'start_time[{number + 1}]'
+        assert found.fit[name].value == found.start_time(number)
+        assert found.start_time(number) == pytest.approx(
+            0.01 + 1e-4 * number, abs=4.0 * found.fit[name].error
+        )
+
+
+@pytest.mark.parametrize(
+    ('thickness', 'frequency', 'wave_speed', 'gravity'),
+    [
+        (2.0e-3, 31.1, 7.8, 0.0),  # caught up after the first release
+        (5.6e-3, 63.2, 15.0, 9.81),
+        (23.4e-3, 63.2, 4.0, 9.81),
+        (29.1e-3, 31.1, 7.8, 0.0),
+    ],
+)
+def test_wave_speed_is_found_without_a_guess(
+    make_throw, thickness, frequency, wave_speed, gravity
+):
+    rig = Rig(
+        engine=Engine(frequency=frequency),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed),
+        gravity=gravity,
+    )
+    throw = make_throw(rig, rate=3000.0, duration=0.02 + 3.0 / frequency, zeros=(0.3, -0.2))
+    known = replace(KNOWN, layer=Layer(thickness=thickness, wave_speed=50.0), gravity=gravity)
+    found = fit_rig([throw], known)
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert found.fit['layer.wave_speed'].error < 0.03 * wave_speed
+    assert found.fit['plate_offset'].value == pytest.approx(-0.3, abs=1e-5)
+    assert found.fit['projectile_offset'].value == pytest.approx(
+        0.2 + thickness - rig.static_sag, abs=1e-5
+    )
+
+
+@pytest.mark.parametrize('reference', ['face', 'centre'])
+@pytest.mark.parametrize('heights', ['common', 'absolute'])
+def test_heights_from_one_zero_tell_the_thickness(make_throw, heights, reference):
+    # Under its weight a projectile of 20 g sinks by 0.9 mm
+    rig = Rig(projectile=Projectile(mass=0.02, length=0.05))
+    assert rig.static_sag > 4e-4
+    zero = 0.1 if heights == 'common' else 0.0
+    up = 0.025 if reference == 'centre' else 0.0
+    throw = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
+    known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
+    found = fit_rig(
+        [throw], known, free=(*USUAL, 'layer.thickness'), heights=heights, reference=reference
+    )
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert found.fit['layer.thickness'].error < 5e-5
+    assert ('plate_offset' in found.fit) is (heights == 'common')
+
+
+def test_wrong_reference_is_noticed(make_throw):
+    throw = make_throw(Rig(), duration=0.06, rate=2000.0)  # of the face
+    with pytest.raises(FitError, match='must be higher than the plate by the thickness'):
+        fit_rig(
+            [throw],
+            replace(KNOWN, projectile=Projectile(length=0.05)),
+            free=(*USUAL, 'layer.thickness'),
+            heights='common',
+            reference='centre',
+        )
+
+
+def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
+    # A thin light layer: L_s / c_s^2 is known to a percent, neither of the two is
+    rig = Rig(
+        layer=Layer(thickness=2e-3, wave_speed=3.0),
+        projectile=Projectile(mass=0.02),
+        gravity=0.0,
+    )
+    throw = make_throw(rig, rate=1000.0, duration=0.1)
+    known = replace(rig, layer=Layer(thickness=2.6e-3))
+    fit = fit_rig([throw], known, free=(*USUAL, 'layer.thickness')).fit
+    (warning,) = [each for each in fit.warnings() if 'told apart' in each]
+    assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
+    speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
+    compliance = thickness.value / speed.value**2
+    assert compliance == pytest.approx(2e-3 / 9.0, rel=0.02)
+    assert thickness.error / thickness.value > 0.05
+    held = fit_rig([throw], replace(known, layer=Layer(thickness=2e-3))).fit
+    assert held.warnings() == []
+    assert held['layer.wave_speed'].error < 0.1 * speed.error
+
+
+@pytest.mark.parametrize('loss_tangent', [0.0, 0.05])
+def test_loss_is_found(loss_tangent):
+    rig = Rig(layer=Layer(loss_tangent=loss_tangent))
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 0.06, 4e-4)
+    since = time - 0.0153
+    noise = 2e-5 * rng.normal(size=(2, time.size))
+    throw = ThrowTracks(
+        name='lossy',
+        plate=Track(time=time, position=Underdamped.of(rig.engine).position(since) + noise[0]),
+        projectile=Track(time=time, position=follow(rig, since).position + noise[1]),
+    )
+    found = fit_rig([throw], KNOWN, free=(*USUAL, 'layer.loss_tangent'))
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert found.fit['layer.loss_tangent'].error < 0.01
+    if loss_tangent:  # and is missed if it is not looked for
+        assert any('no white noise' in each for each in fit_rig([throw], KNOWN).fit.warnings())
+
+
+def test_what_comes_after_the_landing_does_not_matter(make_throw):
+    rig = Rig()
+    throw = make_throw(rig, rate=1000.0, duration=0.4)
+    landed = throw.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
+    other = np.where(landed, 0.05, throw.projectile.position)
+    spoilt = replace(
+        throw, projectile=replace(throw.projectile, position=other, known_noise=2e-5)
+    )
+    found = fit_rig([spoilt], KNOWN)
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert 0.27 < found.throws[0].projectile.time[-1] < 0.0153 + 0.2875
+    assert found.fit.warnings() == []
+
+
+def test_plate_alone_gives_the_engine(make_throw):
+    throws = [
+        replace(make_throw(Rig(), rate=2000.0, seed=seed), projectile=None) for seed in range(2)
+    ]
+    found = fit_rig(throws, KNOWN, free=ENGINE)
+    assert set(found.fit.names) >= set(ENGINE)
+    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), ENGINE).values())) < 4.0
+    assert found.rig.layer == KNOWN.layer
+
+
+def test_rig_that_is_known_can_be_checked(make_throw):
+    throw = make_throw(Rig(), rate=2000.0)
+    found = fit_rig([throw], Rig(), free=())
+    assert found.rig == Rig()
+    assert found.fit.names == ('start_time', 'plate_offset', 'projectile_offset')
+    assert found.fit.warnings() == []
+    worse = fit_rig([throw], replace(Rig(), layer=Layer(wave_speed=8.0)), free=())
+    assert any('leaves out something' in each for each in worse.fit.warnings())
+
+
+def test_heights_predicted_are_those_that_were_fitted(make_throw):
+    throw = make_throw(Rig(), rate=2000.0, zeros=(0.4, 0.1))
+    found = fit_rig([throw], KNOWN)
+    plate, projectile = found.heights(0, throw.plate.time)
+    assert plate == pytest.approx(found.fit.residuals[0].fitted, abs=1e-12)
+    assert projectile == pytest.approx(found.fit.residuals[1].fitted, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'free': ('layer.density',)}, "free must be some of engine.frequency, .*, got 'layer.den"),
+        ({'heights': 'any'}, "heights must be 'own', 'common' or 'absolute', got 'any'"),
+        ({'reference': 'top'}, "reference must be 'face' or 'centre', got 'top'"),
+    ],
+)
+def test_rig_fit_refuses_what_it_does_not_know(make_throw, change, message):
+    with pytest.raises(ValueError, match=message):
+        fit_rig([make_throw(Rig(), rate=500.0)], KNOWN, **change)
+
+
+def test_layer_needs_a_projectile(make_throw):
+    throw = replace(make_throw(Rig(), rate=500.0), projectile=None)
+    with pytest.raises(FitError, match=re.escape('layer.wave_speed cannot be found without')):
+        fit_rig([throw], KNOWN)
+    with pytest.raises(FitError, match='no throw'):
+        fit_rig([], KNOWN)
+
+
+def test_throw_that_does_not_fit_is_named(make_throw):
+    throw = make_throw(Rig(), rate=2000.0)
+    still = replace(throw, name='still.csv', plate=replace(
+        throw.plate, position=1e-5 * np.random.default_rng(1).normal(size=throw.plate.time.size)
+    ))  # fmt: skip
+    with pytest.raises(FitError, match='still.csv: the plate'):
+        fit_rig([throw, still], KNOWN)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the projectile left, by running averages and by the model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.method_of_steps import follow
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.identification.fit import Fit, FitError
+from soft_throw_ros.identification.plate_fit import fit_plate
+from soft_throw_ros.identification.problem import Problem, USUAL
+from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
+from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
+
+RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
+
+
+def truth_of(rig):
+    throw = simulate(rig)
+    return np.array(
+        [
+            throw.ejection_time,
+            throw.ejection_speed,
+            throw.peak_plate_speed,
+            throw.energy_transfer,
+        ]
+    )
+
+
+def pulls_of(ejection, truth):
+    """How many of their own errors the results are from the truth."""
+    values, errors = np.transpose([getattr(ejection, name) for name in RESULTS])
+    return (values - truth) / errors
+
+
+@pytest.mark.parametrize(
+    ('thickness', 'gravity', 'noise'),
+    [(16.8e-3, 9.81, 2e-5), (29.1e-3, 0.0, 2e-5), (5.6e-3, 9.81, 5e-6)],
+)
+def test_running_averages_err_by_what_they_say(make_throw, thickness, gravity, noise):
+    rig = Rig(layer=Layer(thickness=thickness), gravity=gravity)
+    pulls = []
+    for seed in range(8):
+        throw = make_throw(rig, duration=0.08, noise=noise, seed=seed)
+        ejection = analyse_throw(throw, gravity=gravity)
+        pulls.append(pulls_of(ejection, truth_of(rig)))
+        assert ejection.speed.error < 0.01 * ejection.speed.value
+        assert ejection.peak_plate_speed.error < 0.025 * ejection.peak_plate_speed.value
+        assert ejection.time.error < 0.15 * ejection.time.value
+    # bias is part of the error, and so is not averaged away
+    assert np.abs(np.mean(pulls, axis=0)).max() < 1.3
+    assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.6
+
+
+def test_running_averages_take_a_plate_that_was_fitted(make_throw):
+    throw = make_throw(Rig(), duration=0.06)
+    plate = fit_plate(throw.plate)
+    assert analyse_throw(throw, gravity=9.81, plate=plate) == analyse_throw(throw, gravity=9.81)
+
+
+def test_running_averages_pass_over_the_landing(make_throw):
+    throw = make_throw(Rig(), duration=0.4)
+    assert np.abs(pulls_of(analyse_throw(throw, gravity=9.81), truth_of(Rig()))).max() < 3.0
+
+
+def test_running_averages_say_what_is_missing(make_throw):
+    throw = make_throw(Rig(), duration=0.08)
+    with pytest.raises(FitError, match='made: there is no track of the projectile'):
+        analyse_throw(replace(throw, projectile=None), gravity=9.81)
+    with pytest.raises(FitError, match=r'made: the projectile is seen flying at \d moments'):
+        analyse_throw(throw.between(0.0, 0.025), gravity=9.81)
+    with pytest.raises(FitError, match='at least 12 samples per plate period'):
+        analyse_throw(make_throw(Rig(), duration=0.2, rate=400.0), gravity=9.81)
+
+
+def test_model_errs_by_what_it_says(make_throw):
+    truth = truth_of(Rig())
+    pulls = []
+    for seed in range(4):
+        throw = make_throw(Rig(), rate=2000.0, duration=0.06, seed=seed)
+        ejection = ejection_of(fit_rig([throw], Rig()))
+        pulls.append(pulls_of(ejection, truth))
+        assert ejection.energy_transfer.error < 0.01
+        assert not ejection.is_near_jump
+    assert np.abs(np.mean(pulls, axis=0)).max() < 1.3
+    assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.8
+
+
+def fitted(rig, *, error):
+    """A fit that has found a rig, and its wave speed with an error."""
+    covariance = np.diag([1e-20, 1e-20, 1e-20, error**2])
+    values = np.array(
+        [
+            rig.engine.frequency,
+            rig.engine.damping_ratio,
+            rig.engine.amplitude,
+            rig.layer.wave_speed,
+        ]
+    )
+    fit = Fit(names=USUAL, values=values, covariance=covariance, chi2=1.0, dof=1, residuals=())
+    problem = Problem((), rig, USUAL, 'own', 'face')
+    return RigFit(fit=fit, rig=rig, throws=(), _problem=problem)
+
+
+def test_ejection_that_jumps_within_the_errors_is_told():
+    # Layers of 16.8 mm are left after 3 t_s if the wave is fast enough, and else before
+    def is_late(wave_speed):
+        rig = Rig(layer=Layer(wave_speed=wave_speed))
+        (release,) = follow(rig, max_events=1).events
+        return release.time > 3.0 * rig.crossing_time
+
+    low, high = 5.0, 7.8
+    assert is_late(high)
+    assert not is_late(low)
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if is_late(middle) else (middle, high)
+    near = ejection_of(fitted(Rig(layer=Layer(wave_speed=high)), error=1e-3))
+    far = ejection_of(fitted(Rig(layer=Layer(wave_speed=high + 0.1)), error=1e-3))
+    assert near.is_near_jump
+    assert not far.is_near_jump
+    assert near.time.error > 20.0 * far.time.error
+
+
+@pytest.mark.parametrize('loss_tangent', [0.0, 0.03])
+def test_error_of_the_ejection_follows_from_that_of_the_wave_speed(loss_tangent):
+    def at(wave_speed):
+        return Rig(layer=Layer(wave_speed=wave_speed, loss_tangent=loss_tangent))
+
+    ejection = ejection_of(fitted(at(7.8), error=0.01))
+    higher, lower = (ejection_of(fitted(at(7.8 + d), error=1e-9)) for d in (0.01, -0.01))
+    for name in ('time', 'speed', 'energy_transfer'):
+        change = abs(getattr(higher, name).value - getattr(lower, name).value) / 2.0
+        assert getattr(ejection, name).error == pytest.approx(change, rel=0.15)
+    assert ejection.peak_plate_speed.value == pytest.approx(Underdamped.of(Rig().engine).peak_velocity)

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks: read from text, cut into throws, and how noisy they are."""
+
+import re
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.tracks import (
+    FEWEST,
+    noise_of,
+    read_csv,
+    ThrowTracks,
+    Track,
+    TrackError,
+)
+
+BODIES = ('plate', 'projectile')
+TIME = np.arange(20) * 2e-4
+
+
+def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
+    return [form.format(t, scale * t**2, scale * (t + 0.01)) for t in TIME]
+
+
+@pytest.mark.parametrize(
+    ('lines', 'unit'),
+    [
+        (rows(), 'm'),
+        (['t,z_plate,z_projectile', *rows()], 'm'),
+        (['\ufefft,z_plate,z_projectile\r\n', *(f'{row}\r\n' for row in rows())], 'm'),
+        (['# a comment', '', 'time plate projectile', *rows('{:.4f}  {:.6f} {:.6f}')], 'm'),
+        (
+            ['"t [s]"; "projectile [mm]"; frame; "plate (mm)"']
+            + [
+                f'{t:.4f}; {1e3 * t + 10:.6f}; 7; {1e3 * t**2:.6f}'.replace('.', ',')
+                for t in TIME
+            ],
+            'mm',
+        ),
+        (['t\tzp\tzm', *(row.replace('.', ',') for row in rows('{:.4f}\t{:.9f}\t{:.6f}', 1e3))],
+         'mm'),
+        (['t,plate [µm],projectile', *rows(scale=1e6)], 'um'),
+    ],
+    ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres'],
+)  # fmt: skip
+def test_csv_is_read_whatever_separates_it(lines, unit):
+    tracks = read_csv(lines, 'file', BODIES, unit=unit)
+    assert list(tracks) == ['plate', 'projectile'] or set(tracks) == set(BODIES)
+    assert tracks['plate'].time == pytest.approx(TIME, abs=1e-12)
+    assert tracks['plate'].position == pytest.approx(TIME**2, abs=1e-6)
+    assert tracks['projectile'].position == pytest.approx(TIME + 0.01, abs=1e-6)
+
+
+def test_csv_leaves_out_what_was_not_seen():
+    lines = rows()
+    lines[3] = '0.0006,,0.5'
+    lines[5] = '0.0010,0.5,nan'
+    tracks = read_csv(lines, 'file', BODIES)
+    assert tracks['plate'].time == pytest.approx(np.delete(TIME, 3))
+    assert tracks['projectile'].time == pytest.approx(np.delete(TIME, 5))
+    assert 0.5 in tracks['plate'].position
+
+
+def test_csv_may_be_of_the_plate_alone():
+    assert set(read_csv(rows('{:.4f},{:.6f}'), 'file', BODIES)) == {'plate'}
+    assert set(read_csv(['t,plate,frame', *rows()], 'file', BODIES)) == {'plate'}
+
+
+def with_line(number, text):
+    lines = ['t,plate,projectile', *rows()]
+    lines[number - 1] = text
+    return lines
+
+
+@pytest.mark.parametrize(
+    ('lines', 'message'),
+    [
+        ([], "file: is empty; a time and the height of the plate are needed"),
+        (['# nothing'], 'file: is empty'),
+        (with_line(5, '0.0006,x,0.01'), "file:5: plate must be a finite number, got 'x'"),
+        (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),
+        (with_line(5, 'nan,0,0'), "file:5: time must be a finite number, got 'nan'"),
+        (with_line(5, '0.0001,0,0'), 'file:5: time must increase, got 0.0001 after 0.0004'),
+        (with_line(5, '0.0004,0,0'), 'file:5: time must increase, got 0.0004 after 0.0004'),
+        (with_line(7, '0.0010,0'), 'file:7: must have 3 values as above, got 2'),
+        (with_line(1, 't,piston,ball'), "file:1: no column is named 'plate', got t, piston, ball"),
+        (with_line(1, 'frame,plate,projectile'), "file:1: no column is named 't'"),
+        (with_line(1, 't,plate,z_p'), "file:1: plate must be there once, got 'z_p' too"),
+        (with_line(1, 't,plate [mm],projectile'),
+         "file:1: plate is read in m, got 'plate [mm]'; see --unit mm"),
+        (with_line(1, 't [ms],plate,projectile'), "file:1: time is read in s, got 't [ms]'"),
+        (['1', '2'], "file:1: must have a time and the height of the plate, got '1' alone"),
+        (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
+    ],
+)  # fmt: skip
+def test_csv_that_is_wrong_is_refused_with_its_line(lines, message):
+    with pytest.raises(TrackError, match=re.escape(message)):
+        read_csv(lines, 'file', BODIES)
+
+
+def test_csv_with_a_projectile_hardly_seen_is_refused():
+    lines = [row if n < 3 else row.rpartition(',')[0] + ',' for n, row in enumerate(rows())]
+    with pytest.raises(TrackError, match='3 heights of the projectile'):
+        read_csv(lines, 'file', BODIES)
+
+
+@pytest.mark.parametrize(
+    ('time', 'position', 'message'),
+    [
+        (TIME, TIME[1:], 'two series of the same length'),
+        (TIME[:5], TIME[:5], f'at least {FEWEST}'),
+        (TIME, np.where(TIME > 0, TIME, np.nan), 'position must be finite, got nan'),
+        (TIME[::-1], TIME, 'time must increase'),
+    ],
+)
+def test_track_refuses_what_is_none(time, position, message):
+    with pytest.raises(TrackError, match=message):
+        Track(time=time, position=position)
+
+
+def test_track_that_is_cut_too_short_says_what_there_is():
+    track = Track(time=TIME, position=TIME)
+    assert track.between(0.001, 1.0).time[0] == pytest.approx(0.001)
+    with pytest.raises(TrackError, match=r'only 0 samples from 1 s to 2 s.*0 s to 0.0038 s'):
+        track.between(1.0, 2.0)
+
+
+@pytest.mark.parametrize('rate', [2000.0, 10000.0])
+def test_noise_is_told_from_the_motion_even_with_slips(rate):
+    plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+    time = np.arange(0.0, 1.0, 1.0 / rate)
+    noise = 2e-5 * np.random.default_rng(1).normal(size=time.size)
+    position = plate.position(time - 0.1) + noise
+    position[[50, 700]] += 5e-3
+    assert noise_of(position) == pytest.approx(2e-5, rel=0.05)
+    assert noise_of(np.zeros(50)) > 0.0
+
+
+def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
+    """A plate that jumps at each start, and is put back some time later."""
+    time = np.arange(begin, max(starts) + period, 1.0 / rate)
+    plate = Underdamped(frequency=40.0, amplitude=2e-3, damping_ratio=0.064)
+    position = np.zeros_like(time)
+    for start in starts:
+        part = np.clip((time - start - back) / 0.1, 0.0, 1.0)
+        until = time < start + period if start < max(starts) else True
+        position += until * plate.position(time - start) * (1.0 - part**2 * (3.0 - 2.0 * part))
+    position += noise * np.random.default_rng(3).normal(size=time.size) - 0.3
+    track = Track(time=time, position=position)
+    return ThrowTracks(name='bag', plate=track, projectile=track)
+
+
+def test_record_is_cut_into_its_throws():
+    starts = [0.2, 0.7, 1.3, 1.8]
+    throws = record(starts=starts).throws()
+    assert [throw.name for throw in throws] == [f'bag, throw {n}' for n in range(1, 5)]
+    for start, throw in zip(starts, throws, strict=True):
+        assert start - 0.01 < throw.plate.time[0] < start
+        assert start + 0.14 < throw.plate.time[-1] < start + 0.16  # six periods
+        assert throw.projectile.time == pytest.approx(throw.plate.time)
+
+
+def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
+    (throw,) = record(starts=[0.2], period=1.0).throws()
+    assert throw.name == 'bag'
+    assert 0.34 < throw.plate.time[-1] < 0.36
+
+
+@pytest.mark.parametrize(
+    'whole',
+    [
+        record(starts=[0.2], period=0.25),  # ends before it is put back
+        record(starts=[0.2], period=0.25, begin=0.21),  # never at rest
+        record(starts=[0.2], period=0.05, rate=200.0),  # few samples
+    ],
+)
+def test_record_of_a_throw_that_settles_stays_whole(whole):
+    assert whole.throws() == [whole]
+
+
+def test_harmonic_plate_that_touches_its_rest_is_one_throw():
+    time = np.arange(0.0, 0.3, 1e-4)
+    position = Underdamped(frequency=30.0, amplitude=2e-3).position(time - 0.05)
+    whole = ThrowTracks(name='harmonic', plate=Track(time=time, position=position))
+    assert whole.throws() == [whole]
