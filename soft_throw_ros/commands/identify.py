@@ -381,7 +381,7 @@ def with_found(settings: Settings, report: Report) -> dict[str, Any]:
         If the twin does not take it.
 
     """
-    request = {name: _rounded(value) for name, value in report.found.items()}
+    request = {name: float(f'{value.value:.8g}') for name, value in report.found.items()}
     try:
         return {**settings, **TWIN.change(settings, request)}
     except ParameterError as error:
@@ -389,13 +389,6 @@ def with_found(settings: Settings, report: Report) -> dict[str, Any]:
         if error.names and error.names[0] in ('engine.amplitude', 'layer.thickness'):
             hint = '; is the unit of heights right (--unit)?'
         raise ParameterError(f'found, but not for the twin: {error}{hint}', *error.names) from None
-
-
-def _rounded(value: Value) -> float:
-    """Leave out digits that are a hundred times smaller than the error."""
-    if not 0.0 < value.error < math.inf:
-        return value.value
-    return round(value.value, 2 - math.floor(math.log10(value.error)))
 
 
 def _write(settings: Settings, report: Report, path: Path) -> None:

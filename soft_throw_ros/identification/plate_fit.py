@@ -35,6 +35,7 @@ _DAMPINGS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # of the table
 _MOST_SAMPLES = 4096  # for which the table is made
 _SAMPLES_PER_PERIOD = 5.0  # at least, of the highest frequency
 _PERIODS_SEEN = 0.25  # at least, of the lowest one
+_MISFIT = 0.08  # of the amplitude that may be left
 _BLOCK = 2**18  # numbers at once
 _REFINED = 3  # of the table's best
 
@@ -121,6 +122,12 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
+    left = best.residuals[0].rms
+    if left > max(_MISFIT * best.values[2], 5.0 * track.noise):
+        raise FitError(
+            f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '
+            f'{left:.2g} m; its track must begin before it moves'
+        )
     return PlateFit(fit=best, offset=best['offset'].value if offset is None else offset)
 
 
@@ -199,7 +206,8 @@ def _starts(track: Track) -> list[Floats]:
     table.sort(key=lambda entry: entry[0], reverse=True)
     if table[0][1][2] < 0.0:
         raise FitError(
-            f'the plate goes down by about {-table[0][1][2]:.1g} m; heights must count upwards'
+            f'the plate goes down by about {-table[0][1][2]:.1g} m; heights must count upwards, '
+            'and its track must begin before it moves'
         )
     return [start for _, start in table[:_REFINED]]
 

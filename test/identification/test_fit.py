@@ -99,7 +99,9 @@ def test_parameters_that_do_the_same_are_named():
             [growth * one, -TIME * predict(values), 0.01 * TIME * values[0] * one], axis=1
         )
 
-    model = Model(('size', 'rate', 'growth'), predict, slopes, -np.inf * np.ones(3), np.ones(3) * 9)
+    model = Model(
+        ('size', 'rate', 'growth'), predict, slopes, -np.inf * np.ones(3), np.ones(3) * 9
+    )
     found = fit_tracks(model, np.array([1.4, 0.7, 0.0]), [('decay', track())])
     (warning,) = found.warnings()
     assert warning.startswith('rate and growth can hardly be told apart')

@@ -119,9 +119,7 @@ def test_plate_fit_takes_gaps_and_jitter():
     time = time[(time < 0.03) | (time > 0.037)]
     motion = Underdamped(**TRUTH)
     found = fit_plate(track_of(motion, time, START, noise=1e-5))
-    assert found.motion.frequency == pytest.approx(
-        63.2, abs=4.0 * found.fit['frequency'].error
-    )
+    assert found.motion.frequency == pytest.approx(63.2, abs=4.0 * found.fit['frequency'].error)
     assert found.start_time == pytest.approx(START, abs=4.0 * found.fit['start_time'].error)
 
 
@@ -154,12 +152,20 @@ def test_slopes_are_those_of_the_motion():
 def test_plate_that_goes_down_is_refused():
     time = np.arange(0.0, 0.1, 2e-4)
     position = -Underdamped(**TRUTH).position(time - START)
-    with pytest.raises(FitError, match='goes down by about 0.002 m; heights must count upwards'):
+    with pytest.raises(FitError, match=r'goes down by about 0\.002 m; heights must count up'):
         fit_plate(Track(time=time, position=position))
 
 
 def test_plate_that_does_not_move_is_refused():
     time = np.arange(0.0, 0.1, 2e-4)
     noise = 1e-5 * np.random.default_rng(0).normal(size=time.size)
-    with pytest.raises(FitError, match='the plate does not move up|goes down'):
+    with pytest.raises(FitError, match=r'the plate does not move up|goes down'):
         fit_plate(Track(time=time, position=noise))
+
+
+@pytest.mark.parametrize('begin', [0.025, 0.028, 0.06])
+def test_plate_whose_rise_was_missed_is_refused(begin):
+    time = np.arange(begin, 0.2, 2e-4)
+    track = track_of(Underdamped(**TRUTH), time, START, noise=1e-5)
+    with pytest.raises(FitError, match=r'track must begin before it moves'):
+        fit_plate(track)

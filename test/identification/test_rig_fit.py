@@ -230,9 +230,7 @@ def test_what_comes_after_the_landing_does_not_matter(make_throw):
     throw = make_throw(rig, rate=1000.0, duration=0.4)
     landed = throw.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
     other = np.where(landed, 0.05, throw.projectile.position)
-    spoilt = replace(
-        throw, projectile=replace(throw.projectile, position=other, known_noise=2e-5)
-    )
+    spoilt = replace(throw, projectile=replace(throw.projectile, position=other, known_noise=2e-5))
     found = fit_rig([spoilt], KNOWN)
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert 0.27 < found.throws[0].projectile.time[-1] < 0.0153 + 0.2875
@@ -270,7 +268,10 @@ def test_heights_predicted_are_those_that_were_fitted(make_throw):
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
-        ({'free': ('layer.density',)}, "free must be some of engine.frequency, .*, got 'layer.den"),
+        (
+            {'free': ('layer.density',)},
+            "free must be some of engine.frequency, .*, got 'layer",
+        ),
         ({'heights': 'any'}, "heights must be 'own', 'common' or 'absolute', got 'any'"),
         ({'reference': 'top'}, "reference must be 'face' or 'centre', got 'top'"),
     ],
@@ -293,5 +294,5 @@ def test_throw_that_does_not_fit_is_named(make_throw):
     still = replace(throw, name='still.csv', plate=replace(
         throw.plate, position=1e-5 * np.random.default_rng(1).normal(size=throw.plate.time.size)
     ))  # fmt: skip
-    with pytest.raises(FitError, match='still.csv: the plate'):
+    with pytest.raises(FitError, match=r'still\.csv: the plate'):
         fit_rig([throw, still], KNOWN)

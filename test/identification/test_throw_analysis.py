@@ -135,4 +135,6 @@ def test_error_of_the_ejection_follows_from_that_of_the_wave_speed(loss_tangent)
     for name in ('time', 'speed', 'energy_transfer'):
         change = abs(getattr(higher, name).value - getattr(lower, name).value) / 2.0
         assert getattr(ejection, name).error == pytest.approx(change, rel=0.15)
-    assert ejection.peak_plate_speed.value == pytest.approx(Underdamped.of(Rig().engine).peak_velocity)
+    assert ejection.peak_plate_speed.value == pytest.approx(
+        Underdamped.of(Rig().engine).peak_velocity
+    )

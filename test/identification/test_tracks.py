@@ -76,7 +76,7 @@ def with_line(number, text):
 @pytest.mark.parametrize(
     ('lines', 'message'),
     [
-        ([], "file: is empty; a time and the height of the plate are needed"),
+        ([], 'file: is empty; a time and the height of the plate are needed'),
         (['# nothing'], 'file: is empty'),
         (with_line(5, '0.0006,x,0.01'), "file:5: plate must be a finite number, got 'x'"),
         (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),

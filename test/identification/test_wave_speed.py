@@ -72,7 +72,9 @@ def test_ringing_is_unbiased_and_knows_how_exact_it_is():
 
 def test_loss_tangent_grows_with_frequency():
     found = fit_ringing(track_of(16.8e-3, loss_time=5e-5))
-    assert found.loss_tangent_at(100.0).value == pytest.approx(2.0 * np.pi * 100.0 * 5e-5, rel=0.02)
+    assert found.loss_tangent_at(100.0).value == pytest.approx(
+        2.0 * np.pi * 100.0 * 5e-5, rel=0.02
+    )
     assert found.loss_tangent_at(50.0).error == pytest.approx(
         0.5 * found.loss_tangent_at(100.0).error
     )
@@ -113,8 +115,9 @@ def test_wave_speed_is_the_least_squares_one():
         left = (periods - 2.0 * np.array(true) * 1e-3 / speed) / errors
         return np.sum(left**2) + np.sum((thicknesses - np.array(true) * 1e-3) ** 2) / 1e-4**2
 
-    best = minimize(misfit, [7.8, *(1e3 * thicknesses)], method='Nelder-Mead',
-                    options={'xatol': 1e-9, 'fatol': 1e-10, 'maxfev': 20000, 'maxiter': 20000})  # fmt: skip
+    patience = {'xatol': 1e-9, 'fatol': 1e-10, 'maxfev': 20000, 'maxiter': 20000}
+    start = [7.8, *(1e3 * thicknesses)]
+    best = minimize(misfit, start, method='Nelder-Mead', options=patience)
     found = fit_wave_speed(
         thicknesses.tolist(),
         [Value(*pair) for pair in zip(periods, errors, strict=True)],

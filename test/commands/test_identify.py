@@ -1,0 +1,382 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `identify`."""
+
+import json
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+from soft_throw_ros.commands import identify, throw
+from soft_throw_ros.configuration import files, rig_of
+from soft_throw_ros.core.method_of_steps import follow
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.identification.problem import USUAL
+from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.cdr import JointStateEncoder
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.twin.results import State
+
+SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
+OF_SAMPLE = (SAMPLE, '--unit', 'mm', '--thickness', 12e-3)
+RIG = Rig(
+    engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
+    layer=Layer(thickness=12e-3, wave_speed=6.9),
+)
+"""What the sample says that it is of."""
+
+
+def run(capsys, *args):
+    """Run the command; return what it printed, and what it had to doubt."""
+    assert identify.main([str(arg) for arg in args]) == 0
+    return capsys.readouterr()
+
+
+def run_json(capsys, *args):
+    return json.loads(run(capsys, '--json', *args).out)
+
+
+def refused(capsys, *args):
+    """Run the command, which refuses something; return what it says."""
+    with pytest.raises(SystemExit) as end:
+        identify.main([str(arg) for arg in args])
+    assert end.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert 'Traceback' not in err
+    return err.splitlines()[-1].partition('error: ')[2]
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a file; return its path."""
+
+    def write(lines, name='tracks.csv'):
+        path = tmp_path / name
+        text = '\n'.join(lines) if isinstance(lines, list) else lines
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+def value(found, name):
+    return found['found'][name]['value'], found['found'][name]['error']
+
+
+def test_sample_is_what_it_says():
+    time, plate, projectile = np.loadtxt(SAMPLE, delimiter=',', skiprows=4).T
+    since = time - 0.0124
+    history = follow(RIG, until=since[-1])
+    for heights, exact in (
+        (plate, Underdamped.of(RIG.engine).position(since)),
+        (projectile, history.projectile_position(since)),
+    ):
+        noise = heights - 1e3 * exact
+        assert np.std(noise) == pytest.approx(0.02, rel=0.15)
+        assert np.abs(noise).max() < 0.08
+
+
+def test_sample_gives_its_rig(capsys):
+    found = run_json(capsys, *OF_SAMPLE)
+    truth = (58.0, 0.05, 1.8e-3, 6.9)
+    assert list(found['found']) == list(USUAL)
+    for name, expected in zip(USUAL, truth, strict=True):
+        best, error = value(found, name)
+        assert best == pytest.approx(expected, abs=3.5 * error)
+        assert error < 0.01 * expected
+    assert found['held'] == {'layer.thickness': 12e-3, 'layer.loss_tangent': 0.0}
+    assert found['warnings'] == []
+    assert found['fit']['names'][:4] == list(USUAL)
+    covariance = np.array(found['fit']['covariance'])
+    assert np.sqrt(covariance[3, 3]) == value(found, 'layer.wave_speed')[1]
+    assert found['throws'][0]['start_time'] == pytest.approx(0.0124, abs=5e-5)
+    ejection = found['ejection']
+    averaged = found['throws'][0]['running_averages']
+    for name in ('time', 'speed', 'peak_plate_speed', 'energy_transfer'):
+        apart = abs(averaged[name]['value'] - ejection[name]['value'])
+        assert apart < 3.0 * averaged[name]['error']
+
+
+def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
+    path = tmp_path / 'rig.yaml'
+    printed = run(capsys, *OF_SAMPLE, '--mass', 1.3e-3, '--output', path).out
+    found = run_json(capsys, *OF_SAMPLE, '--mass', 1.3e-3)
+    settings = files.read(path)
+    rig = rig_of(settings)
+    assert rig.engine.frequency == pytest.approx(value(found, 'engine.frequency')[0], rel=1e-5)
+    assert rig.layer.wave_speed == pytest.approx(value(found, 'layer.wave_speed')[0], rel=1e-4)
+    assert rig.layer.thickness == 12e-3
+    assert rig.projectile.mass == 1.3e-3
+    assert settings['layer.name'] == 'custom'
+    assert 'rate' not in path.read_text()  # what does not describe the rig stays as it was
+    for line in printed.splitlines()[:4]:  # and says how sure it is
+        assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
+    assert throw.main(['--config', str(path), '--json']) == 0
+    predicted = json.loads(capsys.readouterr().out)['models']['travelling_wave']
+    assert predicted['energy_transfer'] == pytest.approx(
+        found['ejection']['energy_transfer']['value'], rel=1e-4
+    )
+
+
+def test_settings_of_a_file_are_kept(capsys, tmp_path, write):
+    config = write(
+        'twin: {ros__parameters: {rate.state: 500.0, layer.thickness: 0.012}}', 'a.yaml'
+    )
+    output = tmp_path / 'b.yaml'
+    run(capsys, SAMPLE, '--unit', 'mm', '--config', config, '--output', output)
+    settings = files.read(output)
+    assert settings['rate.state'] == 500.0
+    assert settings['layer.thickness'] == 0.012
+    assert settings['engine.frequency'] == pytest.approx(58.0, rel=1e-2)
+
+
+def test_table_has_values_with_errors_and_both_analyses(capsys):
+    lines = run(capsys, *OF_SAMPLE).out.splitlines()
+    assert lines[0].split()[:1] == ['engine.frequency']
+    assert ' +- ' in lines[0]
+    assert lines[0].endswith(' Hz')
+    assert lines[4] == 'layer.thickness       12 mm, taken as known'
+    (alpha,) = [line for line in lines if line.startswith('energy transfer alpha')]
+    assert alpha.count('+-') == 2
+    (head,) = [line for line in lines if 'running averages' in line]
+    assert len(head) == len(alpha)
+
+
+def test_more_can_be_fitted_and_less(capsys):
+    found = run_json(
+        capsys, SAMPLE, '--unit', 'mm', '--heights', 'absolute', '--fit', 'layer.thickness',
+        '--hold', 'engine.damping_ratio', '--damping-ratio', 0.05,
+    )  # fmt: skip
+    assert set(found['found']) == {*USUAL, 'layer.thickness'} - {'engine.damping_ratio'}
+    thickness, error = value(found, 'layer.thickness')
+    assert thickness == pytest.approx(12e-3, abs=4.0 * error)
+    assert error < 2e-5
+    assert found['held']['engine.damping_ratio'] == 0.05
+
+
+def test_what_is_not_told_apart_is_said(capsys, tmp_path):
+    output = tmp_path / 'rig.yaml'
+    tracks = SAMPLE.with_name('reference_tracks.csv')
+    result = run(capsys, tracks, '--gravity', 0, '--fit', 'layer.thickness', '--output', output)
+    assert 'layer.wave_speed and layer.thickness can hardly be told apart' in result.err
+    assert 'Doubtful: layer.wave_speed and layer.thickness' in output.read_text()
+
+
+@pytest.mark.parametrize('suffix', ['.png', '.pdf'])
+def test_figure_is_drawn(capsys, tmp_path, suffix):
+    pytest.importorskip('matplotlib')
+    path = tmp_path / f'figure{suffix}'
+    run(capsys, *OF_SAMPLE, '--figure', path)
+    assert path.read_bytes()[:4] in (b'\x89PNG', b'%PDF')
+    assert path.stat().st_size > 10_000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_figure_without_matplotlib_says_what_to_install(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
+    message = refused(capsys, *OF_SAMPLE, '--figure', tmp_path / 'figure.png')
+    assert "a figure needs what pip installs with 'soft_throw_ros[plot]'" in message
+
+
+def test_plate_alone_gives_the_engine(capsys, write, tmp_path):
+    rows = [line.rpartition(',')[0] for line in SAMPLE.read_text().splitlines()[4:]]
+    path = write(rows)
+    output = tmp_path / 'rig.yaml'
+    found = run_json(
+        capsys, path, '--unit', 'mm', '--output', output, '--figure', tmp_path / 'a.svg'
+    )
+    assert list(found['found']) == list(USUAL[:3])
+    assert value(found, 'engine.frequency')[0] == pytest.approx(58.0, rel=5e-3)
+    assert found['ejection'] is None
+    assert files.read(output)['engine.frequency'] == pytest.approx(58.0, rel=5e-3)
+    assert 'layer.wave_speed cannot be found' in refused(
+        capsys, path, '--unit', 'mm', '--fit', 'layer.wave_speed'
+    )
+
+
+def ringing(thickness, seed):
+    """Lines of a free layer's ends in mm."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 0.05, 2e-4)
+    rings = np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
+    noise = rng.normal(size=(2, time.size)) * 1e-5
+    bottom, top = 0.1 + noise[0], 0.1 + thickness + 5e-4 * rings + noise[1]
+    return [
+        't;bottom;top',
+        *(
+            f'{a:.4f};{1e3 * b:.4f};{1e3 * c:.4f}'
+            for a, b, c in zip(time, bottom, top, strict=True)
+        ),
+    ]
+
+
+def test_free_layers_give_the_wave_speed(capsys, write, tmp_path):
+    thicknesses = (5.6e-3, 16.8e-3, 29.1e-3)
+    args = ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
+    for thickness in thicknesses:
+        path = write(ringing(thickness, seed=1), f'{thickness}.csv')
+        args += ['--free-layer', thickness, path]
+    found = run_json(capsys, *args, '--fit', 'layer.loss_tangent', '--figure', tmp_path / 'a.png')
+    speed, error = value(found, 'layer.wave_speed')
+    assert speed == pytest.approx(7.8, abs=4.0 * error)
+    assert error < 0.02
+    periods = [layer['period']['value'] for layer in found['layers']]
+    assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
+    assert (tmp_path / 'a.png').stat().st_size > 10_000
+    settings = files.read(tmp_path / 'rig.yaml')
+    assert settings['layer.wave_speed'] == pytest.approx(speed, rel=1e-4)
+    assert settings['layer.loss_tangent'] == pytest.approx(
+        value(found, 'layer.loss_tangent')[0], rel=1e-2
+    )
+    rows = [line.split() for line in run(capsys, *args).out.splitlines() if ' mm ' in line]
+    assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
+
+
+def test_free_layers_of_two_materials_are_doubted(capsys, write):
+    args = ['--unit', 'mm']
+    for thickness, truth in ((10e-3, 10e-3), (20e-3, 24e-3)):
+        args += ['--free-layer', thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
+    assert 'not proportional to the thicknesses' in run(capsys, *args).err
+
+
+class Bag:
+    """Writes messages JointState into a bag."""
+
+    def __init__(self, folder):
+        self.writer = BagWriter(folder, distribution='jazzy')
+
+    def add(self, topic, times, plate, projectile, names=('plate', 'projectile')):
+        channel = Channel(topic=topic, type='sensor_msgs/msg/JointState', schema='float64 x')
+        encode = JointStateEncoder('rig', names).encode
+        begin = 1_700_000_000_000_000_000
+        for time, low, high in zip(times, plate, projectile, strict=True):
+            stamp = begin + round(1e9 * time)
+            state = State(low, high, 0.0, 0.0, 0.0, 0.0)
+            self.writer.write(Message(channel, encode(stamp, state), stamp, stamp))
+        return self
+
+    def close(self):
+        self.writer.close()
+        return self.writer.folder
+
+
+def recorded(starts=(0.2, 0.8), noise=2e-5):
+    """A record of throws, after each of which all is put back."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, starts[-1] + 0.6, 5e-4)
+    history = follow(RIG, until=0.25)
+    heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
+    for start in starts:
+        since = time - start
+        thrown = (since > 0.0) & (since < 0.25)
+        heights[0, thrown] = Underdamped.of(RIG.engine).position(since[thrown])
+        heights[1, thrown] = history.projectile_position(since[thrown])
+    return time, heights + noise * rng.normal(size=heights.shape)
+
+
+def test_bag_gives_its_throws(capsys, tmp_path):
+    time, (plate, projectile) = recorded()
+    folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
+    found = run_json(capsys, folder, '--thickness', 12e-3)
+    assert [each['name'] for each in found['throws']] == ['bag, throw 1', 'bag, throw 2']
+    assert [each['start_time'] for each in found['throws']] == pytest.approx([0.2, 0.8], abs=1e-4)
+    speed, error = value(found, 'layer.wave_speed')
+    assert speed == pytest.approx(6.9, abs=4.0 * error)
+    assert error < 0.05
+    one_file = run_json(capsys, next(folder.glob('*.mcap')), '--thickness', 12e-3)
+    assert one_file['found'] == found['found']
+
+
+def test_bag_with_several_rigs_is_asked_for_one(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag')
+    bag.add('/a/joint_states', time, plate, projectile)
+    bag.add('/b/joint_states', time, 0.5 * plate, projectile, names=('plate', 'other'))
+    bag.add('/c/joint_states', time, plate, projectile, names=('arm', 'hand'))
+    folder = bag.close()
+    message = refused(capsys, folder)
+    assert message == (
+        f'{folder}: no topic of its own has positions of a joint plate; those that have: '
+        '/a/joint_states, /b/joint_states (choose with --topic)'
+    )
+    found = run_json(capsys, folder, '--topic', '/b/joint_states')
+    assert value(found, 'engine.amplitude')[0] == pytest.approx(0.9e-3, rel=0.02)
+    assert 'no topic /c/joint_states has positions' in refused(
+        capsys, folder, '--topic', '/c/joint_states'
+    )
+
+
+def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag')
+    bag.add('/twin/joint_states', time, 2.0 * plate, projectile)
+    bag.add('/twin/measured_joint_states', time, plate, projectile, names=('plate', 'other'))
+    found = run_json(capsys, bag.close())
+    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        ((), 'either FILE or --free-layer must be given, and not both'),
+        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'either FILE or --free-layer'),
+        (('none.csv',), 'none.csv: No such file or directory'),
+        ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
+        ((SAMPLE, '--unit', 'inch'), "argument --unit: invalid choice: 'inch'"),
+        ((SAMPLE, '--noise', '0'), 'argument --noise: must be finite and positive, got 0'),
+        ((SAMPLE, '--fit', 'layer.density'), "argument --fit: invalid choice: 'layer.density'"),
+        (
+            (SAMPLE, '--fit', 'layer.thickness', '--hold', 'layer.thickness'),
+            'argument --hold: layer.thickness cannot be both fitted and held',
+        ),
+        (
+            (SAMPLE, '--thickness', '7'),
+            'argument --thickness: layer.thickness must be a number from 0.0005 to 0.1 m, got 7.0',
+        ),
+        (('--free-layer', 'x', SAMPLE), 'argument --free-layer: M must be a number from 0.0005'),
+        (
+            ('--free-layer', '0.01', SAMPLE, '--thickness-error', '-1'),
+            'argument --thickness-error: must be finite and not negative, got -1',
+        ),
+        (
+            ('--free-layer', '0.01', SAMPLE),
+            f"{SAMPLE}:4: no column is named 'bottom', got t [s], plate [mm], projectile [mm]",
+        ),
+        (
+            (*OF_SAMPLE, '--from', '0.025'),
+            'synthetic_throw.csv: the plate does not move as a damped step: the best of 0.0011 m',
+        ),
+        ((*OF_SAMPLE, '--from', '1'), 'synthetic_throw.csv: only 0 samples from 1 s to inf s'),
+        ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: there is no folder none'),
+        (
+            (*OF_SAMPLE, '--figure', 'figure.gif'),
+            "argument --figure: must end on .png, .pdf, .svg, got 'figure.gif'",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_in_one_line(capsys, args, message):
+    assert refused(capsys, *args).startswith(message)
+
+
+def test_wrong_unit_without_a_header_is_noticed(capsys, write):
+    rows = [line for line in SAMPLE.read_text().splitlines() if line[0].isdigit()]
+    message = refused(capsys, write(rows), '--hold', 'layer.wave_speed')
+    assert message.startswith('found, but not for the twin: engine.amplitude must be a number')
+    assert message.endswith('is the unit of heights right (--unit)?')
+
+
+def test_file_that_is_no_text_is_refused(capsys, write):
+    path = write(b'\xff\xfe\x00\x01')
+    assert refused(capsys, path) == f'{path}: is no UTF-8 text'
+
+
+def test_folder_that_is_no_bag_is_refused(capsys, tmp_path):
+    assert str(tmp_path) in refused(capsys, tmp_path)
+
+
+def test_output_that_cannot_be_written_is_one_line(capsys, tmp_path):
+    (tmp_path / 'rig.yaml').mkdir()
+    message = refused(capsys, *OF_SAMPLE, '--output', tmp_path / 'rig.yaml')
+    assert message == f'{tmp_path}/rig.yaml: Is a directory'
