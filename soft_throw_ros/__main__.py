@@ -13,8 +13,9 @@ import sys
 # Name: module with a main(args), and what it is for. The only such list: setup.py reads it too,
 # so nothing may be imported here but the standard library.
 EXECUTABLES = {
-    'design': ('soft_throw_ros.commands.design', 'landscapes, the best layer, a height to reach'),
+    'design': ('soft_throw_ros.commands.design', 'landscapes over any two parameters'),
     'figures': ('soft_throw_ros.commands.figures', "draw the paper's figures"),
+    'identify': ('soft_throw_ros.commands.identify', 'a rig from tracks of its throws'),
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'look at a bag, or at a stream, in Rerun'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
     'recover': ('soft_throw_ros.commands.recover', 'repair a bag that a crash has cut off'),

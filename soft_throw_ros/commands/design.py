@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design a throw: landscapes of what could be, the layer to take, and how to hit a height."""
+"""Design a throw: landscapes of what could be."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import sys
 # that is asked for is imported, for they are slow to load.
 TASKS = {
     'map': ('soft_throw_ros.commands.design_map', 'map ejection time and energy over two axes'),
-    'recommend': ('soft_throw_ros.commands.design_recommend', 'recommend a layer for a rig'),
-    'aim': ('soft_throw_ros.commands.design_aim', 'reach a height or a speed'),
 }
 
 
