@@ -30,7 +30,7 @@ INSEPARABLE = 0.99
 
 _LAGS = 10  # of the residual's autocorrelation that are looked at together
 _DOUBT = 1e-4  # probability below which chance is no explanation
-_SPREAD_OF_NOISE = 4.0  # variance of an estimated noise over that of a mean square of residuals
+_SPREAD = 3.0  # variance of chi squared if the noise was estimated, over that if it was known
 
 
 class FitError(ValueError):
@@ -189,7 +189,7 @@ class Fit:
         """Compute the probability of so large a chi squared; estimated noise has errors too."""
         if all(residual.track.known_noise for residual in self.residuals):
             return float(stats.chi2.sf(self.chi2, self.dof))
-        spread = math.sqrt(2.0 * (1.0 + _SPREAD_OF_NOISE) / self.dof)
+        spread = math.sqrt(_SPREAD * 2.0 / self.dof)
         return float(stats.norm.sf((self.reduced_chi2 - 1.0) / spread))
 
 
