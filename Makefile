@@ -3,6 +3,7 @@
 #   make                  install
 #   make twin             run the twin;         ARGS='-p layer.thickness:=0.02' follow --ros-args
 #   make throw            predict one throw;    ARGS='--json' and the like
+#   make identify         find out what rig it is; ARGS='my_throw.csv --output my_rig.yaml'
 #   make demo             run the twin in slow motion, record it, and show it in Rerun
 #   make inspect          show a bag in Rerun;  ARGS='BAG'
 #   make test             check everything, on Jazzy and Kilted
@@ -35,7 +36,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw demo inspect lint test test-jazzy test-kilted bench figures clean
+.PHONY: install twin throw identify demo inspect lint test test-jazzy test-kilted bench figures clean
 
 install: $(INSTALLED)
 
@@ -44,6 +45,9 @@ twin: $(INSTALLED) $(KERNELS)
 
 throw: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw throw $(ARGS)
+
+identify: $(INSTALLED) $(KERNELS)
+	$(BIN)/soft-throw identify $(ARGS)
 
 # Ctrl-C reaches both; the shell waits until the bag is finished.
 demo: $(SHOWABLE) $(KERNELS)

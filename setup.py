@@ -39,6 +39,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(map(str, Path('config').glob('*.yaml')))),
+        (f'share/{NAME}/urdf', ['urdf/soft_throw.urdf']),
     ],
     entry_points={'console_scripts': scripts},
     python_requires='>=3.10',
@@ -76,6 +77,7 @@ setup(
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
             'types-tqdm',
+            'urdf-parser-py',
             'xarray',
         ],
     },

@@ -208,6 +208,8 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
     assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
     assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
     assert {path.name: path.read_bytes() for path in (share / 'config').iterdir()} == CONFIG
+    model = 'urdf/soft_throw.urdf'
+    assert (share / model).read_bytes() == (ROOT / model).read_bytes()
 
 
 def test_colcon_build_finds_config(colcon_prefix, tmp_path):
