@@ -18,9 +18,12 @@ from typing import Any, get_args
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import Source
+from soft_throw_ros.commands.identify_watch import watch
 from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
 from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.design.sweep import whole_file
 from soft_throw_ros.identification.fit import Fit, FitError, Value
+from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.problem import (
     ENGINE,
     Heights,
@@ -30,7 +33,7 @@ from soft_throw_ros.identification.problem import (
 )
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.throw_analysis import analyse_throw, Ejection, ejection_of
-from soft_throw_ros.identification.tracks import UNITS
+from soft_throw_ros.identification.tracks import ThrowTracks, UNITS
 from soft_throw_ros.identification.wave_speed import (
     change_of_length,
     fit_ringing,
@@ -43,11 +46,17 @@ _FIGURES = ('.png', '.pdf', '.svg')
 _SHOWN = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
 """Units that tables have in another size."""
 
+_LAST = 10
+"""Throws that are fitted at once while a bag is watched: those before may be of an older layer."""
+
 _DOUBT = 1e-4
 """Probability below which chance is no explanation."""
 
 _MOST_COLUMNS = 4
 """Throws that have a column of their own."""
+
+_MOST_ROWS = 6
+"""Tracks that have a row of their own if there are more throws than that."""
 
 _EJECTION = (
     ('time', 'ejection time t_e', 's'),
@@ -65,7 +74,7 @@ class Report:
     Parameters
     ----------
     sources : tuple of str
-        The files it was found in.
+        The throws, or files, it was found in.
     found : mapping of str to Value
         Parameters of the twin.
     held : mapping of str to float
@@ -112,14 +121,15 @@ def main(args: list[str] | None = None) -> int:
     try:
         settings = read_settings(arguments)
         _check(arguments)
+        if arguments.watch:
+            _watch(arguments, settings)
+            return 0
         report = (
             _identify_layers(arguments, settings)
             if arguments.free_layer
-            else _identify_throws(arguments, settings)
+            else _identify_throws(_read_throws(arguments), arguments, settings)
         )
-        identified = with_found(settings, report)
-        if arguments.output:
-            _write(identified, report, arguments.output)
+        _keep(report, arguments, settings)
     except ValueError as error:  # what is refused, and what tracks do not give
         parser.error(str(error))
     print(_json(report) if arguments.json else table(report), end='')
@@ -128,11 +138,33 @@ def main(args: list[str] | None = None) -> int:
     return 0
 
 
+def _watch(arguments: argparse.Namespace, settings: Settings) -> None:
+    """Say in a line what is found after every throw."""
+
+    def refresh(throws: Sequence[ThrowTracks]) -> None:
+        report = _identify_throws(throws, arguments, settings)
+        _keep(report, arguments, settings)
+        print(_json(report, indent=None) if arguments.json else _line(report), end='', flush=True)
+        for warning in report.warnings:
+            print(f'identify: {warning}', file=sys.stderr)
+
+    last = arguments.last or _LAST
+    watch(arguments.watch, _source(arguments), refresh, last=last)
+
+
+def _keep(report: Report, arguments: argparse.Namespace, settings: Settings) -> None:
+    """Write the parameter file, if one is asked for; refuse in any case what is none."""
+    identified = with_found(settings, report)
+    if arguments.output:
+        _write(identified, report, arguments.output)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__.strip().partition('\n')[0],
         usage='%(prog)s [-h] FILE ... [--fit NAME] [--hold NAME] [--output FILE] [--figure FILE] '
         '[--json] [--config FILE] [--thickness M ...]\n'
+        '       %(prog)s [-h] --watch BAG ...\n'
         '       %(prog)s [-h] --free-layer M FILE [--free-layer M FILE ...] ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile (of bottom and top, if it is a free layer) in the next ones; a first line '
@@ -141,6 +173,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         'files', metavar='FILE', nargs='*', help='tracks of throws: CSV files, or bags'
+    )
+    parser.add_argument(
+        '--watch',
+        metavar='BAG',
+        help='identify again after every throw in a bag that is being recorded, until it is '
+        'complete or Ctrl-C is pressed',
+    )
+    parser.add_argument(
+        '--last',
+        metavar='NUMBER',
+        type=int,
+        help=f'fit the last throws only (default: all, and {_LAST} with --watch)',
     )
     parser.add_argument(
         '--free-layer',
@@ -208,8 +252,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse before the work what would be no use after it."""
-    if bool(arguments.files) == bool(arguments.free_layer):
-        raise ValueError('either FILE or --free-layer must be given, and not both')
+    if sum(map(bool, (arguments.files, arguments.watch, arguments.free_layer))) != 1:
+        raise ValueError('one of FILE, --watch and --free-layer must be given, and no two')
+    if arguments.last is not None and arguments.last < 1:
+        raise ValueError(f'argument --last: must be at least 1, got {arguments.last}')
     if arguments.noise is not None and not 0.0 < arguments.noise < math.inf:
         raise ValueError(f'argument --noise: must be finite and positive, got {arguments.noise:g}')
     if not 0.0 <= arguments.thickness_error < math.inf:
@@ -240,9 +286,27 @@ def _source(arguments: argparse.Namespace) -> Source:
     )
 
 
-def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> Report:
+def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
+    """Read all throws, but for those of a record of several that are none."""
     source = _source(arguments)
-    throws = [throw for path in arguments.files for throw in source.throws(path)]
+    throws: list[ThrowTracks] = []
+    for path in arguments.files:
+        found = source.throws(path)
+        good = []
+        for throw in found if len(found) > 1 else ():
+            try:
+                fit_plate(throw.plate)
+            except FitError as error:
+                print(f'identify: {throw.name} is left out: {error}', file=sys.stderr)
+            else:
+                good.append(throw)
+        throws += good or found
+    return throws[-arguments.last :] if arguments.last else throws
+
+
+def _identify_throws(
+    throws: Sequence[ThrowTracks], arguments: argparse.Namespace, settings: Settings
+) -> Report:
     has_projectile = any(throw.projectile is not None for throw in throws)
     usual = USUAL if has_projectile else ENGINE
     free = {*usual, *arguments.fit} - set(arguments.hold)
@@ -258,22 +322,23 @@ def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> Repor
             'ejection time and energy transfer jump there'
         )
     averaged: dict[int, Ejection] = {}
+    refused: list[str] = []
     for number, throw in enumerate(found.throws):
         if throw.projectile is not None:
             try:
                 averaged[number] = analyse_throw(throw, gravity=rig.gravity)
             except FitError as error:
-                warnings.append(f'no running averages: {error}')
+                refused.append(str(error))
     relevant = PARAMETERS if has_projectile else ENGINE
     values = {name: found.fit[name] for name in relevant if name in found.fit}
     if arguments.figure:
         summary = [_shown(name, value) for name, value in values.items()]
         _draw(arguments.figure, identify_figure.draw_throws, found, ejection, summary)
     return Report(
-        sources=tuple(arguments.files),
+        sources=tuple(throw.name for throw in found.throws),
         found=values,
         held={name: _held(settings, name) for name in relevant if name not in values},
-        lines=(*_throw_lines(found), *_ejection_lines(ejection, averaged)),
+        lines=(*_throw_lines(found), *_ejection_lines(ejection, averaged, refused)),
         data={
             'fit': _fit_data(found.fit),
             'throws': [
@@ -398,11 +463,15 @@ def _write(settings: Settings, report: Report, path: Path) -> None:
         for entry in TWIN.entries
         if entry.name in settings and (entry.is_of_rig or settings[entry.name] != entry.default)
     }
-    title = [f'Identified from {", ".join(Path(source).name for source in report.sources)}:']
+    names = [Path(source).name for source in report.sources]
+    if len(names) > _MOST_COLUMNS:
+        names = [names[0], '...', names[-1]]
+    title = [f'Identified from {", ".join(names)}:']
     title += [f'{name} {_scaled(value, _unit(name))}' for name, value in report.found.items()]
     title += [f'Doubtful: {warning}' for warning in report.warnings]
     try:
-        files.write(path, kept, title='\n'.join(title))
+        with whole_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
+            files.write(unfinished, kept, title='\n'.join(title))
     except OSError as error:
         raise ValueError(f'{path}: {error.strerror}') from None
 
@@ -430,6 +499,15 @@ def table(report: Report) -> str:
     return '\n'.join([*lines, '', *report.lines]) + '\n'
 
 
+def _line(report: Report) -> str:
+    """Write the most important of a report in a line."""
+    values = [_shown(name, value) for name, value in report.found.items()]
+    if report.data['ejection']:
+        alpha = Value(**report.data['ejection']['energy_transfer'])
+        values.append(f'alpha {alpha}')
+    return f'{report.sources[-1]}: {", ".join(values)}\n'
+
+
 def _throw_lines(found: RigFit) -> Iterator[str]:
     fit = found.fit
     yield (
@@ -437,12 +515,17 @@ def _throw_lines(found: RigFit) -> Iterator[str]:
         f'({fit.reduced_chi2:.3f} each)'
     )
     yield f'{"":24} {"samples":>8} {"noise":>10} {"residual":>10} {"neighbours":>11}'
-    for residual in fit.residuals:
+    shown = fit.residuals
+    if len(found.throws) > _MOST_COLUMNS:
+        shown = tuple(sorted(shown, key=lambda residual: residual.reduced_chi2)[-_MOST_ROWS:])
+    for residual in shown:
         track = residual.track
         yield (
             f'{_short(residual.name):24} {track.time.size:8} {1e6 * track.noise:7.3g} um '
             f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
         )
+    if len(shown) < len(fit.residuals):
+        yield f'and {len(fit.residuals) - len(shown)} tracks that are fitted better'
 
 
 def _short(name: str) -> str:
@@ -450,7 +533,9 @@ def _short(name: str) -> str:
     return name if len(name) <= 24 else f'...{name[-21:]}'
 
 
-def _ejection_lines(ejection: Ejection | None, averaged: Mapping[int, Ejection]) -> Iterator[str]:
+def _ejection_lines(
+    ejection: Ejection | None, averaged: Mapping[int, Ejection], refused: Sequence[str]
+) -> Iterator[str]:
     if ejection is None:
         return
     columns = {'model': ejection}
@@ -464,6 +549,9 @@ def _ejection_lines(ejection: Ejection | None, averaged: Mapping[int, Ejection])
     for key, label, unit in _EJECTION:
         cells = (_scaled(getattr(each, key), unit) for each in columns.values())
         yield f'{label:22}' + ''.join(f'{cell:>26}' for cell in cells)
+    if refused:
+        more = f'; nor of {len(refused) - 1} more throws' if len(refused) > 1 else ''
+        yield f'no running averages: {refused[0]}{more}'
 
 
 def _unit(name: str) -> str:
@@ -486,7 +574,7 @@ def _shown(name: str, value: Value) -> str:
     return f'{name.rpartition(".")[2].replace("_", " ")} {_scaled(value, _unit(name))}'
 
 
-def _json(report: Report) -> str:
+def _json(report: Report, *, indent: int | None = 2) -> str:
     data = {
         'sources': report.sources,
         'found': {
@@ -496,7 +584,7 @@ def _json(report: Report) -> str:
         **report.data,
         'warnings': report.warnings,
     }
-    return json.dumps(_finite(data), indent=2, allow_nan=False) + '\n'
+    return json.dumps(_finite(data), indent=indent, allow_nan=False) + '\n'
 
 
 def _finite(data: Any) -> Any:

@@ -1,24 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks from files: CSV, and bags with messages JointState."""
+"""Tracks from files: CSV, and bags with messages JointState, whole or as they are written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.identification.tracks import (
     FEWEST,
+    find_throws,
     read_csv,
     ThrowTracks,
     Track,
     TrackError,
 )
+from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
+from soft_throw_ros.recording.message import Message
 
+Floats = NDArray[np.float64]
+
+_BODIES = ('plate', 'projectile')
 _TYPE = 'sensor_msgs/msg/JointState'
-_MEASURED = 'measured_joint_states'
+_BETTER = ('/measured_joint_states', '/joint_states')
+"""How topics end that are read before others: what is measured, then what the twin says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,15 +64,22 @@ class Source:
             Naming the file, and if it is text the line, if something is wrong.
 
         """
-        bodies = ('plate', 'projectile')
         is_bag = Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd'))
-        tracks = _read_bag(path, self.topic) if is_bag else self._read_csv(path, bodies)
-        whole = ThrowTracks(
-            name=Path(path).name,
-            plate=self._known(tracks['plate']),
-            projectile=self._known(tracks['projectile']) if 'projectile' in tracks else None,
+        tracks = self._read_bag(path) if is_bag else self._read_csv(path, _BODIES)
+        whole = self.throw_of(tracks, path)
+        try:
+            return whole.between(self.start, self.end).throws()
+        except TrackError as error:
+            raise TrackError(f'{whole.name}: {error}') from None
+
+    def throw_of(self, tracks: dict[str, Track], path: str) -> ThrowTracks:
+        """Put together what was read of plate and projectile."""
+        plate, projectile = (
+            self._known(tracks[body]) if body in tracks else None for body in _BODIES
         )
-        return [part for cut in [self._cut(whole)] for part in cut.throws()]
+        if plate is None:
+            raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
+        return ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
 
     def free_layer(self, path: str) -> tuple[Track, Track]:
         """
@@ -86,12 +102,6 @@ class Source:
             raise TrackError(f'{path}: {error}') from None
         return bottom, top
 
-    def _cut(self, whole: ThrowTracks) -> ThrowTracks:
-        try:
-            return whole.between(self.start, self.end)
-        except TrackError as error:
-            raise TrackError(f'{whole.name}: {error}') from None
-
     def _known(self, track: Track) -> Track:
         return track if self.noise is None else replace(track, known_noise=self.noise)
 
@@ -104,42 +114,173 @@ class Source:
         except UnicodeDecodeError:
             raise TrackError(f'{path}: is no UTF-8 text') from None
 
+    def _read_bag(self, path: str) -> dict[str, Track]:
+        record = Record(path, self.topic)
+        with BagReader(path) as reader:
+            names = {channel.topic for channel in reader.channels if channel.type == _TYPE}
+            for message in reader.messages(names):
+                record.add(message)
+        return record.tracks()
 
-def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
-    """Read plate and projectile from messages of one topic, by their stamps."""
-    from soft_throw_ros.recording.bag import BagReader
-    from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 
-    with BagReader(path) as reader:
-        found = {}
-        for name in sorted({each.topic for each in reader.channels if each.type == _TYPE}):
-            datas = [message.data for message in reader.messages(name)]
+class Record:
+    """
+    Heights of plate and projectile from messages of a bag, as far as they have come.
+
+    Parameters
+    ----------
+    path : str
+        Of the bag, for messages.
+    topic : str, optional
+        To read; otherwise one that is measured, or the twin's if none is.
+
+    """
+
+    def __init__(self, path: str, topic: str | None = None) -> None:
+        self._path = path
+        self._topic = topic
+        self._waiting: dict[str, list[bytes]] = {}
+        self._rows: dict[str, Floats] = {}
+        self._unreadable: dict[str, str] = {}
+        self._origin: int | None = None  # [ns]
+
+    def add(self, message: Message) -> None:
+        """Take a message; those of other types are passed over."""
+        if message.channel.type == _TYPE:
+            self._waiting.setdefault(message.channel.topic, []).append(message.data)
+
+    def tracks(self) -> dict[str, Track]:
+        """
+        Return the tracks, over the time since the first message of the bag.
+
+        Raises
+        ------
+        TrackError
+            If there is no plate, or several and none was asked for.
+
+        """
+        for topic, datas in self._waiting.items():
             try:
-                states = decode_joint_states(datas) if datas else None
+                rows = self._read(datas)
             except MessageError as error:
-                raise TrackError(f'{path}: {name}: {error}') from None
-            if states is not None and 'plate' in states.names and states.position.size:
-                found[name] = states
-    chosen = topic or next(
-        (name for name in found if len(found) == 1 or name.endswith(_MEASURED)), None
-    )
-    if chosen is None or chosen not in found:
+                self._unreadable[topic] = str(error)
+                continue
+            rows = np.concatenate([self._rows.get(topic, rows[:0]), rows])
+            rows = rows[np.argsort(rows[:, 0], kind='stable')]
+            self._rows[topic] = rows[np.append(True, np.diff(rows[:, 0]) > 0.0)]  # came twice
+        self._waiting.clear()
+        rows = self._rows[self._choose()]
+        tracks = {}
+        for body, heights in zip(_BODIES, rows.T[1:], strict=True):
+            seen = np.isfinite(heights)
+            if seen.sum() >= FEWEST:
+                tracks[body] = Track(time=rows[seen, 0], position=heights[seen])
+        return tracks
+
+    def forget(self, before: float) -> None:
+        """Drop what is older. [s]"""
+        self._rows = {topic: rows[rows[:, 0] >= before] for topic, rows in self._rows.items()}
+
+    def _read(self, datas: Sequence[bytes]) -> Floats:
+        """Read times and heights; some messages may be of other joints, as of the plate alone."""
+        alike: dict[int, list[bytes]] = {}
+        for data in datas:
+            alike.setdefault(len(data), []).append(data)
+        parts = []
+        for some in alike.values():
+            states = decode_joint_states(some)
+            if self._origin is None:
+                self._origin = int(states.stamps[0])
+            rows = np.full((states.stamps.size, 1 + len(_BODIES)), np.nan)
+            rows[:, 0] = 1e-9 * (states.stamps - self._origin)
+            for column, body in enumerate(_BODIES, 1):
+                if body in states.names and states.position.size:
+                    rows[:, column] = states.position[:, states.names.index(body)]
+            parts.append(rows)
+        return np.concatenate(parts)
+
+    def _choose(self) -> str:
+        """Choose the topic to read."""
+        found = [
+            topic for topic, rows in sorted(self._rows.items()) if np.isfinite(rows[:, 1]).any()
+        ]
+        best: Collection[str] = found
+        if self._topic is not None:
+            best = {self._topic}.intersection(found)
+        else:
+            for ending in _BETTER:
+                if better := [topic for topic in found if topic.endswith(ending)]:
+                    best = better
+                    break
+        if len(best) == 1:
+            return next(iter(best))
+        wrong = [reason for topic, reason in self._unreadable.items() if topic == self._topic]
+        if wrong:
+            raise TrackError(f'{self._path}: {self._topic}: {wrong[0]}')
         there = ', '.join(found) or 'none'
         raise TrackError(
-            f'{path}: no topic {chosen or "of its own"} has positions of a joint plate; '
-            f'those that have: {there}' + (' (choose with --topic)' if found else '')
+            f'{self._path}: no topic {self._topic or "of its own"} has positions of a joint '
+            f'plate; those that have: {there}' + (' (choose with --topic)' if found else '')
         )
-    states = found[chosen]
-    order = np.argsort(states.stamps, kind='stable')
-    order = order[np.append(True, np.diff(states.stamps[order]) > 0)]  # what came twice
-    time = 1e-9 * (states.stamps[order] - states.stamps[order[0]])
-    tracks: dict[str, Track] = {}
-    for body in ('plate', 'projectile'):
-        if body in states.names:
-            position = states.position[order, states.names.index(body)]
-            seen = np.isfinite(position)
-            if seen.sum() >= FEWEST:
-                tracks[body] = Track(time=time[seen], position=position[seen])
-    if 'plate' not in tracks:
-        raise TrackError(f'{path}: {chosen} has less than {FEWEST} positions of the plate')
-    return tracks
+
+
+class Growing:
+    """
+    The throws of a record that grows, each as soon as it is over.
+
+    Parameters
+    ----------
+    path : str
+        Of the bag.
+    source : Source
+        How to read it.
+
+    """
+
+    def __init__(self, path: str, source: Source) -> None:
+        self.record = Record(path, source.topic)
+        self._path = path
+        self._source = source
+        self._count = 0
+        self._end = -math.inf  # of the last throw [s]
+
+    def throws(self, *, is_complete: bool) -> list[ThrowTracks]:
+        """
+        Return throws that were not returned before.
+
+        Parameters
+        ----------
+        is_complete : bool
+            Whether nothing will come any more, so that the last one is as over as it gets.
+
+        Raises
+        ------
+        TrackError
+            If it is complete, and has no plate.
+
+        """
+        try:
+            whole = self._source.throw_of(self.record.tracks(), self._path)
+        except TrackError:
+            if is_complete:
+                raise
+            return []
+        now = whole.plate.time[-1]
+        spans = [
+            (start, end)
+            for start, end in find_throws(whole.plate)
+            if 0.5 * (start + min(end, now)) > self._end and (end <= now or is_complete)
+        ]
+        if is_complete and not spans and self._count == 0:
+            spans = [(-math.inf, math.inf)]
+        found = []
+        for start, end in spans:
+            self._count += 1
+            self._end = end
+            if self._source.start <= start and end <= self._source.end:
+                name = f'{whole.name}, throw {self._count}'
+                found.append(replace(whole.between(start, end), name=name))
+        if spans:  # the rest before the last throw shows where the plate comes back to
+            start, end = spans[-1]
+            self.record.forget(start - (end - start))
+        return found

@@ -30,6 +30,7 @@ INSEPARABLE = 0.99
 
 _LAGS = 10  # of the residual's autocorrelation that are looked at together
 _DOUBT = 1e-4  # probability below which chance is no explanation
+_SLIGHT = 0.5  # of the noise, below which it does not matter what residuals look like
 _SPREAD = 3.0  # variance of chi squared if the noise was estimated, over that if it was known
 
 
@@ -82,6 +83,11 @@ class Residual:
     def rms(self) -> float:
         """Root of their mean square. [m]"""
         return float(np.sqrt(np.mean(self.values**2)))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Mean of their squares over that of the noise. [-]"""
+        return (self.rms / self.track.noise) ** 2
 
     @property
     def autocorrelation(self) -> float:
@@ -156,11 +162,17 @@ class Fit:
         return self.covariance / np.outer(errors, errors)
 
     def inseparable(self) -> Iterator[tuple[str, str, float]]:
-        """Yield pairs of parameters that the tracks do not tell apart, and their correlation."""
+        """
+        Yield pairs of parameters that the tracks do not tell apart, and their correlation.
+
+        Of what belongs to a single one of several throws, named with its number in brackets,
+        nobody asks.
+        """
         correlation = self.correlation
-        for (i, first), (j, second) in combinations(enumerate(self.names), 2):
+        asked = [place for place, name in enumerate(self.names) if not name.endswith(']')]
+        for i, j in combinations(asked, 2):
             if abs(correlation[i, j]) > INSEPARABLE:
-                yield first, second, float(correlation[i, j])
+                yield self.names[i], self.names[j], float(correlation[i, j])
 
     def warnings(self) -> list[str]:
         """Say what there is to doubt, each in a sentence."""
@@ -177,12 +189,18 @@ class Fit:
                 f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
                 'leaves out something that these tracks show, and the errors do not tell how much'
             )
-        found += [
-            f'the residuals of {residual.name} are no white noise (correlation of neighbours '
-            f'{residual.autocorrelation:.2f}): the errors are too small'
+        coloured = [
+            residual
             for residual in self.residuals
-            if residual.whiteness < _DOUBT
+            if residual.whiteness < _DOUBT and residual.rms > _SLIGHT * residual.track.noise
         ]
+        if coloured:
+            worst = max(coloured, key=lambda residual: residual.autocorrelation)
+            more = f' and of {len(coloured) - 1} more tracks' if len(coloured) > 1 else ''
+            found.append(
+                f'the residuals of {worst.name}{more} are no white noise (correlation of '
+                f'neighbours {worst.autocorrelation:.2f}): the errors are too small'
+            )
         return found
 
     def _misfit_probability(self) -> float:

@@ -44,6 +44,8 @@ from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks
 
 Floats = NDArray[np.float64]
 
+_LEAST_NOISE = 0.1  # of the largest, and ...
+_LEFT_OUT = 5e-6  # of the way a projectile goes
 _IN_FLIGHT = 0.97  # of the time until the landing is looked at
 _ROUNDS = 4  # of finding out when that is
 
@@ -146,6 +148,7 @@ def fit_rig(
         raise ValueError(f"reference must be 'face' or 'centre', got {reference!r}")
     if not throws:
         raise FitError('there is no throw to fit to')
+    throws = _with_like_noise(throws)
     in_order = tuple(name for name in PARAMETERS if name in free)
     layer = tuple(name for name in LAYER if name in free)
     if layer and all(throw.projectile is None for throw in throws):
@@ -156,6 +159,28 @@ def fit_rig(
     if layer:
         problem = replace(problem, rig=find_layer(problem, plates, layer))
     return _until_landing(problem, plates)
+
+
+def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
+    """
+    Let no noise that is estimated be far below the others, or below what models leave out.
+
+    Both bodies are seen by the same means; where an estimate is very small it is the motion that
+    is smooth, as that of a computed projectile in flight, and the fit would see nothing else.
+    """
+    tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
+    least = max(
+        _LEAST_NOISE * max(track.noise for track in tracks),
+        _LEFT_OUT * max(float(np.ptp(track.position)) for track in tracks),
+    )
+    return [
+        replace(
+            throw,
+            plate=replace(throw.plate, least_noise=least),
+            projectile=throw.projectile and replace(throw.projectile, least_noise=least),
+        )
+        for throw in throws
+    ]
 
 
 def _fit_plate(throw: ThrowTracks, heights: Heights) -> PlateFit:

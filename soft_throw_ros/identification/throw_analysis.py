@@ -27,6 +27,7 @@ from soft_throw_ros.identification.tracks import ThrowTracks, Track
 Floats = NDArray[np.float64]
 
 _WINDOW = 1.0 / 16.0  # of the running average, in plate periods
+_RATE = 20  # samples per plate period at least
 _PEAK = 0.1  # plate periods beside its fastest moment that are fitted by a parabola
 _FULL = 0.97  # of the largest speed, at which the projectile leaves about now
 _APPROACH = (
@@ -111,9 +112,9 @@ def analyse_throw(
     plate = plate or fit_plate(tracks.plate)
     period = 1.0 / plate.motion.frequency
     width = max(3, 2 * round(0.5 * _WINDOW * period / tracks.plate.interval) + 1)
-    if width * tracks.plate.interval > 0.25 * period:
+    if tracks.plate.interval * _RATE > period:
         raise FitError(
-            f'{tracks.name}: running averages need at least 12 samples per plate period '
+            f'{tracks.name}: running averages need at least {_RATE} samples per plate period '
             f'({period:.3g} s), got one every {tracks.plate.interval:.3g} s'
         )
     try:

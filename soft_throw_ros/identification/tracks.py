@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 import re
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import welch
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
@@ -32,7 +33,9 @@ NAMES = {
 _TIME = ('t', 'time')
 _MISSING = ('', 'nan')
 _SWINGS = 6.0  # plate periods that are kept of a throw among others
+_SEEN = 2.0  # plate periods of the last one of several throws that must be seen
 _QUIET = 0.25  # plate periods that it rests between two throws at least
+_SEGMENT = 2**15  # samples whose spectra are averaged
 _DIFFERENCES = 4  # order of the differences that noise is taken from
 
 
@@ -53,6 +56,8 @@ class Track:
         Upwards, from any zero. [m]
     known_noise : float, optional
         Standard deviation of the positions; estimated from them if not given. [m]
+    least_noise : float
+        What an estimate is at least. [m]
 
     Attributes
     ----------
@@ -71,6 +76,7 @@ class Track:
     time: Floats
     position: Floats
     known_noise: float | None = None
+    least_noise: float = 0.0
     noise: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -90,7 +96,7 @@ class Track:
         object.__setattr__(self, 'time', time)
         object.__setattr__(self, 'position', position)
         if self.known_noise is None:
-            noise = noise_of(position)
+            noise = max(noise_of(position), self.least_noise)
         else:
             noise = checks.positive('known_noise', self.known_noise)
         object.__setattr__(self, 'noise', noise)
@@ -122,11 +128,7 @@ class Track:
                 f'{FEWEST} are needed; the track goes from {self.time[0]:g} s '
                 f'to {self.time[-1]:g} s'
             )
-        return Track(
-            time=self.time[inside],
-            position=self.position[inside],
-            known_noise=self.known_noise,
-        )
+        return replace(self, time=self.time[inside], position=self.position[inside])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,8 +176,9 @@ class ThrowTracks:
         -----
         A throw begins where the plate leaves its lowest place of rest. If it comes back there,
         what is kept is `_QUIET` periods before and at most `_SWINGS` periods after that, so that
-        the plate must not be put back earlier. A record in which the plate rests there only
-        once, or never, is one throw and stays whole.
+        the plate must not be put back earlier. If there are several, the last one is left out if
+        the record ends `_SEEN` periods after its start or sooner. A record in which the plate
+        rests there only once, or never, is one throw and stays whole.
 
         """
         spans = find_throws(self.plate)
@@ -237,6 +240,8 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     returns = [float(time[begin]) for begin in begins]
     if len(starts) < 2 and not any(back > start for start in starts for back in returns):
         return []
+    if len(starts) > 1 and time[-1] < starts[-1] + _SEEN * period:
+        starts.pop()
     limits = [*starts[1:], math.inf]
     return [
         (start - _QUIET * period, min(start + _SWINGS * period, limit - _QUIET * period))
@@ -246,11 +251,11 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
 
 def _dominant_period(plate: Track) -> float:
     """Find the period of the strongest swing of the plate's velocity."""
-    count = int(2 ** math.floor(math.log2(max(plate.duration / plate.interval, 16.0))))
-    even = np.linspace(plate.time[0], plate.time[-1], min(count, 2**18))
-    velocity = np.diff(np.interp(even, plate.time, plate.position))
-    spectrum = np.abs(np.fft.rfft(velocity - velocity.mean()))
-    return (velocity.size * float(even[1] - even[0])) / max(1, int(np.argmax(spectrum)))
+    count = max(16, round(plate.duration / plate.interval) + 1)
+    even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
+    velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
+    frequency, power = welch(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
+    return 1.0 / float(frequency[max(1, int(np.argmax(power)))])
 
 
 def read_csv(

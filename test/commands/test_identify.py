@@ -3,11 +3,14 @@
 
 import json
 from pathlib import Path
+import signal
+import subprocess
 import sys
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands import identify, throw
+from rosbags.typesys import get_typestore, Stores
+from soft_throw_ros.commands import identify, identify_watch, throw
 from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
@@ -18,6 +21,8 @@ from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.twin.results import State
 
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+MEASURED = '/twin/measured_joint_states'
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 OF_SAMPLE = (SAMPLE, '--unit', 'mm', '--thickness', 12e-3)
 RIG = Rig(
@@ -257,6 +262,26 @@ class Bag:
             self.writer.write(Message(channel, encode(stamp, state), stamp, stamp))
         return self
 
+    def add_measured(self, times, plate, projectile):
+        """Write what a camera may publish: positions, and what is not seen is not there."""
+        channel = Channel(topic=MEASURED, type='sensor_msgs/msg/JointState', schema='float64 x')
+        for time, low, high in zip(times, plate, projectile, strict=True):
+            stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
+            heights = {'plate': low} if np.isnan(high) else {'projectile': high, 'plate': low}
+            state = TYPES.types['sensor_msgs/msg/JointState'](
+                header=TYPES.types['std_msgs/msg/Header'](
+                    stamp=TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp, 10**9)),
+                    frame_id='camera',
+                ),
+                name=list(heights),
+                position=np.array(list(heights.values())),
+                velocity=np.zeros(0),
+                effort=np.zeros(0),
+            )
+            data = bytes(TYPES.serialize_cdr(state, state.__msgtype__))
+            self.writer.write(Message(channel, data, stamp, stamp))
+        return self
+
     def close(self):
         self.writer.close()
         return self.writer.folder
@@ -308,6 +333,71 @@ def test_bag_with_several_rigs_is_asked_for_one(capsys, tmp_path):
     )
 
 
+def test_bag_of_an_exact_twin_gives_its_rig(capsys, tmp_path):
+    # Without noise, and with few samples per period, in which the flight is the smoothest part
+    time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4, 2.0, 2.6), noise=0.0)
+    every = slice(None, None, 2)
+    folder = Bag(tmp_path / 'bag').add(
+        '/twin/joint_states', time[every], plate[every], projectile[every]
+    ).close()  # fmt: skip
+    result = run(capsys, folder, '--thickness', 12e-3)
+    assert result.err == ''
+    assert 'and 4 tracks that are fitted better' in result.out
+    assert 'no running averages: bag, throw 1: running averages need at least 20' in result.out
+    assert 'nor of 4 more throws' in result.out
+    found = run_json(capsys, folder, '--thickness', 12e-3)
+    for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
+        assert value(found, name)[0] == pytest.approx(expected, rel=1e-4)
+    last = run_json(capsys, folder, '--thickness', 12e-3, '--last', 2)
+    assert last['sources'] == ['bag, throw 4', 'bag, throw 5']
+
+
+def test_throw_of_a_bag_that_is_none_is_left_out(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
+    plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
+    plate[(time > 0.83) & (time < 1.4)] = 0.0
+    folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
+    result = run(capsys, folder, '--thickness', 12e-3, '--json')
+    assert json.loads(result.out)['sources'] == ['bag, throw 1', 'bag, throw 3']
+    assert result.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
+
+
+def test_projectile_that_is_not_seen_is_left_out(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    projectile[projectile > 0.04] = np.nan  # beyond what the camera sees
+    projectile[50:60] = np.nan
+    found = run_json(
+        capsys,
+        Bag(tmp_path / 'bag').add_measured(time, plate, projectile).close(),
+        '--thickness',
+        12e-3,
+    )
+    samples = {each['track']: each['samples'] for each in found['fit']['residuals']}
+    assert samples['projectile'] < samples['plate']
+    speed, error = value(found, 'layer.wave_speed')
+    assert speed == pytest.approx(6.9, abs=4.0 * error)
+
+
+def test_bag_is_read_in_spite_of_others_that_cannot_be(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile)
+    for names in (('arm', 'hand'), ('Arm', 'Hand')):  # of equal lengths, and not the same
+        bag.add('/arm', time, plate, projectile, names=names)
+    folder = bag.close()
+    found = run_json(capsys, folder, '--thickness', 12e-3)
+    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.01)
+    message = refused(capsys, folder, '--topic', '/arm')
+    assert message.startswith(f'{folder}: /arm: messages JointState of one topic are not all of')
+
+
+def test_bag_with_two_that_are_measured_is_asked_for_one(capsys, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag').add('/twin/joint_states', time, plate, projectile)
+    for rig in ('/a', '/b'):
+        bag.add(f'{rig}/measured_joint_states', time, plate, projectile)
+    assert 'no topic of its own has positions' in refused(capsys, bag.close())
+
+
 def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     bag = Bag(tmp_path / 'bag')
@@ -317,11 +407,129 @@ def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
     assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
+class Recorder:
+    """Writes a record into a bag, piece by piece, whenever the one who watches it waits."""
+
+    def __init__(self, folder, starts, pieces, **record):
+        self.bag = Bag(folder)
+        self.folder = folder
+        self.time, self.heights = recorded(starts=starts, **record)
+        self.pieces = iter(np.array_split(np.arange(self.time.size), pieces))
+        self.write()
+
+    def write(self):
+        part = next(self.pieces)
+        self.bag.add_measured(self.time[part], *self.heights[:, part])
+        self.bag.writer.flush()
+
+    def __call__(self, _):
+        try:
+            self.write()
+        except StopIteration:
+            self.bag.close()
+
+
+@pytest.fixture
+def recorder(tmp_path, monkeypatch):
+    """Record a bag that is watched, instead of waiting for it."""
+
+    def record(starts=(0.2, 0.8, 1.4), pieces=7, **changes):
+        recorder = Recorder(tmp_path / 'bag', starts, pieces, **changes)
+        monkeypatch.setattr(identify_watch.time, 'sleep', recorder)
+        return recorder
+
+    return record
+
+
+KNOWN = ('--thickness', 12e-3, '--noise', 2e-5)
+
+
+def test_watch_refreshes_after_every_throw(capsys, recorder, tmp_path):
+    output = tmp_path / 'rig.yaml'
+    folder = recorder().folder
+    refreshed = []
+    write = identify.files.write
+
+    def note(path, *args, **options):
+        write(path, *args, **options)
+        refreshed.append(output.exists() and files.read(output)['layer.wave_speed'])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(identify.files, 'write', note)
+        out = run(capsys, '--watch', folder, *KNOWN, '--output', output).out
+    lines = out.splitlines()
+    assert [line.partition(':')[0] for line in lines] == [f'bag, throw {n}' for n in (1, 2, 3)]
+    assert all(' +- ' in line and 'wave speed' in line and 'alpha' in line for line in lines)
+    # Whoever reads meanwhile finds the file before, whole
+    assert refreshed[0] is False
+    assert refreshed[1] == pytest.approx(6.9, rel=0.02)
+    found = run_json(capsys, folder, *KNOWN)
+    assert files.read(output)['layer.wave_speed'] == pytest.approx(
+        value(found, 'layer.wave_speed')[0], rel=1e-3
+    )
+    assert set(tmp_path.iterdir()) == {folder, output}
+
+
+def test_watch_fits_the_last_throws_only(capsys, recorder):
+    out = run(capsys, '--watch', recorder().folder, *KNOWN, '--last', 2, '--json').out
+    reports = [json.loads(line) for line in out.splitlines()]
+    assert [report['sources'] for report in reports] == [
+        ['bag, throw 1'],
+        ['bag, throw 1', 'bag, throw 2'],
+        ['bag, throw 2', 'bag, throw 3'],
+    ]
+    starts = [report['throws'][-1]['start_time'] for report in reports]
+    assert starts == pytest.approx([0.2, 0.8, 1.4], abs=1e-4)
+
+
+def test_watch_begins_with_what_is_there(capsys, recorder):
+    out = run(capsys, '--watch', recorder(pieces=1).folder, *KNOWN).out
+    assert [line.partition(':')[0] for line in out.splitlines()] == ['bag, throw 3']
+
+
+def test_watch_leaves_out_a_throw_that_is_none(capsys, recorder):
+    bad = recorder()
+    during = (bad.time > 0.8) & (bad.time < 1.05)
+    bad.heights[0, during] = 1.5e-3 * (bad.time[during] < 0.83)  # falls back at once
+    result = run(capsys, '--watch', bad.folder, *KNOWN)
+    assert 'identify: bag, throw 2 is left out: the plate goes down by' in result.err
+    names = [line.partition(':')[0] for line in result.out.splitlines()]
+    assert names == ['bag, throw 1', 'bag, throw 3']
+
+
+def test_watch_without_a_plate_says_so(capsys, recorder):
+    blind = recorder()
+    blind.heights[0] = np.nan
+    blind.pieces = iter([])
+    message = refused(capsys, '--watch', blind.folder, '--topic', '/none')
+    assert 'no topic /none has positions of a joint plate' in message
+
+
+def test_watch_ends_well_when_it_is_interrupted(tmp_path):
+    recorder = Recorder(tmp_path / 'bag', starts=(0.2, 0.8), pieces=1)
+    with subprocess.Popen(
+        [sys.executable, '-m', 'soft_throw_ros', 'identify', '--watch', recorder.folder],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as watching:
+        assert watching.stdout.readline().startswith('bag, throw')
+        watching.send_signal(signal.SIGINT)
+        _, err = watching.communicate()
+    recorder.bag.close()
+    assert watching.returncode == 0
+    assert 'Traceback' not in err
+    assert 'KeyboardInterrupt' not in err
+
+
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
-        ((), 'either FILE or --free-layer must be given, and not both'),
-        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'either FILE or --free-layer'),
+        ((), 'one of FILE, --watch and --free-layer must be given, and no two'),
+        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'one of FILE, --watch and --free-layer'),
+        ((SAMPLE, '--watch', 'bag'), 'one of FILE, --watch and --free-layer'),
+        (('--watch', 'none'), 'none is no bag that is written, there is no file none_0.mcap'),
+        (('--watch', 'none', '--last', '0'), 'argument --last: must be at least 1, got 0'),
         (('none.csv',), 'none.csv: No such file or directory'),
         ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
         ((SAMPLE, '--unit', 'inch'), "argument --unit: invalid choice: 'inch'"),

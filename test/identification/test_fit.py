@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Least squares, and what is said of a fit."""
 
+from dataclasses import replace
 import math
 import re
 
@@ -108,6 +109,25 @@ def test_parameters_that_do_the_same_are_named():
     assert found['growth'].error > 1.0
     # errors are true none the less
     assert found['rate'].value == pytest.approx(TRUTH[1], abs=4.0 * found['rate'].error + 0.01)
+
+
+def test_what_belongs_to_one_of_several_throws_is_not_asked_for():
+    found = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])
+    several = replace(
+        found,
+        names=('size', 'rate', 'start_time[1]', 'start_time[2]'),
+        values=np.ones(4),
+        covariance=np.full((4, 4), 0.999) + 0.001 * np.eye(4),
+    )
+    assert list(several.inseparable()) == [('size', 'rate', pytest.approx(0.999))]
+
+
+def test_colour_of_what_is_far_below_the_noise_does_not_matter():
+    data = track(noise=0.001, known=0.01, correlated=0.9)
+    found = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
+    assert found.residuals[0].whiteness < 1e-4
+    assert found.residuals[0].reduced_chi2 == pytest.approx(found.chi2 / TIME.size)
+    assert found.warnings() == []
 
 
 def test_parameter_that_does_nothing_is_not_known_at_all():

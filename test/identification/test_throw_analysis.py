@@ -72,7 +72,7 @@ def test_running_averages_say_what_is_missing(make_throw):
         analyse_throw(replace(throw, projectile=None), gravity=9.81)
     with pytest.raises(FitError, match=r'made: the projectile is seen flying at \d moments'):
         analyse_throw(throw.between(0.0, 0.025), gravity=9.81)
-    with pytest.raises(FitError, match='at least 12 samples per plate period'):
+    with pytest.raises(FitError, match='at least 20 samples per plate period'):
         analyse_throw(make_throw(Rig(), duration=0.2, rate=400.0), gravity=9.81)
 
 

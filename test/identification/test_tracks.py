@@ -137,6 +137,13 @@ def test_noise_is_told_from_the_motion_even_with_slips(rate):
     assert noise_of(np.zeros(50)) > 0.0
 
 
+def test_noise_that_is_estimated_is_as_large_as_is_asked_for():
+    smooth = Track(time=TIME, position=TIME**2, least_noise=1e-6)
+    assert smooth.noise == 1e-6
+    assert smooth.between(0.0, 0.003).noise == 1e-6
+    assert Track(time=TIME, position=TIME**2, least_noise=1e-6, known_noise=1e-7).noise == 1e-7
+
+
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
     """A plate that jumps at each start, and is put back some time later."""
     time = np.arange(begin, max(starts) + period, 1.0 / rate)
@@ -159,6 +166,20 @@ def test_record_is_cut_into_its_throws():
         assert start - 0.01 < throw.plate.time[0] < start
         assert start + 0.14 < throw.plate.time[-1] < start + 0.16  # six periods
         assert throw.projectile.time == pytest.approx(throw.plate.time)
+
+
+@pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
+def test_throw_that_has_only_begun_when_the_record_ends_is_none(seen, count):
+    starts = [0.2, 0.7, 1.3]
+    throws = record(starts=starts, period=0.5).between(0.0, starts[-1] + seen).throws()
+    assert len(throws) == count
+
+
+def test_record_of_an_hour_is_cut_too():
+    # Far more samples than swings: at 400 Hz the plate has ten in a period
+    starts = [5.0, 1800.0, 3590.0]
+    throws = record(starts=starts, rate=400.0).throws()
+    assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
 
 
 def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
