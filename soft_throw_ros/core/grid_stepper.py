@@ -49,6 +49,7 @@ from soft_throw_ros.core.moving_plate import (
     PLATE,
     plate_at,
     take_samples,
+    take_states,
     write_motion,
 )
 from soft_throw_ros.core.plate import PlateMotion
@@ -561,6 +562,13 @@ def _feed(core, path, times, values, of_positions):
     core[1].horizon = core[0].horizon
 
 
+@_jit
+def _feed_states(core, path, times, states):
+    """Take in states of the plate."""
+    take_states(core[0], path, times, states)
+    core[1].horizon = core[0].horizon
+
+
 def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     r"""
     Choose how many cells the layer takes in real time, or refuse what cannot be done.
@@ -709,6 +717,7 @@ class GridStepper(ThrowStepper):
 
     _advance = staticmethod(_advance)
     _sample = staticmethod(_sample_field)
+    _changing = ('_core', '_nodes')
 
     def __init__(
         self,
@@ -818,6 +827,9 @@ class GridStepper(ThrowStepper):
     def _take_samples(self, times: Floats, values: Floats, of_positions: bool) -> None:
         _feed(self._core, self._path, times, values, of_positions)
 
+    def _take_states(self, times: Floats, states: Floats) -> None:
+        _feed_states(self._core, self._path, times, states)
+
     def _read_field(self, strain: Floats, velocity: Floats) -> None:
         _read_field(self._core, self._nodes, self._table, strain, velocity)
 
@@ -880,3 +892,6 @@ def warm_up() -> None:
     stepper.read_field(np.empty(2), np.empty(2))
     stepper.sample_field(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
+    stepper.reset()
+    stepper.feed_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.scout().depart(stepper)

@@ -39,7 +39,7 @@ PLATE = [
     ('pieces', 'i8'),
     ('horizon', 'f8'),  # until when it is known
     ('samples', 'i8'),
-    ('recent', 'f8', (2, 5)),  # times and values fed last
+    ('recent', 'f8', (2, 5)),  # times and values fed last, or time and state in the first row
     ('origin', 'f8'),  # of the positions fed
     ('slope', 'f8'),  # at the start of the next piece
     ('curvature', 'f8'),
@@ -99,7 +99,7 @@ def write_motion(
             f'got {motion!r}; Sampled.from_velocities takes any other'
         )
     record['horizon'] = 0.0
-    return np.zeros((PIECE_ROWS, FEED_SEGMENTS))
+    return np.zeros((PIECE_ROWS, FEED_SEGMENTS + 1))  # one to coast
 
 
 def _lay_out(record: NDArray[np.void], motion: Sampled) -> Floats:
@@ -228,18 +228,11 @@ def take_samples(s: Any, path: Floats, times: Floats, values: Floats, of_positio
             piece = path[:, column]
             D = recent_times[k] - recent_times[k - 1]
             left = recent[k - 1]
-            rise = recent[k] - left
             piece[0] = recent_times[k - 1]
             if of_positions:
-                v, w = s.slope * D, slope * D
-                q, r = s.curvature * D * D, curvature * D * D
-                piece[1] = left
-                piece[2] = s.slope
-                piece[3] = 0.5 * s.curvature
-                piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
-                piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
-                piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
+                _join(piece, D, left, s.slope, s.curvature, recent[k], slope, curvature)
             else:
+                rise = recent[k] - left
                 v, w = s.slope * D, slope * D
                 c = 3.0 * rise - 2.0 * v - w
                 e = v + w - 2.0 * rise
@@ -255,6 +248,76 @@ def take_samples(s: Any, path: Floats, times: Floats, values: Floats, of_positio
             s.horizon = recent_times[k]
         begins = begins or s.samples == 5
     return begins
+
+
+@_jit
+def _join(piece, D, left, slope, curvature, right, next_slope, next_curvature):
+    """Write the quintic that goes from one state to another in the time D."""
+    rise = right - left
+    v, w = slope * D, next_slope * D
+    q, r = curvature * D * D, next_curvature * D * D
+    piece[1] = left
+    piece[2] = slope
+    piece[3] = 0.5 * curvature
+    piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
+    piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
+    piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
+
+
+@_jit
+def take_states(s: Any, path: Floats, times: Floats, states: Floats) -> bool:
+    """
+    Take in states of the plate, and tell if the first piece has become known.
+
+    Rows of `states` are position, velocity and acceleration; quintics join them.
+    """
+    begins = False
+    last = s.recent[0]
+    for n in range(times.size):
+        if s.samples > 0:
+            piece = path[:, s.pieces % path.shape[1]]
+            piece[0] = last[0]
+            _join(
+                piece,
+                times[n] - last[0],
+                last[1],
+                last[2],
+                last[3],
+                states[n, 0],
+                states[n, 1],
+                states[n, 2],
+            )
+            s.pieces += 1
+            begins = begins or s.samples == 1
+        last[0] = times[n]
+        last[1:4] = states[n]
+        s.samples += 1
+        s.horizon = times[n]
+    return begins
+
+
+@_jit
+def coast(s: Any, path: Floats) -> None:
+    """
+    Let the plate go on for ever from where it is known, with the acceleration it has there.
+
+    The piece stands where the next one that is fed will stand. At rest before anything is fed.
+    """
+    if s.samples == 0 or math.isinf(s.horizon):
+        s.horizon = math.inf
+        return
+    k = (s.pieces - 1) % path.shape[1]
+    u = s.horizon - path[0, k]
+    piece = path[:, s.pieces % path.shape[1]]
+    piece[0] = s.horizon
+    piece[1] = path[1, k] + u * (
+        path[2, k] + u * (path[3, k] + u * (path[4, k] + u * (path[5, k] + u * path[6, k])))
+    )
+    piece[2] = speed_of_piece(path, k, s.horizon)
+    piece[3] = path[3, k] + u * (3.0 * path[4, k] + u * (6.0 * path[5, k] + u * 10.0 * path[6, k]))
+    piece[4:] = 0.0
+    s.pieces += 1
+    s.horizon = math.inf
 
 
 @_jit

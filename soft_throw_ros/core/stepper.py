@@ -60,6 +60,7 @@ from soft_throw_ros.core.moving_plate import (
     plate_at,
     speed_of_piece,
     take_samples,
+    take_states,
     write_motion,
 )
 from soft_throw_ros.core.plate import PlateMotion, Sampled
@@ -999,6 +1000,15 @@ def _feed(core, path, fronts, times, values, of_positions):
 
 
 @_jit
+def _feed_states(core, path, fronts, times, states):
+    """Take in states of the plate."""
+    s = core[0]
+    if take_states(s, path, times, states):
+        _start_front(s, fronts, path, 1, 1.0)
+    core[1].horizon = s.horizon
+
+
+@_jit
 def _start_front(s, fronts, path, k, sign):
     """Send the front through the layer that piece k begins (or ends, with `sign` -1) with."""
     time = path[0, k]
@@ -1060,6 +1070,7 @@ class Stepper(ThrowStepper):
 
     _advance = staticmethod(_advance)
     _sample = staticmethod(_sample_field)
+    _changing = ('_core', '_waves', '_fronts')
 
     def __init__(
         self,
@@ -1138,6 +1149,9 @@ class Stepper(ThrowStepper):
     def _take_samples(self, times: Floats, values: Floats, of_positions: bool) -> None:
         _feed(self._core, self._path, self._fronts, times, values, of_positions)
 
+    def _take_states(self, times: Floats, states: Floats) -> None:
+        _feed_states(self._core, self._path, self._fronts, times, states)
+
     def _read_field(self, strain: Floats, velocity: Floats) -> None:
         """
         Write strain and velocity.
@@ -1196,3 +1210,6 @@ def warm_up() -> None:
     stepper.read_field(np.empty(2), np.empty(2))
     stepper.sample_field(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
+    stepper.reset()
+    stepper.feed_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.scout().depart(stepper)

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+import copy
 import math
 from typing import Any, Literal, NamedTuple
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.moving_plate import checked_samples, FEED_SEGMENTS
+from soft_throw_ros.core.moving_plate import checked_samples, coast, FEED_SEGMENTS
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -122,6 +124,8 @@ class ThrowStepper(ABC):
     _is_fed = False
     _fed = ''
     _last_fed = -math.inf
+    _path: Floats
+    """How the plate moves."""
     _core: NDArray[np.void]
     """Records, of which the second is at the present time; with the fields used below."""
     _memory: tuple[Any, ...]
@@ -132,6 +136,8 @@ class ThrowStepper(ABC):
     """Kernel that goes through times; it returns the row it came to, and what is wrong there."""
     _scratch: Any
     """What the latter needs besides."""
+    _changing: tuple[str, ...]
+    """Names of the arrays that hold what changes, without the path and the events."""
 
     def __init__(self, rig: Rig, field_points: int) -> None:
         self.rig = rig
@@ -240,19 +246,112 @@ class ThrowStepper(ABC):
         times, values = checked_samples(times, values, kind, after=self._last_fed)
         if not times.size:
             return
-        ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
-        if ahead > FEED_SEGMENTS:
-            raise FeedFullError(
-                f'samples must not be more than {FEED_SEGMENTS} ahead of advance_to, '
-                f'got {times.size} which makes {ahead}'
-            )
+        self._check_room(times.size)
         self._take_samples(times, values, positions is not None)
         self._fed = kind
         self._last_fed = float(times[-1])
 
+    def feed_states(self, times: ArrayLike, states: ArrayLike) -> None:
+        """
+        Take in states of the plate, as a filter gives them while it runs.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            As for `feed`. [s]
+        states : array_like, shape (n, 3)
+            Height, velocity and acceleration at each. [m], [m/s], [m/s2]
+
+        Raises
+        ------
+        ValueError, FeedFullError
+            As by `feed`, the two of which cannot be mixed.
+
+        Notes
+        -----
+        States are joined by quintics, sixth order in height. The plate is known up to the last
+        state, before the second one up to the first.
+
+        """
+        if not self._is_fed:
+            raise ValueError("feed_states needs a stepper made with motion 'measured'")
+        if self._fed not in ('', 'states'):
+            raise ValueError(f'{self._fed} were fed before, got states; call reset in between')
+        rows = np.ascontiguousarray(states, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != 3:
+            raise ValueError(f'states must be of shape (n, 3), got {rows.shape}')
+        times, _ = checked_samples(times, rows.sum(axis=1), 'states', after=self._last_fed)
+        if not times.size:
+            return
+        self._check_room(times.size)
+        self._take_states(times, rows)
+        self._fed = 'states'
+        self._last_fed = float(times[-1])
+
+    def _check_room(self, count: int) -> None:
+        ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + count
+        if ahead > FEED_SEGMENTS:
+            raise FeedFullError(
+                f'samples must not be more than {FEED_SEGMENTS} ahead of advance_to, '
+                f'got {count} which makes {ahead}'
+            )
+
     @abstractmethod
     def _take_samples(self, times: Floats, values: Floats, of_positions: bool) -> None:
         """Hand checked samples to the kernel."""
+
+    @abstractmethod
+    def _take_states(self, times: Floats, states: Floats) -> None:
+        """Hand checked states to the kernel."""
+
+    def scout(self) -> ThrowStepper:
+        """
+        Make a stepper that can go ahead of this one, see `depart`.
+
+        The two share what is known of the plate, and the memory for events: `events` of the scout
+        are right until this stepper goes on.
+
+        Raises
+        ------
+        ValueError
+            If this stepper was not made with the motion 'measured'.
+
+        """
+        if not self._is_fed:
+            raise ValueError("scout needs a stepper made with motion 'measured'")
+        other = copy.copy(self)
+        copies = {id(getattr(self, name)): name for name in self._changing}
+        for name in self._changing:
+            setattr(other, name, getattr(self, name).copy())
+        other._memory = tuple(
+            getattr(other, copies[id(part)]) if id(part) in copies else part
+            for part in self._memory
+        )
+        other._checked = (None, None)
+        other.state = other._core['state'][1]
+        other.state.flags.writeable = False
+        other._is_fed = False
+        return other
+
+    def depart(self, origin: ThrowStepper) -> None:
+        """
+        Take over where `origin`, of which this is a scout, is now, and go ahead from there.
+
+        From its horizon on, the plate keeps the acceleration it has there. What a wave from the
+        plate has not reached yet does not depend on that: in a layer between plate and projectile
+        the projectile is as it will be for one crossing of the wave beyond the horizon of
+        `origin`, to the order of the model. Internal loss spreads in no time: a loss tangent of
+        0.05 makes the velocity uncertain by 2e-3 of its scale at the end of that time.
+
+        Parameters
+        ----------
+        origin : ThrowStepper
+            Which has made this one.
+
+        """
+        for name in self._changing:
+            getattr(self, name)[:] = getattr(origin, name)
+        _coast(self._core, self._path)
 
     def read_field(self, strain: Floats, velocity: Floats) -> None:
         """
@@ -374,6 +473,13 @@ class ThrowStepper(ABC):
     @abstractmethod
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+
+
+@nb.njit(cache=True, nogil=True)
+def _coast(core: NDArray[np.void], path: Floats) -> None:
+    """Let the plate go on from where it is known."""
+    coast(core[0], path)
+    core[1].horizon = core[0].horizon
 
 
 def checked_count(name: str, value: Any, *, low: int, high: int) -> int:

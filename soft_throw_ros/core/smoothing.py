@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Position, velocity and acceleration from noisy samples, a little behind the last one.
+
+The filter of Savitzky and Golay [1]_, for samples at any times: through all that lie in a window a
+cubic is laid by least squares, weighted by their noise, and evaluated at three quarters of the
+window. The noise of velocities is there what it is in the middle, since near there a cubic does
+not add to that of a parabola, and they are late by a quarter of the window instead of half of it.
+
+References
+----------
+.. [1] A. Savitzky and M. J. E. Golay, "Smoothing and differentiation of data by simplified least
+   squares procedures", Anal. Chem. 36 (1964) 1627.
+
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+
+Floats = NDArray[np.float64]
+
+BEHIND, AHEAD = 0.75, 0.25
+"""Parts of the window before and after the time at which it is evaluated. [-]"""
+
+FEWEST = 4
+"""Samples that a window must have."""
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+
+
+class Smoothed(NamedTuple):
+    """
+    States by local fits.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n, 3)
+        Position [m], velocity [m/s] and acceleration [m/s2]; NaN where samples are too few, or on
+        one side only.
+    errors : ndarray, shape (n,)
+        Standard error of the velocity. [m/s]
+
+    """
+
+    states: Floats
+    errors: Floats
+
+
+def smooth(
+    at: ArrayLike,
+    times: ArrayLike,
+    positions: ArrayLike,
+    velocities: ArrayLike | None = None,
+    *,
+    window: float,
+    position_noise: float,
+    velocity_noise: float = 1.0,
+) -> Smoothed:
+    """
+    Fit a cubic around each of some times.
+
+    Parameters
+    ----------
+    at : array_like, shape (n,)
+        When, increasing. [s]
+    times : array_like, shape (m,)
+        Of the samples, increasing. [s]
+    positions : array_like, shape (m,)
+        [m]
+    velocities : array_like, shape (m,), optional
+        Measured as well; NaN where they were not. [m/s]
+    window : float
+        Length of the window. [s]
+    position_noise, velocity_noise : float
+        Standard deviations. [m], [m/s]
+
+    Returns
+    -------
+    Smoothed
+        A row for each of `at`.
+
+    Raises
+    ------
+    ValueError
+        If series do not fit together, or window or noise is not positive.
+
+    Notes
+    -----
+    Exact for cubics. The error of the velocity is of third order in the window.
+
+    Examples
+    --------
+    >>> times = [0.0, 0.1, 0.3, 0.4, 0.8, 1.0]
+    >>> fit = smooth([0.7], times, [t**3 for t in times], window=1.0, position_noise=1e-3)
+    >>> fit.states.round(9).tolist()
+    [[0.343, 1.47, 4.2]]
+
+    """
+    at = np.ascontiguousarray(at, dtype=np.float64)
+    times = np.ascontiguousarray(times, dtype=np.float64)
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
+    if velocities is None:
+        velocities = np.full(times.shape, np.nan)
+    velocities = np.ascontiguousarray(velocities, dtype=np.float64)
+    if times.ndim != 1 or times.shape != positions.shape or times.shape != velocities.shape:
+        raise ValueError(
+            'times, positions and velocities must be series of one length, '
+            f'got shapes {times.shape}, {positions.shape} and {velocities.shape}'
+        )
+    for name, series in (('at', at), ('times', times)):
+        if series.ndim != 1 or (np.diff(series) <= 0.0).any():
+            raise ValueError(f'{name} must be an increasing series, got {series}')
+    window = checks.positive('window', window)
+    noise = checks.positive('position_noise', position_noise)
+    ratio = noise / checks.positive('velocity_noise', velocity_noise)
+    states, errors = np.empty((at.size, 3)), np.empty(at.size)
+    fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors)
+    return Smoothed(states, noise * errors)
+
+
+@_jit
+def fit_cubics(
+    at: Floats,
+    times: Floats,
+    positions: Floats,
+    velocities: Floats,
+    half: float,
+    ratio: float,
+    states: Floats,
+    errors: Floats,
+) -> None:
+    """
+    Fit a cubic around each time, unchecked, with windows `half` to either side of their middle.
+
+    `ratio` is that of the noise of positions to that of velocities, and `errors` are those of the
+    velocity for unit noise of the position.
+    """
+    first = 0
+    behind, ahead = 2.0 * BEHIND, 2.0 * AHEAD
+    normal, right, unit = np.empty((4, 4)), np.empty(4), np.empty(4)
+    row = np.empty(4)
+    for n in range(at.size):
+        while first < times.size and (times[first] - at[n]) / half < -behind:
+            first += 1
+        normal[:], right[:], unit[:] = 0.0, 0.0, 0.0
+        unit[1] = 1.0
+        count, before = 0, 0
+        k = first
+        while k < times.size and (times[k] - at[n]) / half <= ahead:
+            u = (times[k] - at[n]) / half
+            row[0], row[1], row[2], row[3] = 1.0, u, u * u, u * u * u
+            _add(normal, right, row, positions[k] - positions[first])
+            if np.isfinite(velocities[k]):
+                weight = ratio / half  # a velocity changes the position by so much
+                row[0], row[1] = 0.0, weight
+                row[2], row[3] = 2.0 * u * weight, 3.0 * u * u * weight
+                _add(normal, right, row, velocities[k] * ratio)
+            count += 1
+            before += u <= 0.0
+            k += 1
+        if count < FEWEST or before in (0, count) or not _factorise(normal):
+            states[n] = np.nan
+            errors[n] = np.nan
+            continue
+        _solve(normal, right)
+        _solve(normal, unit)
+        states[n, 0] = right[0] + positions[first]
+        states[n, 1] = right[1] / half
+        states[n, 2] = 2.0 * right[2] / (half * half)
+        errors[n] = np.sqrt(unit[1]) / half
+
+
+@_jit
+def _add(normal, right, row, value):
+    """Add an equation to the normal equations."""
+    for i in range(4):
+        right[i] += row[i] * value
+        for j in range(i + 1):
+            normal[i, j] += row[i] * row[j]
+
+
+@_jit
+def _factorise(matrix):
+    """Factorise in place by Cholesky; False if the matrix is singular to working accuracy."""
+    for i in range(4):
+        largest = matrix[i, i]
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i > j:
+                matrix[i, j] = total / matrix[j, j]
+            elif total > 1e-12 * largest:
+                matrix[i, i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@_jit
+def _solve(factor, x):
+    """Solve in place by a Cholesky factor."""
+    for i in range(4):
+        for k in range(i):
+            x[i] -= factor[i, k] * x[k]
+        x[i] /= factor[i, i]
+    for i in range(3, -1, -1):
+        for k in range(i + 1, 4):
+            x[i] -= factor[k, i] * x[k]
+        x[i] /= factor[i, i]
+
+
+def warm_up() -> None:
+    """Compile or load all kernels."""
+    smooth([0.5], [0.0, 0.25, 0.5, 1.0], np.zeros(4), window=1.0, position_noise=1.0)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Local fits of cubics to noisy samples."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.signal import savgol_coeffs
+from soft_throw_ros.core.smoothing import AHEAD, BEHIND, smooth
+
+NOISE = 5e-6
+
+
+@given(
+    coefficients=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+    seed=st.integers(0, 1000),
+    has_velocities=st.booleans(),
+)
+def test_cubics_are_reproduced_at_any_times(coefficients, seed, has_velocities):
+    path = np.polynomial.Polynomial(coefficients)
+    times = np.sort(np.random.default_rng(seed).uniform(-1.0, 1.0, 20))
+    fit = smooth(
+        [0.0, 0.25],
+        times,
+        path(times),
+        path.deriv()(times) if has_velocities else None,
+        window=1.5,
+        position_noise=1.0,
+    )
+    known = np.isfinite(fit.errors)
+    for order in range(3):
+        exact = path.deriv(order)(np.array([0.0, 0.25]))[known]
+        assert fit.states[known, order] == pytest.approx(exact, rel=1e-5, abs=1e-5)
+
+
+def test_even_samples_give_the_filter_of_savitzky_and_golay():
+    spacing, count, at = 1e-4, 13, 9
+    positions = np.random.default_rng(1).standard_normal(count)
+    times = spacing * np.arange(count)
+    window = 1.0001 * spacing * (count - 1)
+    fit = smooth([times[at]], times, positions, window=window, position_noise=NOISE)
+    for order in range(3):
+        weights = savgol_coeffs(count, 3, deriv=order, delta=spacing, pos=at, use='dot')
+        assert fit.states[0, order] == pytest.approx(weights @ positions, rel=1e-9)
+        if order == 1:
+            assert fit.errors[0] == pytest.approx(NOISE * np.linalg.norm(weights), rel=1e-9)
+
+
+def test_uneven_samples_with_velocities_are_fitted_as_by_least_squares():
+    random = np.random.default_rng(2)
+    times = np.sort(random.uniform(0.0, 1.0, 15))
+    positions, velocities = random.standard_normal((2, 15))
+    velocities[::3] = math.nan
+    measured = np.isfinite(velocities)
+    fit = smooth(
+        [BEHIND],
+        times,
+        positions,
+        velocities,
+        window=1.0,
+        position_noise=0.1,
+        velocity_noise=0.4,
+    )
+    powers = np.vander(times - BEHIND, 4, increasing=True)
+    slopes = powers[measured, :3] * [1.0, 2.0, 3.0]
+    slopes = np.column_stack((np.zeros(measured.sum()), slopes))
+    rows = np.vstack((powers / 0.1, slopes / 0.4))
+    values = np.concatenate((positions / 0.1, velocities[measured] / 0.4))
+    solution = np.linalg.lstsq(rows, values)[0]
+    assert fit.states[0] == pytest.approx(solution[:3] * [1.0, 1.0, 2.0], rel=1e-8)
+    covariance = np.linalg.inv(rows.T @ rows)
+    assert fit.errors[0] == pytest.approx(math.sqrt(covariance[1, 1]), rel=1e-8)
+
+
+def test_error_of_the_velocity_is_of_third_order_in_the_window():
+    omega, errors = 2.0 * math.pi * 63.2, []
+    windows = (1e-3, 2e-3, 4e-3)
+    times = np.arange(0.0, 0.02, 2e-5)
+    for window in windows:
+        fit = smooth([0.01], times, np.cos(omega * times), window=window, position_noise=1.0)
+        errors.append(abs(fit.states[0, 1] + omega * math.sin(omega * 0.01)))
+    assert np.polyfit(np.log(windows), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.3)
+
+
+def test_noise_of_the_velocity_is_what_it_says_and_that_in_the_middle():
+    random = np.random.default_rng(3)
+    times = 2e-4 * np.arange(4000)
+    positions = NOISE * random.standard_normal(times.size)
+    at = np.arange(0.01, 0.79, 2e-3)
+    fit = smooth(at, times, positions, window=2.001e-3, position_noise=NOISE)
+    assert fit.states[:, 1].std() == pytest.approx(fit.errors.mean(), rel=0.1)
+    in_the_middle = savgol_coeffs(11, 3, deriv=1, delta=2e-4)
+    assert fit.errors.mean() == pytest.approx(NOISE * np.linalg.norm(in_the_middle), rel=0.05)
+
+
+def test_too_few_samples_or_on_one_side_only_are_unknown():
+    times = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
+    fit = smooth([0.4, 0.7, 1.7], times, np.zeros(5), window=1.0, position_noise=1.0)
+    assert np.isnan(fit.states[0]).all()  # three
+    assert fit.states[1].tolist() == [0.0] * 3
+    assert np.isnan(fit.errors[2])  # before it only
+    assert BEHIND + AHEAD == 1.0
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'complaint'),
+    [
+        ({'times': [0.0, 0.2, 0.1]}, 'times must be an increasing series, got'),
+        ({'at': [0.1, 0.1]}, 'at must be an increasing series, got'),
+        ({'positions': [0.0]}, r'got shapes \(3,\), \(1,\) and \(3,\)'),
+        ({'window': 0.0}, r'window must be finite and positive, got 0\.0'),
+        ({'position_noise': -1.0}, r'position_noise must be finite and positive, got -1\.0'),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments, complaint):
+    good = {'at': [0.1], 'times': [0.0, 0.1, 0.2], 'positions': [0.0] * 3}
+    with pytest.raises(ValueError, match=complaint):
+        smooth(**{**good, 'window': 1.0, 'position_noise': 1.0, **arguments})
