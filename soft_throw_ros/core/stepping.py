@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-import copy
 import math
 from typing import Any, Literal, NamedTuple
 
@@ -319,7 +318,8 @@ class ThrowStepper(ABC):
         """
         if not self._is_fed:
             raise ValueError("scout needs a stepper made with motion 'measured'")
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
         copies = {id(getattr(self, name)): name for name in self._changing}
         for name in self._changing:
             setattr(other, name, getattr(self, name).copy())
