@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.core import grid_stepper, spring_mass, stepper
+from soft_throw_ros.core import grid_stepper, smoothing, spring_mass, stepper
 from soft_throw_ros.core.finite_difference import first_releases
 from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
 from soft_throw_ros.core.peak import first_peaks
@@ -23,6 +23,7 @@ from soft_throw_ros.core.travelling_wave import (
     FirstRelease,
     ThrowUnresolvedError,
 )
+from soft_throw_ros.twin.measurement import Tuning
 from soft_throw_ros.twin.results import Field, Release, State, ThrowField
 
 FIELD_POINTS = 64
@@ -35,6 +36,9 @@ _SWINGS = 4
 
 _CELLS = 64  # by which finite differences predict for comparison, ...
 _STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long to follow
+
+LONGEST_WINDOW = 0.2
+"""Of the smoothing of a measured plate, in periods of it. [-]"""
 
 RETURN_TIME = 0.1
 """How long putting back takes, unless the period of the throws is too short for it. [s]"""
@@ -70,6 +74,11 @@ class Plan:
         What the layer will do in a throw.
     models : mapping of str to Release or None
         The first release by models other than the stepper's.
+    tuning : Tuning or None
+        How the plate is measured, None if it is not. Then what depends on how it will move is
+        not known beforehand: there is no `throw_field`, and there are no other models.
+    scouts : tuple of ThrowStepper
+        With a measured plate two that can go ahead of the stepper.
 
     """
 
@@ -83,8 +92,10 @@ class Plan:
     rest_field: Field
     peak_plate_speed: float
     peak_strain: float
-    throw_field: ThrowField
+    throw_field: ThrowField | None
     models: Mapping[str, Release | None]
+    tuning: Tuning | None = None
+    scouts: tuple[ThrowStepper, ...] = ()
 
     @classmethod
     def of(cls, settings: Settings) -> Plan:
@@ -98,7 +109,9 @@ class Plan:
 
         """
         rig, model = rig_of(settings), model_of(settings)
-        stepper = make_stepper(rig, model)
+        plate = Underdamped.of(rig.engine)
+        is_measured = settings['engine.motion'] == 'measured'
+        stepper = make_stepper(rig, model, 'measured' if is_measured else None)
         rest_field = Field(np.zeros(FIELD_POINTS), np.zeros(FIELD_POINTS))
         stepper.read_field(rest_field.strain, rest_field.velocity)
         return cls(
@@ -107,19 +120,31 @@ class Plan:
             stepper=stepper,
             rate=settings['rate.state'],
             field_rate=settings['rate.field'],
-            time_scale=settings['time_scale'],
+            time_scale=1.0 if is_measured else settings['time_scale'],
             rest=State._make(stepper.state.tolist()[1:]),
             rest_field=rest_field,
-            peak_plate_speed=Underdamped.of(rig.engine).peak_velocity,
-            peak_strain=_peak_strain(stepper),
-            throw_field=_throw_field(stepper),
-            models=_other_models(rig, model),
+            peak_plate_speed=plate.peak_velocity,
+            peak_strain=0.0 if is_measured else _peak_strain(stepper),
+            throw_field=None if is_measured else _throw_field(stepper),
+            models={} if is_measured else _other_models(rig, model),
+            tuning=Tuning.of(settings, plate) if is_measured else None,
+            scouts=(stepper.scout(), stepper.scout()) if is_measured else (),
         )
 
     @property
     def tick(self) -> float:
         """Time of the rig in one step. [s]"""
         return self.time_scale / self.rate
+
+    @property
+    def foresight(self) -> float:
+        """How much longer than the plate the projectile is known: as long as a wave needs. [s]"""
+        return 0.0 if self.model == 'spring_mass' else self.rig.crossing_time
+
+    @property
+    def release_foresight(self) -> float:
+        """The same of its release, which is at the plate if the layer is thrown along. [s]"""
+        return 0.0 if self.model == 'finite_difference_glued' else self.foresight
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
@@ -143,9 +168,9 @@ def model_of(settings: Settings) -> str:
     return str(settings['model'])
 
 
-def make_stepper(rig: Rig, model: str) -> ThrowStepper:
+def make_stepper(rig: Rig, model: str, motion: Literal['measured'] | None = None) -> ThrowStepper:
     """
-    Make what follows a rig in real time.
+    Make what follows a rig in real time, by the motion of its engine or a measured one.
 
     Raises
     ------
@@ -154,8 +179,8 @@ def make_stepper(rig: Rig, model: str) -> ThrowStepper:
 
     """
     if model == 'travelling_wave':
-        return Stepper(rig, field_points=FIELD_POINTS)
-    return GridStepper(rig, model=model, field_points=FIELD_POINTS)
+        return Stepper(rig, motion, field_points=FIELD_POINTS)
+    return GridStepper(rig, motion, model=model, field_points=FIELD_POINTS)
 
 
 def check(settings: Settings) -> None:
@@ -173,10 +198,24 @@ def check(settings: Settings) -> None:
         steps_per_crossing(rig)
     else:
         cells_per_layer(rig, model)
+    if settings['engine.motion'] == 'measured':
+        _check_window(settings)
+
+
+def _check_window(settings: Settings) -> None:
+    """Raise ValueError if the window is too long to see the plate start, and stop."""
+    window, frequency = settings['measured.window'], settings['engine.frequency']
+    if window * frequency > LONGEST_WINDOW:
+        raise ValueError(
+            f'measured.window must be at most {LONGEST_WINDOW:g} of the plate period, '
+            f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
+            f'got {window:g} s'
+        )
 
 
 def warm_up() -> None:
     """Compile or load the kernels of all models, so that no change of settings has to."""
+    smoothing.warm_up()
     stepper.warm_up()
     grid_stepper.warm_up()
     _other_models(Rig(), '')

@@ -89,6 +89,32 @@ class Release:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """
+    A throw by the model against what was measured, until a plate period after the release.
+
+    Parameters
+    ----------
+    samples : int
+        Of the projectile, that were compared.
+    position_rms, position_max : float
+        Of the differences of its position. [m]
+    ejection_time_error : float or None
+        How much later it passes the height of its release by the model than measured; None if it
+        was not followed long enough. [s]
+    ejection_speed_error : float or None
+        How much faster it leaves by the model. [m/s]
+
+    """
+
+    samples: int
+    position_rms: float
+    position_max: float
+    ejection_time_error: float | None = None
+    ejection_speed_error: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class ThrowResult:
     """
     What a throw gave, so far or in the end.
@@ -99,10 +125,12 @@ class ThrowResult:
         Number of the throw, from 1.
     step : int
         At which it is reported.
-    stage : {'release', 'final'}
-        After the first release, or when the throw is over.
+    stage : {'predicted', 'release', 'final'}
+        When the first release of a measured plate is known beforehand, after it, or when the
+        throw is over.
     ended_by : str
-        Why a throw is over: 'rest', 'max_events', 'period', 'duration' or 'reset'.
+        Why a throw is over: 'rest', 'max_events', 'period', 'duration' or 'reset', and with a
+        measured plate 'gap', or 'next' if it jumps again.
     rig : Rig
         What threw.
     first, last : Release or None
@@ -128,6 +156,10 @@ class ThrowResult:
         How often they met again in all.
     models : mapping of str to Release or None
         The first release as other models of the layer predict it.
+    lead : float or None
+        With a measured plate, how long before the first release it was known. [s]
+    comparison : Comparison or None
+        With what was measured of the projectile, if it was.
 
     """
 
@@ -148,6 +180,13 @@ class ThrowResult:
     recontacts: int
     landings: int
     models: Mapping[str, Release | None]
+    lead: float | None = None
+    comparison: Comparison | None = None
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the plate was known all the time."""
+        return self.ended_by != 'gap'
 
     @property
     def is_linear(self) -> bool:
@@ -156,10 +195,13 @@ class ThrowResult:
 
     def sentence(self) -> str:
         """Say it for people to read."""
+        if not self.is_valid:
+            return f'throw {self.throw} is invalid: the plate was not measured for too long'
         if self.first is None:
             return f'throw {self.throw}: the projectile has not left the layer'
+        verb = 'will leave' if self.stage == 'predicted' else 'left'
         text = (
-            f'throw {self.throw}: left after {1e3 * self.first.time:.3f} ms '
+            f'throw {self.throw}: {verb} after {1e3 * self.first.time:.3f} ms '
             f'at {self.first.speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
         )
         if self.last is not None and self.recontacts:
@@ -168,6 +210,28 @@ class ThrowResult:
             strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
             text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'
         return text
+
+
+class Prediction(NamedTuple):
+    """
+    The projectile, as far ahead as it is known.
+
+    `stamp_ns` is the time of it, `lead_ns` how far that is ahead of the step. [ns]
+    """
+
+    stamp_ns: int
+    position: float
+    velocity: float
+    force: float
+    lead_ns: int
+
+
+class Residual(NamedTuple):
+    """Positions of plate and projectile by the model less those measured, at a stamp. [m]"""
+
+    stamp_ns: int
+    plate: float
+    projectile: float
 
 
 class Outputs(NamedTuple):
@@ -192,6 +256,12 @@ class Outputs(NamedTuple):
         At `rate.field`.
     throw_field : ThrowField or None
         Once per throw.
+    prediction : Prediction or None
+        In a throw of a measured plate.
+    residual : Residual or None
+        When the projectile has been measured, too.
+    notices : tuple of str
+        What is to be said about the measurement.
 
     """
 
@@ -203,3 +273,6 @@ class Outputs(NamedTuple):
     results: tuple[ThrowResult, ...] = ()
     field: Field | None = None
     throw_field: ThrowField | None = None
+    prediction: Prediction | None = None
+    residual: Residual | None = None
+    notices: tuple[str, ...] = ()

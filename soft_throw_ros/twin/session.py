@@ -8,27 +8,36 @@ A step is a tick of `rate.state`, and steps are all the time there is: whoever d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 import math
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.flight import Flight, time_until_over
+from soft_throw_ros.twin.measurement import Departure, Nodes, Sample, Track, Watch
 from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.plan import FIELD_POINTS, Plan
+from soft_throw_ros.twin.pursuit import Pursuit
 from soft_throw_ros.twin.results import (
     Event,
     Field,
     Outputs,
     Phase,
+    Prediction,
+    Residual,
     State,
     ThrowField,
     ThrowResult,
 )
+
+BATCH_TIME = 0.1
+"""For which samples are put together in an entry of the journal. [s]"""
 
 
 class Refused(Exception):
@@ -54,6 +63,10 @@ class Session:
         Number of the next step.
     throws : int
         How many throws have started.
+    taken : int
+        How many samples of the rig were taken.
+    refused : Counter of str
+        How many were refused, by reason, see `measurement.Track`.
 
     Raises
     ------
@@ -72,6 +85,11 @@ class Session:
     Changes of the rig, of rates and of the time scale wait, and take effect together whenever
     things are put back: after a throw, at a reset, or, if the rig is at rest, before the next
     throw, which starts so much later. Every other change is effective at once.
+
+    If the plate is measured, a throw starts when that jumps up after a rest, whatever the period,
+    and is over, besides, when nothing is known of the plate for longer than a wave needs to cross
+    the layer, or when it jumps again. What was pending then takes effect with the throw. In
+    between plate and projectile are where the plate was measured last.
 
     Inputs may come from another thread than steps are asked for from. An input is taken between
     two steps, and has the number of the second one in the journal.
@@ -100,7 +118,7 @@ class Session:
         self._wanted_plan = self._plan
         self._phase = Phase.REST
         self._state = self._plan.rest
-        self._flight: Flight | None = None
+        self._flight: Flight | Pursuit | None = None
         self._start = step  # what the period and the time of a throw are counted from
         self._scheduled = math.inf
         self._asked = math.inf
@@ -110,7 +128,18 @@ class Session:
         self._phases = [Phase.REST]
         self._results: list[ThrowResult] = []
         self._throw_field: ThrowField | None = None
+        self._pace = Pace(step=step, time_ns=0, rate=self._plan.rate)
         self._pace_entry: journal.Entry | None = None
+        self.taken = 0
+        self.refused: Counter[str] = Counter()
+        self._batches: list[tuple[int, list[Sample]]] = []  # that are not in the journal yet
+        self._written = 0  # samples
+        self._track: Track | None = None  # of a measured plate
+        self._watch: Watch | None = None
+        self._departure: Departure | None = None  # which is to begin a throw
+        self._plate = _Plate()
+        self._notices: list[str] = []
+        self._attend()
         self._schedule()
         self._write(journal.start_entry(step, settings))
 
@@ -145,6 +174,8 @@ class Session:
             session._asked = session.step
             session._phase = Phase.RETURNING  # until this very step, so that nothing delays it
             session._phases.clear()
+            if session._plan.tuning is not None:
+                session._departure = journal.values_departure(entry.get('departure'))
             session._wanted = {**entry['settings'], **entry['pending']}
             if entry['pending']:
                 session._wanted_plan = Plan.of(session._wanted)
@@ -181,10 +212,12 @@ class Session:
         Raises
         ------
         Refused
-            If one is under way, saying how long that takes.
+            If one is under way, saying how long that takes, or the plate is measured.
 
         """
         with self._lock:
+            if self._track is not None:
+                raise Refused('the plate is measured: a throw starts when it jumps up')
             if self._phase is Phase.REST:
                 if self._asked < math.inf:
                     raise Refused(f'throw {self.throws + 1} is about to start')
@@ -249,6 +282,21 @@ class Session:
                 if 'throw.period' in values:
                     self._schedule()
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether samples of the rig are taken."""
+        return self._track is not None
+
+    def measure(self, samples: Sequence[Sample]) -> None:
+        """Take samples of the rig, if the plate is measured, or refuse and count them."""
+        with self._lock:
+            if self._track is None:
+                return
+            taken = self._track.take(samples, self._pace.deadline(self.step))
+            if taken:
+                self.taken += len(taken)
+                self._batches.append((self.step, taken))
+
     def take(self, entry: journal.Entry) -> None:
         """
         Take an input from a journal.
@@ -274,29 +322,74 @@ class Session:
         else:
             raise journal.JournalError(f'no input is named {entry["input"]!r}')
 
+    def follow(self, entry: journal.Entry) -> Iterator[Outputs]:
+        """
+        Take whatever an entry of a journal tells, after the steps that come before that.
+
+        Yields
+        ------
+        Outputs
+            One for each step.
+
+        Raises
+        ------
+        JournalError, Refused
+            As `take`.
+
+        """
+        if entry['kind'] == 'samples':
+            for step, samples in journal.entry_samples(entry):
+                yield from self._advance_to(step)
+                self.measure(samples)
+            return
+        yield from self._advance_to(entry['step'])
+        if entry['kind'] == 'pace':
+            self.keep_pace(journal.entry_pace(entry))
+        elif entry['kind'] == 'input':
+            self.take(entry)
+
+    def _advance_to(self, step: int) -> Iterator[Outputs]:
+        while self.step < step:
+            yield self.advance()
+
     # steps
 
     def keep_pace(self, pace: Pace) -> None:
         """
         Write down when steps are due from the next one on.
 
-        It changes nothing here. It is in the journal, and again before every throw, so that
-        whoever has some of the messages can tell by their stamps which steps they are of.
+        It matters for samples of the rig, which have stamps. It is in the journal, and again
+        before every throw, so that whoever has some of the messages can tell by their stamps
+        which steps they are of.
         """
         with self._lock:
+            self._pace = Pace(step=pace.step, time_ns=pace.time_ns, rate=pace.rate)
             self._pace_entry = journal.pace_entry(self.step, pace)
             self._write(self._pace_entry)
+
+    def close(self) -> None:
+        """Write down what is not in the journal yet, since there are no more steps."""
+        with self._lock:
+            if self._batches:
+                self._write_samples()
 
     def advance(self) -> Outputs:
         """Go one step on."""
         with self._lock:
             step = self.step
-            events: tuple[Event, ...] = ()
-            has_returned = self._phase is Phase.RETURNING and step >= self._path.end
-            if self._phase is Phase.REST or has_returned:
-                self._begin_if_due(step, has_returned=has_returned)
-            if self._flight is not None:
-                events = self._fly(step, self._flight)
+            seen = _Seen()
+            if self._track is not None and self._watch is not None:
+                seen = self._attend_to(step, self._track, self._watch)
+            else:
+                has_returned = self._phase is Phase.RETURNING and step >= self._path.end
+                if self._phase is Phase.REST or has_returned:
+                    self._begin_if_due(step, has_returned=has_returned)
+            if isinstance(self._flight, Pursuit):
+                seen = self._pursue(step, self._flight, seen.nodes)
+            elif self._flight is not None:
+                seen = _Seen(events=self._fly(step, self._flight))
+            elif self._track is not None:
+                self._state = self._plate.state(self._plan.rest)
             elif self._phase is Phase.RETURNING:
                 self._state = self._path.state(step, tick=self._plan.tick)
             else:
@@ -306,15 +399,21 @@ class Session:
                 throw=self.throws,
                 state=self._state,
                 phases=tuple(self._phases),
-                events=events,
+                events=seen.events,
                 results=tuple(self._results),
                 field=self._field(step),
                 throw_field=self._throw_field,
+                prediction=seen.prediction,
+                residual=seen.residual,
+                notices=tuple(self._notices),
             )
             self._phases.clear()
             self._results.clear()
+            self._notices.clear()
             self._throw_field = None
             self.step = step + 1
+            if self._batches and step - self._batches[0][0] >= BATCH_TIME * self._plan.rate:
+                self._write_samples()
             return outputs
 
     def _begin_if_due(self, step: int, *, has_returned: bool) -> None:
@@ -327,7 +426,7 @@ class Session:
         else:
             self._put_back(step)
 
-    def _begin_throw(self, step: int) -> None:
+    def _begin_throw(self, step: int, departure: Departure | None = None) -> None:
         self.throws += 1
         self._asked = math.inf
         self._start = step
@@ -336,9 +435,20 @@ class Session:
         if self._pace_entry is not None:
             self._write({**self._pace_entry, 'step': step})
         self._write(
-            journal.throw_entry(step, self._settings, throw=self.throws, pending=self.pending)
+            journal.throw_entry(
+                step,
+                self._settings,
+                throw=self.throws,
+                pending=self.pending,
+                departure=departure,
+            )
         )
-        self._flight = Flight(self._plan, self._plan.stepper, number=self.throws)
+        if departure is None:
+            self._flight = Flight(self._plan, self._plan.stepper, number=self.throws)
+        else:
+            self._attend(departure)
+            assert self._track is not None
+            self._flight = Pursuit(self._plan, departure, self._track, number=self.throws)
         self._enter(Phase.CONTACT)
 
     def _fly(self, step: int, flight: Flight) -> tuple[Event, ...]:
@@ -347,6 +457,13 @@ class Session:
         self._state, events = flight.advance(
             (step - self._start) * self._plan.tick, max_events=self._settings['throw.max_events']
         )
+        self._account_for(step, flight, events, had_left=had_left)
+        return events
+
+    def _account_for(
+        self, step: int, flight: Flight | Pursuit, events: Sequence[Event], *, had_left: bool
+    ) -> None:
+        """Tell what a step of a throw gave, and end it when it is over."""
         for event in events:
             self._enter(Phase.FLIGHT if event.kind == 'release' else Phase.LANDED)
         if flight.has_left and not had_left:
@@ -357,9 +474,95 @@ class Session:
             self._end_throw(step, flight, ended_by)
         else:
             self._throw_field = flight.field()
-        return events
 
-    def _end_throw(self, step: int, flight: Flight, ended_by: str) -> None:
+    # with a measured plate
+
+    def _attend(self, departure: Departure | None = None) -> None:
+        """Begin to watch for the next jump of the plate, if it is measured."""
+        tuning, track = self._plan.tuning, self._track
+        if tuning is None:
+            self._track = self._watch = None
+            return
+        if departure is not None:
+            self._plate.rest = departure.plate_rest
+            self._track = Track(
+                tuning,
+                origin_ns=departure.onset_ns,
+                samples=departure.samples,
+                refused=self.refused,
+            )
+        elif track is None or track.tuning != tuning:
+            self._track = Track(tuning, refused=self.refused)
+        assert self._track is not None
+        self._watch = Watch(self._track)
+
+    def _attend_to(self, step: int, track: Track, watch: Watch) -> _Seen:
+        """See how the plate moves, and start a throw when it jumps up."""
+        departure, self._departure = self._departure, None
+        nodes = None
+        if departure is None:
+            nodes = track.advance(self._pace.deadline(step))
+            self._plate.see(nodes)
+            departure = watch.see(nodes)
+            if departure is not None and not self._is_fast_enough(track):
+                departure = None
+        if departure is not None:
+            if self._flight is not None:
+                self._end_throw(step, self._flight, 'next')
+            if self._wanted_plan is not self._plan:
+                self._take_over(step)
+            if self._plan.tuning is None:
+                self._put_back(step)
+            else:
+                self._begin_throw(step, departure)
+                nodes = self._look_back(step)
+        elif self._phase is Phase.RETURNING and watch.is_armed:
+            self._enter(Phase.REST)
+            self._is_fast_enough(track)
+        return _Seen(nodes=nodes)
+
+    def _look_back(self, step: int) -> Nodes:
+        """Return how the plate has moved since the start of a throw."""
+        assert self._track is not None
+        assert self._watch is not None
+        nodes = self._track.advance(self._pace.deadline(step))
+        self._watch.see(nodes)
+        self._plate.see(nodes)
+        return nodes
+
+    def _is_fast_enough(self, track: Track) -> bool:
+        """Tell whether there are enough samples, and if not, say so."""
+        rate = track.rate()
+        least, reason = track.tuning.least_rate(self._plan.rig.crossing_time)
+        if rate >= least:
+            return True
+        self._notices.append(
+            f'the plate is measured at {rate:.0f} Hz, which must be at least {least:.0f} Hz, '
+            f'{reason}: no throw is followed'
+        )
+        return False
+
+    def _pursue(self, step: int, flight: Pursuit, nodes: Nodes | None) -> _Seen:
+        """Advance the throw of a measured plate that is under way."""
+        assert nodes is not None
+        had_left = flight.has_left
+        max_strain = self._settings['max_strain']
+        advanced = flight.advance(
+            nodes,
+            step=step,
+            now_ns=self._pace.deadline(step),
+            max_events=self._settings['throw.max_events'],
+            max_strain=max_strain,
+        )
+        self._state = advanced.state
+        if advanced.forecast is not None:
+            self._results.append(advanced.forecast)
+        self._account_for(step, flight, advanced.events, had_left=had_left)
+        return _Seen(
+            events=advanced.events, prediction=advanced.prediction, residual=advanced.residual
+        )
+
+    def _end_throw(self, step: int, flight: Flight | Pursuit, ended_by: str) -> None:
         flight.ended_by = ended_by
         self._results.append(flight.result('final', step, self._settings['max_strain']))
         self._throw_field = flight.field()
@@ -369,20 +572,29 @@ class Session:
     def _put_back(self, step: int) -> None:
         """Begin the way back to rest, with whatever has waited in effect."""
         if self._wanted_plan is not self._plan:
-            passed = (step - self._start) * self._plan.tick
-            self._plan = self._wanted_plan
-            self._settings = self._wanted
-            self._start = step - round(passed / self._plan.tick)
-            self._schedule()
-        ticks = self._plan.return_ticks(self._settings['throw.period'])
-        self._path = _Path(begin=step, end=step + ticks, origin=self._state, goal=self._plan.rest)
+            self._take_over(step)
+        if self._plan.tuning is None:
+            ticks = self._plan.return_ticks(self._settings['throw.period'])
+            self._path = _Path(
+                begin=step, end=step + ticks, origin=self._state, goal=self._plan.rest
+            )
+        self._attend()
         self._field_start, self._field_row = step, -1
         self._enter(Phase.RETURNING)
+
+    def _take_over(self, step: int) -> None:
+        """Put in effect what has waited."""
+        passed = (step - self._start) * self._plan.tick
+        self._plan = self._wanted_plan
+        self._settings = self._wanted
+        self._start = step - round(passed / self._plan.tick)
+        self._schedule()
 
     def _schedule(self) -> None:
         """Find when the next throw is due by the period."""
         period = self._settings['throw.period']
-        self._scheduled = self._start + self._plan.period_ticks(period) if period else math.inf
+        is_due = period and self._plan.tuning is None
+        self._scheduled = self._start + self._plan.period_ticks(period) if is_due else math.inf
 
     def _field(self, step: int) -> Field | None:
         """Return the layer, if `rate.field` has it due."""
@@ -394,7 +606,7 @@ class Session:
             return self._plan.rest_field
         field = Field(np.zeros(FIELD_POINTS), np.zeros(FIELD_POINTS))
         if self._flight is not None:
-            self._plan.stepper.read_field(field.strain, field.velocity)
+            self._flight.read_field(field)
         return field
 
     def _enter(self, phase: Phase) -> None:
@@ -402,7 +614,50 @@ class Session:
         self._phases.append(phase)
 
     def _write(self, entry: journal.Entry) -> None:
+        if self._batches:
+            self._write_samples()
         self._on_entry(journal.encode(entry))
+
+    def _write_samples(self) -> None:
+        """Write down what has been measured since the last time."""
+        entry = journal.samples_entry(self.step, self._batches, first=self._written)
+        self._written += entry['count']
+        self._batches = []
+        self._on_entry(journal.encode(entry))
+
+
+class _Seen(NamedTuple):
+    """What comes of a step besides the state."""
+
+    events: tuple[Event, ...] = ()
+    nodes: Nodes | None = None
+    prediction: Prediction | None = None
+    residual: Residual | None = None
+
+
+class _Plate:
+    """Where a measured plate was seen last, above where it was at rest."""
+
+    def __init__(self) -> None:
+        self.rest = math.nan
+        self._height = self._speed = 0.0
+
+    def see(self, nodes: Nodes) -> None:
+        """Take in how the plate moves."""
+        if nodes.times.size:
+            self._height, self._speed, _ = nodes.states[-1].tolist()
+            if math.isnan(self.rest):
+                self.rest = self._height
+
+    def state(self, rest: State) -> State:
+        """Return the state of plate and projectile, which lies still on the layer."""
+        height = 0.0 if math.isnan(self.rest) else self._height - self.rest
+        return rest._replace(
+            plate_position=rest.plate_position + height,
+            projectile_position=rest.projectile_position + height,
+            plate_velocity=self._speed,
+            projectile_velocity=self._speed,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -458,27 +713,28 @@ def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outp
 
     """
     entries = map(journal.decode, lines)
-    session = None
+    pace = None
     for entry in entries:
         if entry['kind'] == 'throw' and throw in (0, entry['throw']):
             break
         if entry['kind'] == 'start' and throw == 0:
             break
+        if entry['kind'] == 'pace':
+            pace = entry
     else:
         raise journal.JournalError(f'the journal has no start of throw {throw}')
     session = Session.from_entry(entry)
+    if pace is not None:
+        session.keep_pace(journal.entry_pace(pace))
     for entry in entries:
-        if entry['kind'] == 'start' or entry['step'] >= until:
+        if entry['kind'] == 'start' or session.step >= until:
             break
-        if entry['kind'] == 'input':
-            while session.step < entry['step']:
-                yield session.advance()
-            session.take(entry)
-    while session.step < until:
-        yield session.advance()
+        if entry['kind'] == 'samples' or entry['step'] < until:
+            yield from takewhile(lambda outputs: outputs.step < until, session.follow(entry))
+    yield from session._advance_to(until)
 
 
 def _waits(name: str) -> bool:
     """Tell whether a change of a setting waits until things are put back."""
     entry = TWIN.by_name[name]
-    return entry.is_of_rig or entry.group in ('rate', 'time_scale')
+    return entry.is_of_rig or entry.group in ('rate', 'time_scale', 'measured')
