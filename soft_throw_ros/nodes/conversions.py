@@ -20,7 +20,7 @@ from rclpy.qos import (
 )
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.twin.results import Floats, Release, ThrowResult
+from soft_throw_ros.twin.results import Comparison, Floats, Release, ThrowResult
 from std_msgs.msg import Float64MultiArray
 
 _SECOND = 1_000_000_000
@@ -129,12 +129,18 @@ def throw_result_to_msg(result: ThrowResult, *, name: str, hardware_id: str) -> 
     values.update(_release_to_values(result.last, 'last_'))
     for model, release in result.models.items():
         values.update(_release_to_values(release, f'{model}.'))
+    if result.lead is not None:
+        values['lead'] = result.lead
+    if result.comparison is not None:
+        values.update(_comparison_to_values(result.comparison))
     return status_to_msg(
         name,
         hardware_id=hardware_id,
         message=result.sentence(),
         values={**values, **rig_to_values(result.rig)},
-        level=DiagnosticStatus.OK if result.is_linear else DiagnosticStatus.WARN,
+        level=(
+            DiagnosticStatus.OK if result.is_linear and result.is_valid else DiagnosticStatus.WARN
+        ),
     )
 
 
@@ -157,11 +163,28 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
             for prefix in prefixes
             if prefix.endswith('.')
         },
+        lead=values.get('lead'),
+        comparison=_values_to_comparison(values),
     )
 
 
-_STRUCTURED = ('rig', 'first', 'last', 'models')
-"""What of a result is not one value."""
+_STRUCTURED = ('rig', 'first', 'last', 'models', 'lead', 'comparison')
+"""What of a result is not one value, or may be none."""
+
+_COMPARISON = 'residual.'
+
+
+def _comparison_to_values(comparison: Comparison) -> dict[str, float]:
+    values = dataclasses.asdict(comparison)
+    return {f'{_COMPARISON}{name}': value for name, value in values.items() if value is not None}
+
+
+def _values_to_comparison(values: Mapping[str, Any]) -> Comparison | None:
+    if f'{_COMPARISON}samples' not in values:
+        return None
+    parts = {key.removeprefix(_COMPARISON): value for key, value in values.items()}
+    names = {item.name for item in dataclasses.fields(Comparison)}
+    return Comparison(**{name: parts[name] for name in names & parts.keys()})
 
 
 def _release_to_values(release: Release | None, prefix: str = '') -> dict[str, float]:

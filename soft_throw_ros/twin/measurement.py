@@ -542,7 +542,7 @@ def find_start(samples: Sequence[Sample], onset_ns: int, plate_rest: float, tuni
     best = minimize_scalar(
         misfit, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
     )
-    return round(best.x * SECOND)
+    return round(float(best.x) * SECOND)
 
 
 def peak_speed(times: Sequence[float], speeds: Sequence[float], period: float) -> float:

@@ -28,7 +28,7 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.recording.cdr import ArrayEncoder
 from soft_throw_ros.recording.qos import from_yaml, Qos, to_yaml
-from soft_throw_ros.twin.results import Release, State, ThrowResult
+from soft_throw_ros.twin.results import Comparison, Release, State, ThrowResult
 from std_msgs.msg import Float64MultiArray
 
 STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
@@ -66,6 +66,22 @@ def test_time_comes_back(time_ns) -> None:
         RESULT,
         dataclasses.replace(RESULT, last=RESULT.first, recontacts=0, stage='release', ended_by=''),
         dataclasses.replace(RESULT, first=None, last=None, recontacts=0, models={}),
+        dataclasses.replace(
+            RESULT,
+            lead=1e-3,
+            comparison=Comparison(samples=7, position_rms=1e-5, position_max=1.0),
+        ),
+        dataclasses.replace(
+            RESULT,
+            lead=-0.1,
+            comparison=Comparison(
+                samples=70,
+                position_rms=1e-5,
+                position_max=3e-5,
+                ejection_time_error=-1e-4,
+                ejection_speed_error=0.01,
+            ),
+        ),
     ],
 )
 def test_throw_result_comes_back(result) -> None:
@@ -77,6 +93,13 @@ def test_throw_result_comes_back(result) -> None:
 def test_throw_result_warns_beyond_the_linear_range(strain, level) -> None:
     result = dataclasses.replace(RESULT, peak_strain=strain)
     assert throw_result_to_msg(result, name='', hardware_id='').level == level
+
+
+def test_throw_result_warns_when_the_plate_was_lost() -> None:
+    result = dataclasses.replace(RESULT, peak_strain=0.0, ended_by='gap')
+    message = throw_result_to_msg(result, name='', hardware_id='')
+    assert message.level == b'\x01'
+    assert 'invalid' in message.message
 
 
 def test_values_come_back() -> None:
