@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 import math
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.twin.results import Floats, State
+from soft_throw_ros.twin.results import Floats
 
 _SECOND = 1_000_000_000
 
@@ -59,18 +59,20 @@ class _Template:
 
 class JointStateEncoder:
     """
-    Write sensor_msgs/JointState of plate and projectile.
+    Write sensor_msgs/JointState of always the same joints.
 
     Parameters
     ----------
     frame : str
         `header.frame_id`.
     names : sequence of str
-        The two joints.
+        The joints.
+    series : int
+        How many of position, velocity and effort there are, in this order.
 
     """
 
-    def __init__(self, frame: str, names: Sequence[str]) -> None:
+    def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
         template = _Template()
         self._stamp = template.add('i', 0)
         template.add('I', 0)
@@ -78,20 +80,28 @@ class JointStateEncoder:
         template.add('I', len(names))
         for name in names:
             template.add_string(name)
-        self._position, self._velocity, self._effort = (
-            template.add_doubles(len(names)) for _ in range(3)
-        )
+        count = len(names)
+        begins = [template.add_doubles(count) for _ in range(series)]
+        for _ in range(series, len(_SERIES)):
+            template.add('I', 0)
+        self._parts = [
+            (begin, slice(index * count, (index + 1) * count))
+            for index, begin in enumerate(begins)
+        ]
         self._data = template.data
         self._pack_stamp = struct.Struct('<iI').pack_into
-        self._pack_pair = struct.Struct('<2d').pack_into
+        self._pack_part = struct.Struct(f'<{count}d').pack_into
 
-    def encode(self, stamp_ns: int, state: State) -> bytes:
-        """Return the message for a state at a time, as bytes to publish."""
+    def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
+        """
+        Return a message as bytes to publish.
+
+        `values` are those of one series after another, as in a `State` of plate and projectile.
+        """
         data = self._data
         self._pack_stamp(data, self._stamp, *divmod(stamp_ns, _SECOND))
-        self._pack_pair(data, self._position, state[0], state[1])
-        self._pack_pair(data, self._velocity, state[2], state[3])
-        self._pack_pair(data, self._effort, state[4], state[5])
+        for begin, part in self._parts:
+            self._pack_part(data, begin, *values[part])
         return bytes(data)
 
 
@@ -149,6 +159,94 @@ class JointStates:
     effort: Floats
 
 
+class JointValues(NamedTuple):
+    """A message sensor_msgs/JointState, its series empty where it has none."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+class JointStateReader:
+    """
+    Read messages sensor_msgs/JointState as they come, of which the last tells where things stand.
+
+    So it takes two microseconds, and more only when frame, joints or lengths change. Padding may
+    hold anything.
+    """
+
+    def __init__(self) -> None:
+        self._length = -1
+        self._fixed: list[tuple[int, int, bytes]] = []  # from, to, and what stands there
+        self._names: tuple[str, ...] = ()
+        self._stamp = 0
+        self._series: list[tuple[Callable[..., tuple[Any, ...]], int]] = []
+
+    def read(self, data: bytes) -> JointValues:
+        """
+        Read a message.
+
+        Raises
+        ------
+        MessageError
+            If it is none.
+
+        """
+        if len(data) != self._length:
+            self._learn(data)
+        for begin, end, content in self._fixed:
+            if data[begin:end] != content:
+                self._learn(data)
+                break
+        seconds, nanoseconds = _STAMP(data, self._stamp)
+        values = [unpack(data, begin) for unpack, begin in self._series]
+        return JointValues(seconds * _SECOND + nanoseconds, self._names, *values)
+
+    def _learn(self, data: bytes) -> None:
+        """Find out where things stand."""
+        self._length = -1  # in case that it is no message
+        layout = _joint_state_layout(data)
+        varying = [(layout.stamp, layout.stamp + 8), *layout.padding]
+        varying += [(begin, begin + 8 * count) for begin, count in layout.series]
+        varying.sort()
+        ends = [0, *(end for _, end in varying)]
+        begins = [*(begin for begin, _ in varying), layout.end]
+        self._fixed = [
+            (end, begin, data[end:begin])
+            for end, begin in zip(ends, begins, strict=True)
+            if end < begin
+        ]
+        self._names, self._stamp = layout.names, layout.stamp
+        self._series = [
+            (struct.Struct(f'<{count}d').unpack_from, begin) for begin, count in layout.series
+        ]
+        self._length = len(data)
+
+
+_STAMP = struct.Struct('<iI').unpack_from
+
+
+class _Layout(NamedTuple):
+    """Where things stand in a message sensor_msgs/JointState."""
+
+    stamp: int
+    names: tuple[str, ...]
+    series: list[tuple[int, int]]  # where each begins, and how many there are
+    padding: list[tuple[int, int]]
+    end: int
+
+
+def _joint_state_layout(data: bytes) -> _Layout:
+    cursor = _Cursor(data)
+    stamp = cursor.numbers('iI')
+    cursor.text()
+    names = tuple(cursor.text() for _ in range(cursor.number('I')))
+    series = [cursor.doubles() for _ in _SERIES]
+    return _Layout(stamp, names, series, cursor.padding, cursor.end())
+
+
 def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
     """
     Read messages sensor_msgs/JointState of the same joints, at least one.
@@ -160,12 +258,8 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
 
     """
     first = datas[0]
-    cursor = _Cursor(first)
-    stamp = cursor.numbers('iI')
-    cursor.text()
-    names = tuple(cursor.text() for _ in range(cursor.number('I')))
-    begins, counts = zip(*(cursor.doubles() for _ in range(3)), strict=True)
-    cursor.end()
+    stamp, names, series, _, _ = _joint_state_layout(first)
+    begins, counts = zip(*series, strict=True)
     fields: list[tuple[str, Any, int]] = [('sec', '<i4', stamp), ('nanosec', '<u4', stamp + 4)]
     fields += [
         (name, ('<f8', (count,)), begin)
@@ -276,11 +370,14 @@ class _Cursor:
             raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
         self._data = data
         self._at = len(_HEADER)
+        self.padding: list[tuple[int, int]] = []
 
     def numbers(self, codes: str) -> int:
         """Pass numbers of one size, and return where they begin."""
         size = struct.calcsize(codes[0])
         begin = self._at + -(self._at - len(_HEADER)) % size
+        if begin > self._at:
+            self.padding.append((self._at, begin))
         self._pass(begin + size * len(codes))
         return begin
 
@@ -308,10 +405,11 @@ class _Cursor:
         self._pass(begin + 8 * count)
         return begin, count
 
-    def end(self) -> None:
-        """See that nothing follows but padding."""
+    def end(self) -> int:
+        """See that nothing follows but padding, and return where that begins."""
         if len(self._data) - self._at > 7:  # some leave as much behind
             raise MessageError(f'{len(self._data) - self._at} bytes follow the message')
+        return self._at
 
     def _pass(self, end: int) -> None:
         if end > len(self._data):

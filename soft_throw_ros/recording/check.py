@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from itertools import chain, islice, pairwise
 import math
 import struct
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ from soft_throw_ros.recording.resimulation import (
 )
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.plan import FIELD_POINTS, THROW_FIELD_ROWS
-from soft_throw_ros.twin.results import Floats, Outputs, Phase, State
+from soft_throw_ros.twin.results import Floats, Outputs, Phase, Prediction, Residual, State
 
 TOLERANCE = 1e-12
 """Relative to the scale of a quantity: what another machine may have otherwise. [-]"""
@@ -86,11 +86,16 @@ class _Side(NamedTuple):
     type : str
         Of its messages.
     dimensions : dict of str to int
-        Of arrays; empty for texts.
+        Of arrays; empty for others.
     history : int
         How many messages a late subscriber gets.
     of : callable
-        Returns what a step gives for it.
+        Returns what a step gives for it; of states seconds and nanoseconds of the stamp, and then
+        the values, one series after another.
+    joints : tuple of str
+        Of states; empty for others.
+    series : int
+        How many of position, velocity and effort they have.
 
     """
 
@@ -99,6 +104,46 @@ class _Side(NamedTuple):
     dimensions: dict[str, int]
     history: int
     of: Callable[[Outputs], Sequence[Payload]]
+    joints: tuple[str, ...] = ()
+    series: int = 0
+
+    def read(self, message: Message) -> Payload | None:
+        """Read a message, None if it is none of this topic."""
+        if self.type == _TEXT:
+            return _text(message)
+        try:
+            if self.joints:
+                return self._read_joints(message.data)
+            labels, values = decode_array(message.data)
+        except MessageError:
+            return None
+        shape = dict(zip(labels, values.shape, strict=True))
+        return values if shape == self.dimensions else None
+
+    def _read_joints(self, data: bytes) -> Payload | None:
+        states = decode_joint_states([data])
+        series = (states.position, states.velocity, states.effort)
+        count = len(self.joints)
+        sizes = [count] * self.series + [0] * (len(series) - self.series)
+        if states.names != self.joints or [values.shape[1] for values in series] != sizes:
+            return None
+        return np.concatenate(
+            [divmod(int(states.stamps[0]), _SECOND), *(row[0] for row in series)]
+        )
+
+    def encoder(self, frame: str) -> Callable[[Any], bytes]:
+        """Make what writes its messages."""
+        if self.type == _TEXT:
+            return _encode_text
+        if not self.joints:
+            return ArrayEncoder(self.dimensions).encode
+        encode = JointStateEncoder(frame, self.joints, series=self.series).encode
+
+        def encode_joints(payload: Floats) -> bytes:
+            seconds, nanoseconds, *values = payload.tolist()
+            return encode(int(seconds) * _SECOND + int(nanoseconds), values)
+
+        return encode_joints
 
 
 _SIDES = (
@@ -124,7 +169,30 @@ _SIDES = (
         lambda outputs: () if outputs.throw_field is None else (outputs.throw_field.strain,),
     ),
     _Side('phase', _TEXT, {}, 10, lambda outputs: [phase.value for phase in outputs.phases]),
+    _Side(
+        'predicted_joint_states',
+        _JOINT_STATE,
+        {},
+        0,
+        lambda outputs: [_stamped(outputs.prediction, 3)] if outputs.prediction else (),
+        ('projectile',),
+        3,
+    ),
+    _Side(
+        'residual',
+        _JOINT_STATE,
+        {},
+        0,
+        lambda outputs: [_stamped(outputs.residual, 2)] if outputs.residual else (),
+        JOINTS,
+        1,
+    ),
 )
+
+
+def _stamped(values: Prediction | Residual, count: int) -> Floats:
+    """Return a stamp, split, and so many values after it."""
+    return np.array([*divmod(values.stamp_ns, _SECOND), *values[1 : 1 + count]], np.float64)
 
 
 @dataclass(kw_only=True)
@@ -427,7 +495,8 @@ class _TwinCheck:
         self._is_bouncing = (
             self._is_bouncing or any(event.kind == 'landing' for event in outputs.events)
         ) and not {Phase.REST, Phase.CONTACT}.intersection(outputs.phases)
-        if outputs.phases or outputs.field is not None or outputs.throw_field is not None:
+        others = (outputs.field, outputs.throw_field, outputs.prediction, outputs.residual)
+        if outputs.phases or any(other is not None for other in others):
             for follower in self._followers.values():
                 follower.expect(step, self._measure)
 
@@ -571,7 +640,7 @@ class _Follower:
             self._skipped = max(self._skipped - 1, 0)
             self.tally.unchecked += 1
             return
-        recorded = self._read(message)
+        recorded = self.side.read(message)
         if recorded is None:
             self._differ(f'a message after step {now.number} is not read as {self.side.type}')
             return
@@ -653,16 +722,6 @@ class _Follower:
             f'in the bag it is {float(recorded.reshape(-1)[index])!r}'
         )
 
-    def _read(self, message: Message) -> Payload | None:
-        if not self.side.dimensions:
-            return _text(message)
-        try:
-            labels, values = decode_array(message.data)
-        except MessageError:
-            return None
-        shape = dict(zip(labels, values.shape, strict=True))
-        return values if shape == self.side.dimensions else None
-
     def _differ(self, sentence: str) -> None:
         self.difference = self.difference or sentence
         self.tally.different += 1
@@ -683,25 +742,23 @@ class _Copy:
             channels.setdefault(channel.topic, channel)
         self._journal = channels[f'{node}/{_JOURNAL}']
         self._states = channels[f'{node}/{_STATES}']
+        frame = _frame(reader, self._states)
         self._sides = [
-            (side, channels[f'{node}/{side.name}'], ArrayEncoder(side.dimensions).encode)
+            (side, channels[f'{node}/{side.name}'], side.encoder(frame))
             for side in _SIDES
             if f'{node}/{side.name}' in channels
         ]
         self._counts: dict[Channel, int] = {}
-        self._encode_state = JointStateEncoder(_frame(reader, self._states), JOINTS).encode
+        self._encode_state = JointStateEncoder(frame, JOINTS).encode
 
     def write(self, step: Step) -> None:
         """Write what a step gives, and what stands in the journal before it."""
         for line in step.lines:
             self._write(step, self._journal, _encode_text(_present(line)))
         self._write(step, self._states, self._encode_state(step.due_ns, step.outputs.state))
-        for side, channel, encode_array in self._sides:
+        for side, channel, encode in self._sides:
             for payload in side.of(step.outputs):
-                encoded = (
-                    _encode_text(payload) if isinstance(payload, str) else encode_array(payload)
-                )
-                self._write(step, channel, encoded)
+                self._write(step, channel, encode(payload))
 
     def _write(self, step: Step, channel: Channel, data: bytes) -> None:
         count = self._counts[channel] = self._counts.get(channel, 0) + 1

@@ -48,7 +48,7 @@ class Stretch:
     end : int or None
         The step that the next stretch of the same session begins with; None if there is none.
     inputs : list of mapping
-        Entries of the inputs.
+        Entries of the inputs, of samples, and of the pace after the first.
     paces : list of (int, Pace)
         When steps are due, each from a step on.
     lines : list of (int, str)
@@ -108,6 +108,7 @@ class _StretchReader:
     def __init__(self) -> None:
         self._open: Stretch | None = None
         self._held: tuple[Entry, str] | None = None  # a pace, which may go with a throw
+        self._sampled: int | None = None  # how many samples have been told of
 
     def take(self, line: str) -> Iterator[Stretch]:
         """Take the next line, and yield the stretch that it completes."""
@@ -128,11 +129,16 @@ class _StretchReader:
             if self._open is not None and (self._open.paces or self._open.gap):
                 yield self._open
             self._open = Stretch(run=run, first=entry, lines=[(entry['step'], line)])
+            self._sampled = 0
         elif entry['kind'] == 'pace':
             self._held = entry, line
         elif self._open is not None:
             self._add(entry, line)
             self._open.inputs.append(entry)
+            if entry['kind'] == 'samples':
+                if self._sampled not in (None, entry['first']):
+                    self._open.lack(f'samples are missing before step {entry["step"]}')
+                self._sampled = entry['first'] + entry['count']
 
     def end(self) -> Iterator[Stretch]:
         """Yield the last stretch."""
@@ -157,6 +163,7 @@ class _StretchReader:
                 before.lack(_missing(before, entry, pace))
             else:
                 run = before.run + 1
+                self._sampled = None
                 before.lack(f'the start of a session is missing after throw {before.throw}')
             yield before
         elif pace is None:
@@ -173,6 +180,7 @@ class _StretchReader:
             entry, line = self._held
             self._add(entry, line)
             self._open.paces.append((entry['step'], journal.entry_pace(entry)))
+            self._open.inputs.append(entry)
         self._held = None
 
     def _add(self, entry: Entry, line: str) -> None:
@@ -214,6 +222,10 @@ def _decode(line: str) -> dict[str, Any]:
         is_near = max(abs(pace.step), abs(pace.time_ns)) <= _FARTHEST
         if not (is_near and _RATES[0] <= pace.rate <= _RATES[1]):
             raise JournalError(f'no twin has such a pace: {line!r}')
+    elif kind == 'samples':
+        journal.entry_samples(entry)
+        if type(entry.get('first')) is not int:
+            raise JournalError(f'samples have a number, got {entry.get("first")!r}')
     elif kind != 'input' or entry.get('input') not in _INPUTS:
         raise JournalError(f'no entry is of kind {kind!r}, {entry.get("input")!r}')
     elif entry['input'] == 'parameters':
@@ -517,17 +529,20 @@ class Resimulation:
         if session is None:
             session = Session.from_entry(stretch.first, on_entry=self._own.append)
             self._session = session
+            if stretch.throw:  # which has its pace before it
+                session.keep_pace(stretch.paces[0][1])
         for entry in stretch.inputs:
-            while session.step < entry['step']:
-                yield session.advance()
-            session.take(entry)
+            yield from session.follow(entry)
         end = stretch.end
         while session.step < end if end is not None else self._goal[0] == stretch.run:
+            if end is None and session.is_measured and session.step >= stretch.last_step:
+                return  # samples may have been taken since, of which nothing is told yet
             yield session.advance()
 
     def _has_begun(self, stretch: Stretch) -> bool:
         """Tell whether the session has just begun what a stretch begins with."""
-        entries = [journal.decode(line) for line in self._own]
+        told = [journal.decode(line) for line in self._own]
+        entries = [entry for entry in told if entry['kind'] not in ('samples', 'pace')]
         keys = ('kind', 'step', 'throw', 'settings', 'pending')
         return [[entry.get(key) for key in keys] for entry in entries] == [
             [stretch.first[key] for key in keys]

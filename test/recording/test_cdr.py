@@ -19,12 +19,14 @@ from soft_throw_ros.recording.cdr import (
     decode_array,
     decode_joint_states,
     JointStateEncoder,
+    JointStateReader,
     MessageError,
 )
 from soft_throw_ros.twin.results import State
 
 STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
 STAMP = 1_700_000_000_123_456_789
+READER = JointStateReader()
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -121,6 +123,53 @@ def test_joint_states_of_others_come_back(names, lengths) -> None:
         np.testing.assert_array_equal(series, [expected, expected])
 
 
+def test_joint_states_with_fewer_series_are_canonical(typestore) -> None:
+    types = typestore.types
+    message = types['sensor_msgs/msg/JointState'](
+        header=types['std_msgs/msg/Header'](
+            stamp=types['builtin_interfaces/msg/Time'](sec=STAMP // 10**9, nanosec=STAMP % 10**9),
+            frame_id='rig',
+        ),
+        name=['plate', 'projectile'],
+        position=np.array([1.0, 2.0]),
+        velocity=np.zeros(0),
+        effort=np.zeros(0),
+    )
+    canonical = bytes(typestore.serialize_cdr(message, 'sensor_msgs/msg/JointState'))
+    encoder = JointStateEncoder('rig', ('plate', 'projectile'), series=1)
+    assert encoder.encode(STAMP, (1.0, 2.0)) == canonical
+
+
+@pytest.mark.parametrize('lengths', [(0, 0, 0), (3, 0, 3), (0, 1, 0), (2, 3, 4)])
+def test_joint_states_are_read_as_they_come(lengths) -> None:
+    reader = JointStateReader()
+    for names in ((), ('a',), ('abc', 'defg', 'h'), ('abc', 'defg', 'h'), ('abd', 'defg', 'h')):
+        for stamp in (STAMP, STAMP + 1):
+            read = reader.read(joint_state(stamp, names, lengths))
+            assert read[:2] == (stamp, names)
+            for index, series in enumerate(read[2:]):
+                assert series == tuple(10.0 * index + n for n in range(lengths[index]))
+
+
+def test_padding_of_joint_states_may_hold_anything() -> None:
+    message = joint_state(names=('a', 'bc'), lengths=(2, 0, 0))
+    reader = JointStateReader()
+    expected = reader.read(message)
+    padded = message.replace(b'a\x00\x00\x00', b'a\x00\x55\xaa')
+    assert padded != message
+    reader._learn = None  # type: ignore[assignment]  # nothing new is to be learned
+    assert reader.read(padded) == expected
+
+
+def test_message_after_a_damaged_one_is_read() -> None:
+    reader = JointStateReader()
+    with pytest.raises(MessageError, match='should be at least'):
+        reader.read(joint_state()[:-9])
+    with pytest.raises(MessageError, match='not little-endian'):
+        reader.read(b'\x00\x00\x00\x00')
+    assert reader.read(joint_state()).names == ('plate', 'projectile')
+
+
 @pytest.mark.parametrize(
     ('other', 'words'),
     [
@@ -164,6 +213,7 @@ def test_damaged_messages_are_refused_or_read(data) -> None:
     damaged = bytes(message[: data.draw(st.integers(0, len(message)))])
     for read in (
         lambda: decode_joint_states([damaged]),
+        lambda: READER.read(damaged),
         lambda: decode_array(damaged),
         lambda: decode('sensor_msgs/msg/JointState', definition, damaged),
     ):
