@@ -111,9 +111,8 @@ def test_check_value_refuses_what_is_no_thickness(value: Any) -> None:
         ('xyz', 1, "no parameter is named 'xyz'"),
         ('layer.youngs_modulus', 6e4, "no parameter is named 'layer.youngs_modulus'; the modulus "
                                       'is density times wave speed squared: set layer.wave_speed'),
-        ('engine.motion', 'measured', "engine.motion must be one of 'underdamped', 'harmonic', "
-                                      "got 'measured'; 'measured' needs plate measurements as "
-                                      'input, which this version does not take'),
+        ('engine.motion', 'sampled', "engine.motion must be one of 'underdamped', 'harmonic', "
+                                     "'measured', got 'sampled'"),
         ('layer.loss_tangent', -0.02, 'layer.loss_tangent must be a number from 0 to 2, '
                                       'got -0.02'),
         ('model', 'magic', "model must be one of 'travelling_wave', 'finite_difference', "

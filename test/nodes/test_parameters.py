@@ -67,7 +67,7 @@ def test_descriptor_tells_tools_type_range_and_unit(ros: Any, twin: Twin) -> Non
     (limits,) = client.describe('throw.period').floating_point_range
     assert limits.from_value == 0.0
     motion = client.describe('engine.motion')
-    assert motion.additional_constraints == "one of 'underdamped', 'harmonic'"
+    assert motion.additional_constraints == "one of 'underdamped', 'harmonic', 'measured'"
 
 
 def test_set_is_accepted_and_handed_on(ros: Any, twin: Twin) -> None:
@@ -113,7 +113,7 @@ def test_bad_value_is_refused_with_our_words(ros: Any, twin: Twin, value: Any) -
     ('request_', 'reason'),
     [
         ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
-        ({'engine__motion': 'measured'}, "'measured' needs plate measurements"),
+        ({'engine__motion': 'sampled'}, "'measured', got 'sampled'"),
         ({'layer__loss_tangent': -0.02}, 'must be a number from 0 to 2, got -0.02'),
         ({'model': 'magic'}, "model must be one of 'travelling_wave', "),
         ({'throw__max_events': 2.0}, 'must be a whole number from 1 to 1000, got 2.0'),
@@ -247,7 +247,7 @@ def test_start_takes_overrides_of_a_launching_program(ros: Any) -> None:
         ('layer.thickness:=[1, 2]', 'got '),
         ('layer.thicknes:=0.01', 'did you mean layer.thickness'),
         ('recommended.thickness:=0.01', 'is a result'),
-        ('engine.motion:=measured', "'measured' needs"),
+        ('engine.motion:=sampled', "got 'sampled'"),
     ],
 )
 def test_bad_argument_is_one_line(start: Any, rule: str, message: str) -> None:

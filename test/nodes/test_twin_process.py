@@ -103,7 +103,7 @@ BAD_FILE = """/**:
         (['-p', 'layer.thickness:=-1.0'], ['-p layer.thickness:=-1.0', 'got -1.0']),
         (['-p', 'layer.thickness:=.nan'], ['got nan']),
         (['-p', 'layer.thicknes:=0.01'], ['did you mean layer.thickness']),
-        (['-p', 'engine.motion:=measured'], ["got 'measured'"]),
+        (['-p', 'engine.motion:=sampled'], ["got 'sampled'"]),
         (['-p', 'layer.thickness:=5e-4', '-p', 'layer.wave_speed:=200.0'], ['steps per second']),
         (['-p', 'foo'], ['-p foo']),
         (['--params-file', '{file}'], ['bad.yaml:4', 'got 16.8']),
