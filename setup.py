@@ -59,11 +59,14 @@ setup(
         'dask': ['distributed'],
         'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
         'plot': ['matplotlib'],
+        'video': ['av', 'imageio', 'scikit-image>=0.20'],
         'xarray': ['xarray'],
         'test': [
+            'av',
             'colcon-common-extensions',
             'distributed',
             'hypothesis',
+            'imageio',
             'import-linter>=2.1',
             'mpmath',
             'netCDF4',
@@ -74,6 +77,7 @@ setup(
             'pytest-timeout',
             'pytest-xdist',
             'rosbags',
+            'scikit-image>=0.20',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
             'types-PyYAML',
             'types-tqdm',

@@ -18,6 +18,13 @@ from typing import Any, get_args
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import Source
+from soft_throw_ros.commands.identify_video import (
+    add_video_options,
+    check_video_options,
+    is_video,
+    read_layer,
+    read_throw,
+)
 from soft_throw_ros.commands.identify_watch import watch
 from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
 from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
@@ -164,6 +171,7 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__.strip().partition('\n')[0],
         usage='%(prog)s [-h] FILE ... [--fit NAME] [--hold NAME] [--output FILE] [--figure FILE] '
         '[--json] [--config FILE] [--thickness M ...]\n'
+        '       %(prog)s [-h] --video FILE --rate HZ --scale M PIXELS ...\n'
         '       %(prog)s [-h] --watch BAG ...\n'
         '       %(prog)s [-h] --free-layer M FILE [--free-layer M FILE ...] ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
@@ -192,8 +200,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs=2,
         action='append',
         default=[],
-        help='thickness of a layer that rings freely, and a CSV file with tracks of its ends; '
-        'once for each layer',
+        help='thickness of a layer that rings freely, and a CSV file with tracks of its ends, '
+        'or a video; once for each layer',
     )
     parser.add_argument(
         '--thickness-error',
@@ -246,14 +254,18 @@ def _parser() -> argparse.ArgumentParser:
         '--figure', metavar='FILE', type=Path, help='picture of data, fit and residuals to draw'
     )
     parser.add_argument('--json', action='store_true', help='print one object: SI units')
+    add_video_options(parser)
     add_rig_options(parser)
     return parser
 
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse before the work what would be no use after it."""
-    if sum(map(bool, (arguments.files, arguments.watch, arguments.free_layer))) != 1:
-        raise ValueError('one of FILE, --watch and --free-layer must be given, and no two')
+    kinds = (arguments.files or arguments.video, arguments.watch, arguments.free_layer)
+    if sum(map(bool, kinds)) != 1:
+        raise ValueError(
+            'either FILE or --video, or --watch, or --free-layer must be given, and no two'
+        )
     if arguments.last is not None and arguments.last < 1:
         raise ValueError(f'argument --last: must be at least 1, got {arguments.last}')
     if arguments.noise is not None and not 0.0 < arguments.noise < math.inf:
@@ -266,14 +278,17 @@ def _check(arguments: argparse.Namespace) -> None:
     both = sorted(set(arguments.fit) & set(arguments.hold))
     if both:
         raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    for name in ('output', 'figure'):
+    check_video_options(arguments)
+    for name in ('output', 'figure', 'tracks', 'space_time'):
         path = getattr(arguments, name)
         if path is not None and not path.parent.is_dir():
-            raise ValueError(f'argument --{name}: there is no folder {path.parent}')
-    if arguments.figure and arguments.figure.suffix not in _FIGURES:
-        raise ValueError(
-            f'argument --figure: must end on {", ".join(_FIGURES)}, got {str(arguments.figure)!r}'
-        )
+            option = name.replace('_', '-')
+            raise ValueError(f'argument --{option}: there is no folder {path.parent}')
+    for option, path in (('figure', arguments.figure), ('space-time', arguments.space_time)):
+        if path is not None and path.suffix not in _FIGURES:
+            raise ValueError(
+                f'argument --{option}: must end on {", ".join(_FIGURES)}, got {str(path)!r}'
+            )
 
 
 def _source(arguments: argparse.Namespace) -> Source:
@@ -290,8 +305,11 @@ def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
     """Read all throws, but for those of a record of several that are none."""
     source = _source(arguments)
     throws: list[ThrowTracks] = []
-    for path in arguments.files:
-        found = source.throws(path)
+    read = [
+        *(source.throws(path) for path in arguments.files),
+        *(source.cut(read_throw(path, arguments), path) for path in arguments.video),
+    ]
+    for found in read:
         good = []
         for throw in found if len(found) > 1 else ():
             try:
@@ -361,11 +379,19 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Repor
     warnings: list[str] = []
     for text, path in arguments.free_layer:
         thickness = _thickness(text)
+        line = None
+        if is_video(path):
+            read, line = read_layer(path, arguments)
+            ends = source.cut_layer(read, path)
+        else:
+            ends = source.free_layer(path)
         try:
-            ringing = fit_ringing(change_of_length(*source.free_layer(path)))
+            ringing = fit_ringing(change_of_length(*ends))
         except FitError as error:
             raise FitError(f'{path}: {error}') from None
         layers.append((thickness, ringing))
+        if arguments.space_time:
+            _draw(arguments.space_time, identify_figure.draw_space_time, line, ends, ringing)
         warnings += [f'{path}: {warning}' for warning in ringing.fit.warnings()]
     speed = fit_wave_speed(
         [thickness for thickness, _ in layers],

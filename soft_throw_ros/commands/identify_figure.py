@@ -10,9 +10,11 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.design.sweep import whole_file
-from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.fit import FitError, Value
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.space_time import SpaceTime
 from soft_throw_ros.identification.throw_analysis import Ejection
+from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.identification.wave_speed import Ringing, WaveSpeed
 
 if TYPE_CHECKING:
@@ -101,7 +103,7 @@ def draw_throws(
         xlabel='time since the plate began to move (ms)'
         + (', dotted: the projectile leaves' if ejection is not None else '')
     )
-    rows = [', '.join(summary[k : k + 4]) for k in range(0, len(summary), 4)]
+    rows = [', '.join(summary[k : k + 3]) for k in range(0, len(summary), 3)]
     figure.suptitle('\n'.join(rows).replace('+-', '±'), fontsize='medium')
     _save(figure, path)
 
@@ -169,6 +171,57 @@ def draw_layers(
     panels['line'].set(ylabel='period $T_0$ (ms)', ylim=(0, None), xticklabels=[])
     panels['line'].legend(loc='upper left')
     panels['apart'].set(xlabel='thickness $L_s$ (mm)', ylabel='apart (µs)')
+    _save(figure, path)
+
+
+def draw_space_time(
+    line: SpaceTime, ends: tuple[Track, Track], ringing: Ringing, path: Path
+) -> None:
+    """
+    Draw a line through a free layer over time, with its edges and its period.
+
+    Raises
+    ------
+    FitError, OSError
+        As for `draw_throws`.
+
+    """
+    figure = _figure(9.6, 4.8)
+    panel = figure.add_subplot()
+    time, pixel = line.time, _MILLI * line.scale
+    half = 0.5 / line.rate
+    panel.imshow(
+        line.levels.T,
+        cmap='gray',
+        origin='lower',
+        aspect='auto',
+        interpolation='nearest',
+        extent=(
+            _MILLI * (time[0] - half),
+            _MILLI * (time[-1] + half),
+            0.0,
+            pixel * line.levels.shape[1],
+        ),
+    )
+    colour = _COLOURS['layer']
+    for end in ends:
+        panel.plot(_MILLI * end.time, _MILLI * end.position, color=colour, lw=0.8)
+    start, period = _MILLI * ringing.start_time, _MILLI * ringing.period.value
+    height = _MILLI * float(np.mean([end.position.mean() for end in ends]))
+    panel.annotate(
+        '',
+        xy=(start, height),
+        xytext=(start + period, height),
+        arrowprops={'arrowstyle': '<->', 'color': colour, 'shrinkA': 0, 'shrinkB': 0},
+    )
+    shown = Value(period, _MILLI * ringing.period.error)
+    panel.annotate(
+        f' $T_0$ = {shown} ms'.replace('+-', '±'),
+        xy=(start + period, height),
+        color=colour,
+        va='center',
+    )
+    panel.set(xlabel='time (ms)', ylabel='height along the line (mm)')
     _save(figure, path)
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -65,14 +65,25 @@ class Source:
 
         """
         is_bag = Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd'))
-        tracks = self._read_bag(path) if is_bag else self._read_csv(path, _BODIES)
+        return self.cut(self._read_bag(path) if is_bag else self._read_csv(path, _BODIES), path)
+
+    def cut(self, tracks: Mapping[str, Track], path: str) -> list[ThrowTracks]:
+        """
+        Cut what was read from a file into throws.
+
+        Raises
+        ------
+        TrackError
+            If too little is left.
+
+        """
         whole = self.throw_of(tracks, path)
         try:
             return whole.between(self.start, self.end).throws()
         except TrackError as error:
             raise TrackError(f'{whole.name}: {error}') from None
 
-    def throw_of(self, tracks: dict[str, Track], path: str) -> ThrowTracks:
+    def throw_of(self, tracks: Mapping[str, Track], path: str) -> ThrowTracks:
         """Put together what was read of plate and projectile."""
         plate, projectile = (
             self._known(tracks[body]) if body in tracks else None for body in _BODIES
@@ -94,10 +105,20 @@ class Source:
         tracks = self._read_csv(path, ('bottom', 'top'))
         if 'top' not in tracks:
             raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
+        return self.cut_layer((tracks['bottom'], tracks['top']), path)
+
+    def cut_layer(self, ends: tuple[Track, Track], path: str) -> tuple[Track, Track]:
+        """
+        Leave out what is not to be looked at of the ends of a free layer.
+
+        Raises
+        ------
+        TrackError
+            If too little is left.
+
+        """
         try:
-            bottom, top = (
-                self._known(tracks[end]).between(self.start, self.end) for end in ('bottom', 'top')
-            )
+            bottom, top = (self._known(end).between(self.start, self.end) for end in ends)
         except TrackError as error:
             raise TrackError(f'{path}: {error}') from None
         return bottom, top

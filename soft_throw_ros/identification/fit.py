@@ -196,7 +196,7 @@ class Fit:
         ]
         if coloured:
             worst = max(coloured, key=lambda residual: residual.autocorrelation)
-            more = f' and of {len(coloured) - 1} more tracks' if len(coloured) > 1 else ''
+            more = f' and {len(coloured) - 1} more' if len(coloured) > 1 else ''
             found.append(
                 f'the residuals of {worst.name}{more} are no white noise (correlation of '
                 f'neighbours {worst.autocorrelation:.2f}): the errors are too small'

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 import re
@@ -329,6 +329,27 @@ def read_csv(
     if not columns:
         raise TrackError(f'{name}: is empty; a time and the height of the {bodies[0]} are needed')
     return dict(_tracks(times, values, bodies[0], name))
+
+
+def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:
+    """
+    Write tracks as lines of text that `read_csv` reads.
+
+    Examples
+    --------
+    >>> track = Track(time=0.5 * np.arange(20.0), position=1e-3 * np.arange(20.0))
+    >>> list(csv_lines({'plate': track}))[:3]
+    ['t [s],plate [m]', '0,0', '0.5,0.001']
+
+    """
+    yield ','.join(['t [s]', *(f'{body} [m]' for body in tracks)])
+    heights = [
+        dict(zip(track.time.tolist(), track.position.tolist(), strict=True))
+        for track in tracks.values()
+    ]
+    for time in sorted(set().union(*heights)):
+        cells = [f'{each[time]:.9g}' if time in each else '' for each in heights]
+        yield ','.join([f'{time:.9g}', *cells])
 
 
 class _Rows:

@@ -525,9 +525,9 @@ def test_watch_ends_well_when_it_is_interrupted(tmp_path):
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
-        ((), 'one of FILE, --watch and --free-layer must be given, and no two'),
-        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'one of FILE, --watch and --free-layer'),
-        ((SAMPLE, '--watch', 'bag'), 'one of FILE, --watch and --free-layer'),
+        ((), 'either FILE or --video, or --watch, or --free-layer must be given'),
+        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'either FILE or --video, or --watch'),
+        ((SAMPLE, '--watch', 'bag'), 'either FILE or --video, or --watch'),
         (('--watch', 'none'), 'none is no bag that is written, there is no file none_0.mcap'),
         (('--watch', 'none', '--last', '0'), 'argument --last: must be at least 1, got 0'),
         (('none.csv',), 'none.csv: No such file or directory'),

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `identify` with videos, rendered from throws and layers whose truth is known."""
+
+import json
+from pathlib import Path
+import runpy
+import sys
+
+import numpy as np
+import pytest
+from soft_throw_ros.commands import identify
+from soft_throw_ros.core.method_of_steps import follow
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+
+av = pytest.importorskip('av', reason='comes with the extra [video]')
+imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
+pytest.importorskip('skimage', reason='comes with the extra [video]')
+CAMERA = runpy.run_path(str(Path(__file__).parents[1] / 'identification/rendering.py'))
+RIG = Rig(
+    engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
+    layer=Layer(thickness=12e-3, wave_speed=6.9),
+)
+START = 0.0082
+RATE = 4000.0
+PIXEL = 1e-4
+"""Ten pixels per millimetre, as in the pictures of a high-speed camera of 50 mm height. [m]"""
+
+AS_TAKEN = ('--rate', RATE, '--scale', 12e-3, 120)
+PERIOD = 2.0 * 8e-3 / 7.8
+
+
+def run(capsys, *args):
+    """Run the command; return what it printed as JSON."""
+    assert identify.main([*map(str, args), '--json']) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys, *args):
+    """Run the command, which refuses something; return what it says."""
+    with pytest.raises(SystemExit) as end:
+        identify.main([str(arg) for arg in args])
+    assert end.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert 'Traceback' not in err
+    return err.splitlines()[-1].partition('error: ')[2]
+
+
+def write_video(path, pictures):
+    """Write pictures into a video without loss, as a camera's software may."""
+    with av.open(str(path), 'w') as container:
+        stream = container.add_stream('ffv1', rate=25)
+        stream.height, stream.width = pictures[0].shape
+        stream.pix_fmt = 'gray'
+        for picture in [*pictures, None]:
+            frame = None if picture is None else av.VideoFrame.from_ndarray(picture, format='gray')
+            container.mux(stream.encode(frame))
+    return path
+
+
+@pytest.fixture(scope='session')
+def throw_pictures():
+    """Take pictures of a throw; the projectile leaves them at the top."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 0.045, 1.0 / RATE) - START
+    plate = Underdamped.of(RIG.engine).position(time)
+    projectile = follow(RIG, until=time[-1]).projectile_position(time)
+    return [
+        CAMERA['picture'](
+            (330, 44),
+            [
+                (315.3 - low / PIXEL, 21.7),
+                (300.2 - 0.5 * (low + high) / PIXEL, 22.4),
+                (270.1 - high / PIXEL, 22.1),
+            ],
+            rng,
+        )
+        for low, high in zip(plate, projectile, strict=True)
+    ]
+
+
+@pytest.fixture(scope='session')
+def throw_video(throw_pictures, tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp('video') / 'throw.avi', throw_pictures)
+
+
+@pytest.fixture(scope='session')
+def layer_video(tmp_path_factory):
+    """Take pictures of a bright layer that rings, with spots at its ends."""
+    rng = np.random.default_rng(5)
+    shape = (110, 40)
+    time = np.arange(0.0, 0.03, 1.0 / RATE)
+    change = 6.0 * np.exp(-50.0 * time) * np.cos(2.0 * np.pi * time / PERIOD)
+    pictures = []
+    for more in change:
+        levels = 40.0 + 150.0 * CAMERA['band'](shape, 95.2, 15.2 - more)
+        for row, column in ((87.4, 12.3), (24.7 - more, 12.1)):
+            levels = levels - 110.0 * CAMERA['disc'](shape, row, column)
+        pictures.append(CAMERA['exposed'](levels, rng))
+    return write_video(tmp_path_factory.mktemp('video') / 'ring.avi', pictures)
+
+
+def assert_is_the_rig(found):
+    truth = {
+        'engine.frequency': 58.0,
+        'engine.damping_ratio': 0.05,
+        'engine.amplitude': 1.8e-3,
+        'layer.wave_speed': 6.9,
+    }
+    assert list(found['found']) == list(truth)
+    for name, expected in truth.items():
+        value, error = found['found'][name]['value'], found['found'][name]['error']
+        assert value == pytest.approx(expected, abs=4.0 * error)
+        assert error < 2e-3 * expected
+    assert found['warnings'] == []
+
+
+def test_video_gives_the_rig_that_was_filmed(capsys, throw_video, tmp_path):
+    tracks = tmp_path / 'tracks.csv'
+    found = run(
+        capsys, '--video', throw_video, *AS_TAKEN, '--thickness', 12e-3, '--tracks', tracks
+    )
+    assert_is_the_rig(found)
+    samples = {each['track']: each['samples'] for each in found['fit']['residuals']}
+    assert samples['plate'] == 180
+    assert 100 < samples['projectile'] < 180
+    assert all(each['rms'] < 0.03 * PIXEL for each in found['fit']['residuals'])
+    # What was followed is a CSV file like any other
+    lines = tracks.read_text().splitlines()
+    assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
+    assert lines[1] == 't [s],plate [m],layer 1 [m],projectile [m]'
+    again = run(capsys, tracks, '--thickness', 12e-3)
+    for name, value in found['found'].items():
+        assert again['found'][name]['value'] == pytest.approx(value['value'], rel=1e-6)
+
+
+def test_folder_of_pictures_is_read_by_their_numbers(capsys, throw_pictures, tmp_path):
+    folder = tmp_path / 'pictures'
+    folder.mkdir()
+    (folder / 'notes.txt').write_text('no picture')
+    for number, picture in enumerate(throw_pictures):
+        colours = np.stack([picture] * 3, axis=-1)
+        imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else picture)
+    assert_is_the_rig(run(capsys, '--video', folder, *AS_TAKEN, '--thickness', 12e-3))
+
+
+def test_file_of_pictures_may_have_more_grey_levels(capsys, throw_pictures, tmp_path):
+    path = tmp_path / 'stack.tif'
+    imageio.imwrite(path, np.array(throw_pictures).astype(np.uint16) * 257)
+    assert_is_the_rig(run(capsys, '--video', path, *AS_TAKEN, '--thickness', 12e-3))
+
+
+def test_spots_are_on_what_is_said(capsys, throw_video):
+    found = run(
+        capsys, '--video', throw_video, *AS_TAKEN, '--spots', 'plate, none, none', '--to', 0.04
+    )
+    assert list(found['found']) == ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude']
+    message = refused(capsys, '--video', throw_video, *AS_TAKEN, '--spots', 'plate,projectile')
+    assert message.startswith(
+        f'{throw_video}: 3 dark round spots are seen, at column 22 row 315, column 22 row 240, '
+    )
+    assert message.endswith('and not 2, plate, projectile')
+
+
+@pytest.mark.parametrize('line', [(), ('--line', 30, 2, 107)], ids=['spots', 'line'])
+def test_free_layer_is_read_off_a_video(capsys, layer_video, line):
+    found = run(capsys, '--free-layer', 8e-3, layer_video, *AS_TAKEN, *line)
+    (layer,) = found['layers']
+    without_loss = PERIOD * np.sqrt(1.0 - (50.0 * PERIOD / (2.0 * np.pi)) ** 2)
+    assert layer['period']['value'] == pytest.approx(
+        without_loss, abs=4.0 * layer['period']['error']
+    )
+    assert layer['period']['error'] < 2e-3 * PERIOD
+
+
+def test_space_time_picture_shows_edges_and_period(capsys, layer_video, tmp_path):
+    pytest.importorskip('matplotlib')
+    path, tracks = tmp_path / 'line.png', tmp_path / 'ends.csv'
+    line = ('--line', 30, 2, 107)
+    found = run(
+        capsys, '--free-layer', 8e-3, layer_video, *AS_TAKEN, *line, '--space-time', path,
+        '--tracks', tracks,
+    )  # fmt: skip
+    picture = imageio.imread(path)[..., :3].astype(float)
+    assert picture.shape[:2] == (720, 1440)
+    # Orange, as nothing else is: two edges from left to right, the upper one of which swings
+    orange = (picture[..., 0] - picture[..., 2]) > 100.0
+    rows = [np.flatnonzero(column) for column in orange[:, 200:1380].T]
+    top = np.array([row[0] for row in rows if row.size])
+    assert top.size > 1150
+    assert np.ptp(top) == pytest.approx(12.0 / 106 * 610, rel=0.25)
+    assert run(capsys, '--free-layer', 8e-3, tracks)['layers'][0]['period'][
+        'value'
+    ] == pytest.approx(found['layers'][0]['period']['value'], rel=1e-6)
+
+
+def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, monkeypatch):
+    for name in ('imageio', 'imageio.plugins.pyav', 'skimage.measure'):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, name, None)
+            message = refused(capsys, '--video', throw_video, *AS_TAKEN)
+        assert message.startswith("a video needs what pip installs with 'soft_throw_ros[video]': ")
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        (('--video', 'VIDEO'), 'argument --rate: must be given with a video'),
+        (('--video', 'VIDEO', '--rate', '1'), 'argument --scale: must be given with a video'),
+        (
+            ('--video', 'VIDEO', '--rate', 'fast', '--scale', '1', '1'),
+            'argument --rate: must be finite and positive, got fast',
+        ),
+        (
+            ('--video', 'VIDEO', '--rate', '1', '--scale', '1', '0'),
+            'argument --scale: must be finite and positive, got 0',
+        ),
+        (('a.csv', '--rate', '1'), 'argument --rate: is for videos'),
+        (('a.csv', '--space-time', 'a.png'), 'argument --space-time: is for videos'),
+        (('--watch', 'a', '--video', 'VIDEO'), 'either FILE or --video, or --watch, or --free'),
+        (
+            ('--video', 'VIDEO', '--video', 'VIDEO', *AS_TAKEN, '--tracks', 'a.csv'),
+            'argument --tracks: is for one video at a time, got 2',
+        ),
+        (
+            ('--video', 'VIDEO', *AS_TAKEN, '--line', '1', '2', '3'),
+            'argument --line: is for the video of a free layer',
+        ),
+        (
+            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--space-time', 'a.png'),
+            'argument --space-time: needs --line',
+        ),
+        (
+            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--space-time', 'a.gif'),
+            'argument --space-time: ',
+        ),
+        (
+            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--line', '400', '2', '9'),
+            'VIDEO: a line from row 2 to row 9 of column 400 is not within pictures of 330 rows',
+        ),
+        (
+            ('--video', 'VIDEO', *AS_TAKEN, '--spots', 'ball'),
+            "VIDEO: a spot is on one of plate, layer, projectile, none, got 'ball'",
+        ),
+        (
+            ('--video', 'VIDEO', *AS_TAKEN, '--spots', 'layer,layer,projectile'),
+            'VIDEO: less than 12 positions of the plate',
+        ),
+        (('--video', 'none.avi', *AS_TAKEN), 'none.avi: No such file or directory'),
+        (('--video', 'none.csv', *AS_TAKEN), 'none.csv: must be a video or a folder of pictures'),
+        (('--video', 'VIDEO', *AS_TAKEN, '--tracks', 'no/a.csv'), 'argument --tracks: there is'),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_video_is_said_in_one_line(capsys, throw_video, args, message):
+    args = [throw_video if arg == 'VIDEO' else arg for arg in args]
+    assert refused(capsys, *args).startswith(message.replace('VIDEO', str(throw_video)))
+
+
+def test_video_that_is_none_is_said_in_one_line(capsys, tmp_path):
+    path = tmp_path / 'none.avi'
+    path.write_bytes(b'nothing of the kind' * 100)
+    assert refused(capsys, '--video', path, *AS_TAKEN).startswith(f'{path}: ')
+    assert refused(capsys, '--video', tmp_path, *AS_TAKEN) == (
+        f'{tmp_path}: there is no picture in this folder'
+    )

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures as a camera takes them: through a lens, on pixels of finite size, with noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+FINE = 5
+"""Points per pixel, along each side, that its grey level is the mean of."""
+
+CONTRAST = 140.0
+"""How much darker spots are than what is around them. [grey levels]"""
+
+NOISE = 4.0
+"""Standard deviation of white noise. [grey levels]"""
+
+BLUR, DIAMETER = 1.0, 8.0
+"""Standard deviation of the blur by the lens, and size of a spot. [px]"""
+
+
+def disc(shape, row, column, *, diameter=DIAMETER, blur=BLUR):
+    """Return which part of the light of each pixel a disc takes."""
+    reach = int(0.5 * diameter + 5.0 * blur) + 2
+    first = np.floor([row, column]).astype(int) - reach
+    steps = (np.arange((2 * reach + 1) * FINE) + 0.5) / FINE - 0.5
+    distance = np.hypot(
+        *np.meshgrid(first[0] + steps - row, first[1] + steps - column, indexing='ij')
+    )
+    sharp = np.clip(0.5 - FINE * (distance - 0.5 * diameter), 0.0, 1.0)
+    seen = gaussian_filter(sharp, FINE * blur)
+    pixels = seen.reshape(2 * reach + 1, FINE, 2 * reach + 1, FINE).mean(axis=(1, 3))
+    whole = np.zeros(np.add(shape, 2 * reach + 2))
+    place = np.clip(first + reach + 1, 0, np.array(shape))
+    whole[place[0] : place[0] + 2 * reach + 1, place[1] : place[1] + 2 * reach + 1] = pixels
+    return whole[reach + 1 : reach + 1 + shape[0], reach + 1 : reach + 1 + shape[1]]
+
+
+def band(shape, lower, upper, *, blur=BLUR):
+    """Return which part of each pixel is between two rows, right across the picture."""
+    rows = (np.arange(shape[0] * FINE) + 0.5) / FINE - 0.5
+    sharp = np.clip(
+        0.5 - FINE * (np.abs(rows - 0.5 * (lower + upper)) - 0.5 * (lower - upper)), 0, 1
+    )
+    seen = gaussian_filter(sharp, FINE * blur, mode='nearest').reshape(-1, FINE).mean(axis=1)
+    return np.tile(seen[:, None], (1, shape[1]))
+
+
+def exposed(levels, rng, *, noise=NOISE):
+    """Return what the camera says of grey levels."""
+    noisy = levels + noise * rng.normal(size=levels.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+def picture(shape, places, rng, *, around=200.0, contrast=CONTRAST, noise=NOISE, **disc_options):
+    """Take a picture of spots at places (row, column)."""
+    levels = np.broadcast_to(around, shape).astype(float)
+    for row, column in places:
+        levels = levels - contrast * disc(shape, row, column, **disc_options)
+    return exposed(levels, rng, noise=noise)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spots followed through rendered pictures whose truth is known to the last digit."""
+
+from pathlib import Path
+import re
+import runpy
+
+import numpy as np
+import pytest
+from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
+from soft_throw_ros.identification.tracks import csv_lines, read_csv, TrackError
+
+pytest.importorskip('skimage', reason='comes with the extra [video]')
+CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
+picture = CAMERA['picture']
+SHAPE = (150, 50)
+
+
+def places_of(number):
+    """Where spots on plate, layer and projectile are; the last one leaves at the top."""
+    swing = 20.0 * (1.0 - np.cos(0.11 * number))
+    late = 20.0 * (1.0 - np.cos(0.11 * max(number - 4, 0)))
+    return [
+        (135.3 - 0.3 * swing, 24.8),
+        (104.7 - 0.5 * late, 25.4),
+        (74.2 - max(0.0, 2.3 * (number - 8)), 24.6 + 0.02 * number),
+    ]
+
+
+def video(count=60, seed=0, **options):
+    rng = np.random.default_rng(seed)
+    return [picture(SHAPE, places_of(number), rng, **options) for number in range(count)]
+
+
+def errors_of(spots):
+    """What is left of each spot less the truth: rows and columns. [px]"""
+    left = []
+    for place, spot in enumerate(spots):
+        truth = np.array([places_of(number)[place] for number in range(spot.row.size)])
+        left.append(np.stack([spot.row, spot.column], axis=1) - truth)
+    return left
+
+
+@pytest.mark.parametrize(
+    ('options', 'most'),
+    [
+        ({}, 0.025),  # the contrast, noise and blur that the module names
+        ({'noise': 0.0}, 0.004),
+        ({'blur': 1.6}, 0.035),
+        ({'noise': 8.0}, 0.05),
+        ({'contrast': 70.0}, 0.05),
+        ({'diameter': 12.0, 'noise': 8.0}, 0.05),
+        ({'around': 200.0 - 0.3 * np.arange(150.0)[:, None]}, 0.05),  # lit from above
+    ],
+    ids=['usual', 'no noise', 'blurred', 'noisy', 'faint', 'large', 'uneven'],
+)
+def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
+    spots = follow_spots(video(**options))
+    assert len(spots) == 3
+    assert [spot.row.size for spot in spots[:2]] == [60, 60]
+    for left in errors_of(spots):
+        assert np.sqrt(np.mean(left**2, axis=0)).max() < most
+
+
+def test_error_of_spots_is_what_is_said():
+    spots = follow_spots(video())
+    for spot, left in zip(spots, errors_of(spots), strict=True):
+        assert left.std() == pytest.approx(spot.error, rel=0.25)
+        assert np.abs(left.mean(axis=0)).max() < 5.0 * spot.error / np.sqrt(len(left))
+
+
+def test_spot_that_leaves_the_picture_is_followed_until_then():
+    spots = follow_spots(video())
+    seen = spots[2].row.size
+    assert 30 < seen < 45
+    # to within a picture or so of where its edge, with its blur, touches that of the picture
+    assert places_of(seen - 1)[2][0] > 0.5 * CAMERA['DIAMETER']
+    assert places_of(seen + 1)[2][0] < 0.5 * CAMERA['DIAMETER'] + 4.0
+    assert np.abs(errors_of(spots)[2][-3:]).max() < 0.08
+
+
+def test_spot_that_is_covered_is_followed_until_then():
+    pictures = video(count=30)
+    for each in pictures[20:]:
+        each[:, 20:30] = 200
+    assert [spot.row.size for spot in follow_spots(pictures)] == [20, 20, 20]
+
+
+def test_spots_are_told_from_all_else_that_is_dark():
+    rng = np.random.default_rng(1)
+    levels = np.full((200, 160), 200.0)
+    levels[:60] = 30.0  # what is behind
+    levels[:, :20] = 30.0
+    levels[100:104, 60:120] = 40.0  # a line
+    levels[150:156, 30:36] -= 20.0  # a shadow, too faint
+    levels[160, 100] = 0.0  # a broken pixel
+    truth = [(180.0, 80.0), (140.0, 81.0), (80.0, 79.0)]
+    spots = find_spots(picture((200, 160), truth, rng, around=levels))
+    assert [spot[:2] for spot in spots] == [pytest.approx(place, abs=0.3) for place in truth]
+    assert [spot.diameter for spot in spots] == pytest.approx([7.0] * 3, abs=0.7)
+
+
+@pytest.mark.parametrize('kind', [np.uint16, np.float32])
+def test_grey_levels_may_be_of_any_kind(kind):
+    eight = video(count=12)
+    other = [(each.astype(float) * 200.0 + 7.0).astype(kind) for each in eight]
+    for first, second in zip(follow_spots(eight), follow_spots(other), strict=True):
+        assert second.row == pytest.approx(first.row, abs=1e-3)
+        assert second.error == pytest.approx(first.error, rel=1e-3)
+
+
+def test_pictures_without_spots_are_refused():
+    empty = picture(SHAPE, [], np.random.default_rng(0))
+    for pictures in ([], [empty] * 20):
+        with pytest.raises(TrackError, match='the first picture shows no dark round spot'):
+            follow_spots(pictures)
+    with pytest.raises(TrackError, match=r'one size, got \(149, 50\) after \(150, 50\)'):
+        follow_spots([video(count=1)[0], empty[1:]])
+
+
+def spot(row, count=20):
+    return Spot(
+        row=row + np.arange(count) ** 2 / 100.0, column=np.full(count, 5.0), error=0.02, diameter=7
+    )
+
+
+def test_tracks_are_heights_in_metres_over_seconds():
+    tracks = tracks_of([spot(90.0), spot(70.0), spot(50.0), spot(20.0, 15)], rate=5e3, scale=1e-4)
+    assert list(tracks) == ['plate', 'layer 1', 'layer 2', 'projectile']
+    assert tracks['plate'].time == pytest.approx(np.arange(20) / 5e3)
+    assert tracks['plate'].position == pytest.approx(-1e-6 * np.arange(20) ** 2)
+    assert tracks['projectile'].position[0] == pytest.approx(7e-3)
+    assert tracks['projectile'].time.size == 15
+    assert tracks['plate'].noise == pytest.approx(2e-6)
+
+
+def test_spots_of_one_body_are_averaged():
+    bodies = ['plate', 'plate', 'none', 'projectile', 'projectile']
+    spots = [spot(90.0), spot(88.0, 13), spot(80.0, 3), spot(50.0), spot(30.0)]
+    tracks = tracks_of(spots, bodies, rate=1.0, scale=1.0)
+    assert list(tracks) == ['plate', 'projectile']
+    assert tracks['plate'].position == pytest.approx(1.0 - np.arange(13) ** 2 / 100.0)
+    assert tracks['plate'].noise == pytest.approx(0.02 / np.sqrt(2.0))
+    assert list(tracks_of([spot(9.0)], rate=1.0, scale=1.0)) == ['plate']
+
+
+def test_tracks_of_spots_are_read_from_what_they_are_written_as():
+    tracks = tracks_of([spot(90.0), spot(60.0), spot(20.0, 15)], rate=7e3, scale=1.3e-4)
+    found = read_csv(csv_lines(tracks), 'written', ('plate', 'projectile'))
+    for body in ('plate', 'projectile'):
+        assert found[body].time == pytest.approx(tracks[body].time, abs=1e-11)
+        assert found[body].position == pytest.approx(tracks[body].position, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ('spots', 'options', 'message'),
+    [
+        ([spot(9.0)], {'rate': 0.0}, 'rate must be finite and positive, got 0.0'),
+        ([spot(9.0)], {'scale': np.inf}, 'scale must be finite, got inf'),
+        ([spot(9.0)], {'bodies': ['ball']}, "one of plate, layer, projectile, none, got 'ball'"),
+        (
+            [spot(9.0), spot(3.0)],
+            {'bodies': ['plate']},
+            '2 dark round spots are seen, at column 5 row 9, column 5 row 3, and not 1, plate',
+        ),
+        (
+            [spot(9.0), spot(3.0, 4)],
+            {},
+            'the spot at column 5 row 3, on the projectile, is seen in 4 pictures from the first',
+        ),
+        ([spot(9.0, 0)], {}, 'the spot at the edge, on the plate, is seen in 0 pictures'),
+    ],
+)
+def test_tracks_of_spots_that_cannot_be_are_refused(spots, options, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        tracks_of(spots, **{'rate': 1.0, 'scale': 1.0, **options})
