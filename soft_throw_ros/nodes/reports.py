@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.nodes.conversions import status_to_msg
+from soft_throw_ros.nodes.measured import Account, MeasuredSteps
 from soft_throw_ros.nodes.realtime import percentiles, SECOND, Ticker
 from soft_throw_ros.twin.results import ThrowResult
 from soft_throw_ros.twin.session import Session
@@ -29,6 +32,8 @@ class Observer:
         Whose steps are counted, and whose changes wait.
     ticker : Ticker
         What asks for the steps.
+    steps : MeasuredSteps
+        What the rig measures.
     name : str
         Of the node, which the names of the statuses begin with.
     hardware_id : str
@@ -36,23 +41,38 @@ class Observer:
 
     """
 
-    def __init__(self, session: Session, ticker: Ticker, *, name: str, hardware_id: str) -> None:
+    def __init__(
+        self,
+        session: Session,
+        ticker: Ticker,
+        steps: MeasuredSteps,
+        *,
+        name: str,
+        hardware_id: str,
+    ) -> None:
         self._session = session
         self._ticker = ticker
+        self._steps = steps
         self._name = name
         self._hardware_id = hardware_id
+        self._compared: ThrowResult | None = None
         self._time = time.monotonic()
         self._ticks = self._late = self._skipped = 0
 
     def statuses(self, result: ThrowResult | None) -> list[DiagnosticStatus]:
         """Return the statuses for the time since the last call; `result` is the last throw's."""
+        if result is not None and result.stage == 'final' and result.comparison is not None:
+            self._compared = result
         lateness, compute = self._ticker.account.take()
-        return [
+        statuses = [
             self._deadlines(lateness),
             self._load(compute),
             self._parameters(),
             self._layer(result),
         ]
+        if self._session.is_measured:
+            statuses += [self._measurement(self._steps.account()), self._model(self._compared)]
+        return statuses
 
     def _deadlines(self, lateness: list[int]) -> DiagnosticStatus:
         account = self._ticker.account
@@ -117,6 +137,48 @@ class Observer:
             throw=result.throw,
             peak_strain=result.peak_strain,
             max_strain=result.max_strain,
+        )
+
+    def _measurement(self, account: Account) -> DiagnosticStatus:
+        """Tell how what the rig measures has come, and what the projectile was known ahead."""
+        refused = sum(account.refused.values())
+        lead = min(account.leads) / SECOND if account.leads else math.nan
+        message = f'{account.taken} samples'
+        if not account.taken:
+            message = 'nothing is measured'
+        if refused or account.lost:
+            reasons = ', '.join(f'{count} {reason}' for reason, count in account.refused.items())
+            message += f', {account.lost} lost, {refused} refused' + (reasons and f': {reasons}')
+        if lead <= 0.0:
+            message += f'; the projectile is known {-1e3 * lead:.2f} ms too late'
+        return self._status(
+            'measurement',
+            message,
+            warn=not account.taken or refused > 0 or account.lost > 0 or lead <= 0.0,
+            samples=account.taken,
+            messages=account.received,
+            messages_lost=account.lost,
+            samples_refused=refused,
+            lead_min=lead,
+            **{f'refused.{reason}': count for reason, count in account.refused.items()},
+        )
+
+    def _model(self, result: ThrowResult | None) -> DiagnosticStatus:
+        """Tell how well the model went with the last throw."""
+        if result is None or result.comparison is None:
+            return self._status('model', 'no throw has been compared', warn=False)
+        comparison = result.comparison
+        values = {
+            name: value
+            for name, value in dataclasses.asdict(comparison).items()
+            if value is not None
+        }
+        return self._status(
+            'model',
+            f'throw {result.throw}: {comparison.sentence()}',
+            warn=not comparison.is_within_band,
+            throw=result.throw,
+            **values,
         )
 
     def _status(self, task: str, message: str, *, warn: bool, **values: Any) -> DiagnosticStatus:

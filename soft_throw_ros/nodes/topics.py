@@ -56,6 +56,9 @@ def _latched(depth: int = 1) -> QoSProfile:
     )
 
 
+DRAINED = 5000
+"""More than come before they are drained, even after a stall."""
+
 SEVERAL = 10
 """More than come at once, so that no subscriber misses one."""
 
@@ -116,6 +119,28 @@ DIAGNOSTICS = Topic(
     content='How well the twin keeps time, and what waits, at 1 Hz',
 )
 
+PREDICTED = Topic(
+    name='~/predicted_joint_states',
+    type=JointState,
+    qos=QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE),
+    content='The `projectile` as far ahead as it is known when the plate is measured, stamped '
+    'with that time, one message per tick of a throw',
+)
+RESIDUAL = Topic(
+    name='~/residual',
+    type=JointState,
+    qos=QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE),
+    content='Positions of `plate` and `projectile` by the model less those measured, if both '
+    'are, stamped as they were',
+)
+MEASURED = Topic(
+    name='~/measured_joint_states',
+    type=JointState,
+    qos=QoSProfile(depth=DRAINED, reliability=ReliabilityPolicy.BEST_EFFORT),
+    content='What the rig measures: positions of `plate` and, if it is, `projectile`, velocities '
+    'or none, stamped with the time of the measurement, at 2 to 10 kHz',
+)
+
 STATUS = Topic(
     name='~/status',
     type=DiagnosticArray,
@@ -132,6 +157,8 @@ TOPICS = (
     THROW_RESULT,
     RECOMMENDATION,
     JOURNAL,
+    PREDICTED,
+    RESIDUAL,
     DIAGNOSTICS,
 )
 
@@ -146,6 +173,8 @@ FRAME = 'rig'
 """z up, from the plate's rest position."""
 
 JOINTS = ('plate', 'projectile')
+
+PREDICTED_JOINTS = ('projectile',)
 
 
 def markdown() -> str:

@@ -23,6 +23,7 @@ from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.advice import Advice, advise, matters
 from soft_throw_ros.nodes.conversions import statuses_to_msg, throw_result_to_msg
+from soft_throw_ros.nodes.measured import MeasuredSteps
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import Program, run
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
@@ -105,9 +106,11 @@ class Twin(Program):
     def destroy_node(self) -> None:
         """Stop the threads, publish what waits, and let go of everything."""
         self.ticker.stop(STOP_TIME)
+        self.session.close()
         self._adviser.close(STOP_TIME)
         self._node_clock.close()
         self._do_jobs()
+        self._steps.close()
         super().destroy_node()
 
     def _make_publishers(self) -> None:
@@ -119,8 +122,12 @@ class Twin(Program):
         self._throw_result = topics.THROW_RESULT.publisher(self)
         self._recommendation = topics.RECOMMENDATION.publisher(self)
         self._journal = topics.JOURNAL.publisher(self)
+        self._predicted = topics.PREDICTED.publisher(self)
+        self._residual = topics.RESIDUAL.publisher(self)
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
         self._encode_state = JointStateEncoder(topics.FRAME, topics.JOINTS).encode
+        self._encode_prediction = JointStateEncoder(topics.FRAME, topics.PREDICTED_JOINTS).encode
+        self._encode_residual = JointStateEncoder(topics.FRAME, topics.JOINTS, series=1).encode
         self._encode_field = ArrayEncoder({'y': FIELD_POINTS}).encode
         self._encode_throw_field = ArrayEncoder({'t': THROW_FIELD_ROWS, 'y': FIELD_POINTS}).encode
 
@@ -131,7 +138,8 @@ class Twin(Program):
         )
         self.session = Session(self.parameters.settings, on_entry=self._on_entry)
         self._node_clock = NodeClock(self)
-        self.ticker = Ticker(self.session, self._on_step, self._current_clock)
+        self._steps = MeasuredSteps(self, self.session)
+        self.ticker = Ticker(self._steps, self._on_step, self._current_clock)
         self._adviser = LatestWins(advise, self._on_advice)
         self._adviser.submit(self.parameters.settings)
 
@@ -142,6 +150,7 @@ class Twin(Program):
         self._observer = Observer(
             self.session,
             self.ticker,
+            self._steps,
             name=self.get_name(),
             hardware_id=self.get_fully_qualified_name(),
         )
@@ -158,7 +167,12 @@ class Twin(Program):
         if outputs.field is not None:
             self._strain.publish(self._encode_field(outputs.field.strain))
             self._velocity.publish(self._encode_field(outputs.field.velocity))
-        if outputs.phases or outputs.results or outputs.throw_field is not None:
+        prediction, residual = outputs.prediction, outputs.residual
+        if prediction is not None:
+            self._predicted.publish(self._encode_prediction(prediction.stamp_ns, prediction[1:4]))
+        if residual is not None:
+            self._residual.publish(self._encode_residual(residual.stamp_ns, residual[1:]))
+        if outputs.phases or outputs.results or outputs.notices or outputs.throw_field is not None:
             self._later(lambda: self._report(outputs, due))
 
     # in any thread
@@ -196,8 +210,26 @@ class Twin(Program):
                 hardware_id=self.get_fully_qualified_name(),
             )
             self._throw_result.publish(statuses_to_msg(due, [status]))
-            if result.stage == 'release' or result.first is None:
-                self.get_logger().info(self._with_advice(result))
+            self._tell(result)
+        for notice in outputs.notices:
+            self.get_logger().warning(notice)
+
+    def _tell(self, result: ThrowResult) -> None:
+        """Say in the log what a throw gave, and what is wrong with it."""
+        if not result.is_valid:
+            self.get_logger().warning(result.sentence())
+        elif result.stage == 'predicted':
+            self.get_logger().info(f'{result.sentence()}; {result.lead_sentence()}')
+        elif result.stage == 'release' or result.first is None:
+            self.get_logger().info(self._with_advice(result))
+        if result.stage == 'predicted' and not result.is_ahead:
+            self.get_logger().warning(
+                f'throw {result.throw}: {result.lead_sentence()}; a shorter measured.window or '
+                'measured.wait, and a higher rate.state, let it be known earlier'
+            )
+        comparison = result.comparison
+        if result.stage == 'final' and comparison and not comparison.is_within_band:
+            self.get_logger().warning(f'throw {result.throw}: {comparison.sentence()}')
 
     def _tell_landing(self, throw: int, event: Event) -> None:
         """Say in the log how a throw came down first; bounces are in its result."""

@@ -88,6 +88,8 @@ class Tuning:
         Standard deviations. [m], [m/s]
     start_speed : float
         Of the plate, upwards, at which a throw has begun. [m/s]
+    band : float
+        How far the projectile may be off the model, rms. [m]
     plate : Underdamped
         About how it moves then.
 
@@ -98,6 +100,7 @@ class Tuning:
     position_noise: float
     velocity_noise: float
     start_speed: float
+    band: float
     plate: Underdamped
 
     @classmethod
@@ -109,6 +112,7 @@ class Tuning:
             position_noise=settings['measured.position_noise'],
             velocity_noise=settings['measured.velocity_noise'],
             start_speed=settings['measured.start'] * plate.peak_velocity,
+            band=settings['measured.band'],
             plate=plate,
         )
 

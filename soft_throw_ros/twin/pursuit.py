@@ -108,7 +108,11 @@ class Pursuit:
         times, states = first_states(departure, track.tuning)
         self._stepper.feed_states(times, states)
         self._times, self._states = times.tolist(), states.tolist()
-        self._differences = _Differences(1.0 / plan.rig.engine.frequency)
+        self._differences = _Differences(
+            longest=1.0 / plan.rig.engine.frequency,
+            band=track.tuning.band,
+            gravity=plan.rig.gravity,
+        )
         self._compared_ns = departure.onset_ns
         self._lead: float | None = None
         self._has_shown_field = False
@@ -266,11 +270,17 @@ class _Differences:
     ----------
     longest : float
         For how long after the release they are taken. [s]
+    band : float
+        How large they may be, rms. [m]
+    gravity : float
+        [m/s2]
 
     """
 
-    def __init__(self, longest: float) -> None:
+    def __init__(self, *, longest: float, band: float, gravity: float) -> None:
         self._longest = longest
+        self._band = band
+        self._gravity = gravity
         self._count = 0
         self._sum = 0.0  # of squares
         self._largest = 0.0
@@ -296,11 +306,16 @@ class _Differences:
             samples=self._count,
             position_rms=math.sqrt(self._sum / self._count),
             position_max=self._largest,
+            band=self._band,
         )
         if release is None or not self._aloft or self._aloft[-1][0] < 0.5 * self._longest:
             return comparison
         times, differences = np.array(self._aloft).T
+        # both fly freely, so that the difference is a line
         slope, ahead = np.polyfit(times, differences, 1).tolist()
+        later = -ahead / release.velocity
         return dataclasses.replace(
-            comparison, ejection_time_error=-ahead / release.velocity, ejection_speed_error=slope
+            comparison,
+            ejection_time_error=later,
+            ejection_speed_error=slope - self._gravity * later,
         )

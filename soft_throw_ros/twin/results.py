@@ -99,19 +99,37 @@ class Comparison:
         Of the projectile, that were compared.
     position_rms, position_max : float
         Of the differences of its position. [m]
+    band : float
+        Within which the former should be. [m]
     ejection_time_error : float or None
         How much later it passes the height of its release by the model than measured; None if it
         was not followed long enough. [s]
     ejection_speed_error : float or None
-        How much faster it leaves by the model. [m/s]
+        How much faster it is there by the model. [m/s]
 
     """
 
     samples: int
     position_rms: float
     position_max: float
+    band: float
     ejection_time_error: float | None = None
     ejection_speed_error: float | None = None
+
+    @property
+    def is_within_band(self) -> bool:
+        """Whether the model is as good as it should be."""
+        return self.position_rms <= self.band
+
+    def sentence(self) -> str:
+        """Say it for people to read."""
+        rms, band = 1e6 * self.position_rms, 1e6 * self.band
+        if self.is_within_band:
+            return f'the projectile went as by the model, to {rms:.3g} um rms'
+        return (
+            f'the projectile was {rms:.3g} um rms off the model, beyond measured.band '
+            f'{band:.3g} um: the layer has aged or slipped, or the parameters are wrong'
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +207,11 @@ class ThrowResult:
         return self.ended_by != 'gap'
 
     @property
+    def is_ahead(self) -> bool:
+        """Whether the release was known before it came."""
+        return self.lead is not None and self.lead > 0.0
+
+    @property
     def is_linear(self) -> bool:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
@@ -210,6 +233,11 @@ class ThrowResult:
             strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
             text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'
         return text
+
+    def lead_sentence(self) -> str:
+        """Say how long before the release that was known, if it was predicted."""
+        lead = 1e3 * (self.lead or 0.0)
+        return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
 
 
 class Prediction(NamedTuple):

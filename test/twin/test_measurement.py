@@ -36,6 +36,7 @@ TUNING = Tuning(
     position_noise=5e-6,
     velocity_noise=1e-2,
     start_speed=0.1 * PLATE.peak_velocity,
+    band=5e-5,
     plate=PLATE,
 )
 INTERVAL = 200_000  # [ns]

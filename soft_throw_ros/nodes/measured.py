@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a rig measures, taken from its topic by the thread that ticks, before every step.
+
+There are thousands of messages in a second, which an executor would take one callback each for;
+drained, they cost a tenth of that.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+import math
+from typing import NamedTuple
+
+from rclpy.node import Node
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.taps import Tap
+from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
+from soft_throw_ros.recording.message import Channel
+from soft_throw_ros.twin.measurement import Sample
+from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.results import Outputs
+from soft_throw_ros.twin.session import Session
+
+
+class Account(NamedTuple):
+    """
+    How the measurement went, since the last account.
+
+    Attributes
+    ----------
+    received, taken, lost : int
+        Messages that came, samples taken of them, and messages that did not come.
+    refused : Counter of str
+        Samples that were refused, by reason.
+    leads : list of int
+        How far ahead the projectile was known, at every step of a throw. [ns]
+
+    """
+
+    received: int
+    taken: int
+    lost: int
+    refused: Counter[str]
+    leads: list[int]
+
+
+class MeasuredSteps:
+    """
+    Steps of a session, which is given beforehand what the rig has measured.
+
+    Parameters
+    ----------
+    node : Node
+        Which subscribes.
+    session : Session
+        Is asked for the steps.
+
+    Notes
+    -----
+    Messages that are damaged, or lack the plate, are refused like samples: as 'unreadable', and
+    for their 'names'.
+
+    """
+
+    def __init__(self, node: Node, session: Session) -> None:
+        self._session = session
+        topic = topics.MEASURED
+        channel = Channel(topic=topic.name, type=topic.type_name, schema='')
+        self._tap = Tap(node, channel, topic.qos)
+        self._read = JointStateReader().read
+        self._leads: list[int] = []
+        self._told = (0, 0, 0, Counter[str]())
+
+    @property
+    def step(self) -> int:
+        """Number of the next step."""
+        return self._session.step
+
+    @property
+    def rate(self) -> float:
+        """Steps per second, now. [Hz]"""
+        return self._session.rate
+
+    def keep_pace(self, pace: Pace) -> None:
+        """Take note of when steps are due from the next one on."""
+        self._session.keep_pace(pace)
+
+    def take(self) -> None:
+        """Hand on all that has been measured until now."""
+        if self._session.is_measured:
+            messages = self._tap.drain()
+            if messages:
+                self._session.measure(self._samples([message.data for message in messages]))
+
+    def advance(self) -> Outputs:
+        """Go one step on, with all that has been measured until now."""
+        self.take()
+        outputs = self._session.advance()
+        if outputs.prediction is not None:
+            self._leads.append(outputs.prediction.lead_ns)
+        return outputs
+
+    def account(self) -> Account:
+        """Sum up since the last call; it may come from another thread."""
+        self._tap.listen()
+        leads, self._leads = self._leads, []
+        now = (
+            self._tap.received,
+            self._session.taken,
+            self._tap.lost,
+            Counter(self._session.refused),
+        )
+        before, self._told = self._told, now
+        return Account(
+            now[0] - before[0], now[1] - before[1], now[2] - before[2], now[3] - before[3], leads
+        )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._tap.close()
+
+    def _samples(self, datas: list[bytes]) -> list[Sample]:
+        """Read messages, and refuse and count what cannot be read."""
+        samples, refused = [], self._session.refused
+        for data in datas:
+            try:
+                sample = _to_sample(self._read(data))
+            except MessageError:
+                refused['unreadable'] += 1
+                continue
+            if sample is None:
+                refused['names'] += 1
+            else:
+                samples.append(sample)
+        return samples
+
+
+def _to_sample(values: JointValues) -> Sample | None:
+    """Return what a message tells, None if it does not tell of the plate."""
+    stamp_ns, names, position, velocity, _ = values
+    count = len(names)
+    if _PLATE not in names or len(position) != count or len(velocity) not in (0, count):
+        return None
+    plate = names.index(_PLATE)
+    return Sample(
+        stamp_ns,
+        position[plate],
+        velocity[plate] if velocity else math.nan,
+        position[names.index(_PROJECTILE)] if _PROJECTILE in names else math.nan,
+    )
+
+
+_PLATE, _PROJECTILE = topics.JOINTS

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig that is measured, played by the exact model of a plate of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+import numpy as np
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.stepping import PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.twin.measurement import Sample, SECOND
+
+PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
+"""What the sensors show at height 0. [m]"""
+
+
+def measured_throw(
+    rig: Rig,
+    *,
+    begin_ns: int,
+    onset: float = 0.05,
+    duration: float = 0.12,
+    rate: float = 5000.0,
+    noise: float = 0.0,
+    jitter: float = 0.0,
+    seed: int = 0,
+    has_projectile: bool = True,
+) -> list[Sample]:
+    """
+    Measure one throw.
+
+    Parameters
+    ----------
+    rig : Rig
+        Which throws.
+    begin_ns : int
+        Stamp of the first sample. [ns]
+    onset, duration : float
+        When the plate starts, and how long it is measured, after that. [s]
+    rate : float
+        Of the samples. [Hz]
+    noise : float
+        Standard deviation of both positions. [m]
+    jitter : float
+        Largest deviation of a stamp, in intervals. [-]
+    seed : int
+        Of the noise.
+    has_projectile : bool
+        Whether the projectile is measured, too.
+
+    """
+    random = np.random.default_rng(seed)
+    count = round(duration * rate)
+    since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
+    stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
+    model = Stepper(rig)
+    rows = np.zeros((count, 2))
+    for row, stamp in zip(rows, stamps.tolist(), strict=True):
+        model.advance_to(max((stamp - begin_ns) / SECOND - onset, 0.0))
+        row[:] = model.state[[PLATE_POSITION, PROJECTILE_POSITION]]
+    rows += [PLATE_ZERO, PROJECTILE_ZERO]
+    rows += noise * random.standard_normal(rows.shape)
+    samples = [
+        Sample(stamp, plate, math.nan, projectile)
+        for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
+    ]
+    if has_projectile:
+        return samples
+    return [sample._replace(projectile=math.nan) for sample in samples]
+
+
+def aged(rig: Rig, factor: float) -> Rig:
+    """Return a rig whose layer has another wave speed."""
+    return replace(rig, layer=replace(rig.layer, wave_speed=factor * rig.layer.wave_speed))
+
+
+def plate_of(rig: Rig) -> Underdamped:
+    """Return the motion that is measured."""
+    return Underdamped.of(rig.engine)
