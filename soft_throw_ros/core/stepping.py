@@ -349,8 +349,8 @@ class ThrowStepper(ABC):
             Which has made this one.
 
         """
-        for name in self._changing:
-            getattr(self, name)[:] = getattr(origin, name)
+        for name in self._changing:  # as bytes, since records are copied field by field
+            getattr(self, name).view(np.uint8)[:] = getattr(origin, name).view(np.uint8)
         _coast(self._core, self._path)
 
     def read_field(self, strain: Floats, velocity: Floats) -> None:
