@@ -37,6 +37,9 @@ FUTURE = SECOND // 10
 PAST = SECOND
 """How far behind the clock a stamp may be. [ns]"""
 
+FARTHEST, FASTEST = 100.0, 1000.0
+"""Heights [m] and velocities [m/s] beyond which no rig goes, whatever its sensors say."""
+
 REST_WINDOWS = 8
 """So many windows the plate must be at rest before a throw."""
 
@@ -174,8 +177,8 @@ class Track:
     samples : sequence of Sample
         That have been taken already, in their order.
     refused : Counter of str, optional
-        Where samples that are refused are counted, by reason: 'not finite', 'future', 'past',
-        'doubled' and 'late'.
+        Where samples that are refused are counted, by reason: 'not finite', 'out of range',
+        'future', 'past', 'doubled' and 'late'.
 
     Attributes
     ----------
@@ -251,6 +254,8 @@ class Track:
         stamp_ns, plate, velocity, projectile = sample
         if not math.isfinite(plate) or math.isinf(velocity) or math.isinf(projectile):
             return 'not finite'
+        if max(abs(plate), abs(projectile)) > FARTHEST or abs(velocity) > FASTEST:
+            return 'out of range'
         if stamp_ns > now_ns + FUTURE:
             return 'future'
         if stamp_ns < now_ns - PAST:
@@ -415,6 +420,8 @@ class Watch:
         since = time_since_start(height - plate_rest, speed, tuning.plate)
         onset_ns = track.origin_ns + round((time - since) * SECOND)
         onset_ns += find_start(track.samples(at_rest[-1].stamp_ns), onset_ns, plate_rest, tuning)
+        if len(track.samples(onset_ns + 1, onset_ns + tuning.window_ns)) < FEWEST - 1:
+            return None
         return Departure(
             onset_ns=onset_ns,
             plate_rest=plate_rest,
@@ -504,13 +511,14 @@ def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
     """
     highest = math.pi / plate.exponent.imag
     ratio = max(height, 0.0) / speed
+    if ratio == 0.0:
+        return 0.0
 
     def excess(time: float) -> float:
         return float(plate.position(time) - ratio * plate.velocity(time))
 
-    if ratio == 0.0:
-        return 0.0
-    return float(brentq(excess, min(ratio, 0.5 * highest), highest, xtol=1e-12))
+    # until it is fastest, the plate has come less far than it would have at its speed now
+    return float(brentq(excess, min(ratio, plate.peak_velocity_time), highest, xtol=1e-12))
 
 
 def find_start(samples: Sequence[Sample], onset_ns: int, plate_rest: float, tuning: Tuning) -> int:

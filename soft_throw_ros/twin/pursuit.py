@@ -21,6 +21,7 @@ from soft_throw_ros.core.stepping import (
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
     ThrowStepper,
+    TIME,
 )
 from soft_throw_ros.twin.flight import Flight
 from soft_throw_ros.twin.measurement import (
@@ -45,6 +46,9 @@ from soft_throw_ros.twin.results import (
 
 LOST = SECOND // 10
 """When nothing has come for so long, and for a crossing time, the plate is lost. [ns]"""
+
+FEWEST = 8
+"""Samples of the projectile in flight that tell its errors."""
 
 QUIET = 0.5
 """What is slower than this part of the speed of a start is at rest. [-]"""
@@ -172,13 +176,17 @@ class Pursuit:
         """Go on as far as the plate is known, past the samples of the projectile."""
         flight, departure = self._flight, self._departure
         known = self._stepper.horizon
-        until_ns = departure.onset_ns + math.floor(known * SECOND)
+        until_ns = departure.onset_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
         residual = None
-        for sample in self._track.samples(self._compared_ns + 1, until_ns):
-            if math.isnan(sample.projectile - departure.projectile_rest):
-                continue
+        for sample in self._track.samples(self._compared_ns + 1, until_ns + 1):
             time = (sample.stamp_ns - departure.onset_ns) / SECOND
+            if time > known:
+                break
+            self._compared_ns = sample.stamp_ns
+            is_passed = time < self._stepper.state[TIME]  # it is late for the start
+            if is_passed or math.isnan(sample.projectile - departure.projectile_rest):
+                continue
             state, events = flight.advance(time, max_events=max_events)
             happened += events
             rise = state.projectile_position - self.plan.rest.projectile_position
@@ -188,7 +196,6 @@ class Pursuit:
                 rise - (sample.projectile - departure.projectile_rest),
             )
             self._differences.add(time, residual.projectile, flight)
-        self._compared_ns = until_ns - 1
         _, events = flight.advance(known, max_events=max_events)
         return (*happened, *events), residual
 
@@ -226,10 +233,12 @@ class Pursuit:
             self.ended_by = 'max_events'
 
     def _measure_peak(self) -> None:
-        """Find the largest speed of the plate so far."""
+        """Find the largest speed of the plate so far, which has started by all means."""
         speeds = [speed for _, speed, _ in self._states]
         period = 1.0 / self.plan.rig.engine.frequency
-        self._flight.peak_plate_speed = peak_speed(self._times, speeds, period)
+        self._flight.peak_plate_speed = max(
+            peak_speed(self._times, speeds, period), self._track.tuning.start_speed
+        )
 
     def result(self, stage: str, step: int, max_strain: float) -> ThrowResult:
         """Sum up what there is so far; before the throw is over, loads are those up to release."""
@@ -308,7 +317,8 @@ class _Differences:
             position_max=self._largest,
             band=self._band,
         )
-        if release is None or not self._aloft or self._aloft[-1][0] < 0.5 * self._longest:
+        is_enough = len(self._aloft) >= FEWEST and self._aloft[-1][0] >= 0.5 * self._longest
+        if release is None or not is_enough:
             return comparison
         times, differences = np.array(self._aloft).T
         # both fly freely, so that the difference is a line

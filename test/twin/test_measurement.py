@@ -140,6 +140,9 @@ def test_late_samples_are_refused_and_change_nothing():
         (Sample(BEGIN, math.inf), 'not finite'),
         (Sample(BEGIN, 0.0, math.inf), 'not finite'),
         (Sample(BEGIN, 0.0, 0.0, -math.inf), 'not finite'),
+        (Sample(BEGIN, 100.1), 'out of range'),
+        (Sample(BEGIN, 0.0, -1001.0), 'out of range'),
+        (Sample(BEGIN, 0.0, 0.0, 1e300), 'out of range'),
         (Sample(BEGIN + FUTURE + 1, 0.0), 'future'),
         (Sample(BEGIN - PAST - 1, 0.0), 'past'),
         (Sample(0, 0.0), 'past'),
@@ -276,7 +279,7 @@ def test_start_after_a_gap_needs_another_rest():
 
 
 @given(
-    zeta=st.floats(0.0, 0.6),
+    zeta=st.floats(0.0, 0.99),
     share=st.floats(0.01, 0.8),
     amplitude=st.floats(1e-4, 1e-2),
 )

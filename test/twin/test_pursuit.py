@@ -455,6 +455,52 @@ def test_journal_repeats_a_measured_run_to_the_last_bit(seed, throw, batch) -> N
         assert first == theirs.step or ours.phases == theirs.phases
 
 
+SPOILT = {
+    'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
+    'plate_velocity': st.sampled_from([0.0, 10.0, -999.0, math.inf]),
+    'projectile': st.sampled_from([math.nan, 5.0, -99.0, math.inf]),
+}
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    model=st.sampled_from(['travelling_wave', 'finite_difference_glued', 'spring_mass']),
+    rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
+    wait=st.sampled_from([0.0, 1e-3]),
+    spoilt=st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=SPOILT)),
+        max_size=20,
+    ),
+    moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
+    gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
+)
+def test_whatever_is_measured_is_followed_or_refused_and_repeated(
+    model, rate, wait, spoilt, moved, gap
+) -> None:
+    run = Run(model=model, measured__wait=wait)
+    samples = measured_throw(run.rig, begin_ns=BEGIN, noise=5e-6, jitter=0.4, rate=rate)
+    last = len(samples) - 1
+    for place, values in spoilt:
+        samples[int(place * last)] = samples[int(place * last)]._replace(**values)
+    delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
+    for place, shift in moved:
+        index = int(place * last)
+        samples[index] = samples[index]._replace(stamp_ns=samples[index].stamp_ns + shift)
+        delays[index] -= shift
+    first = int(gap[0] * last)
+    del samples[first : first + gap[1]]
+    del delays[first : first + gap[1]]
+    run.send(samples, delays)
+    run.go_on(10)
+    assert run.session.taken + sum(run.session.refused.values()) == len(samples)
+    assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
+    again = run.repeat()
+    assert [outputs.state for outputs in again] == [outputs.state for outputs in run.outputs]
+    assert [outputs.prediction for outputs in again] == [
+        outputs.prediction for outputs in run.outputs
+    ]
+
+
 def test_journal_without_samples_of_an_entry_is_noticed() -> None:
     run = Run()
     run.throw(duration=0.4)
