@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     find_throws,
@@ -28,6 +30,9 @@ _BODIES = ('plate', 'projectile')
 _TYPE = 'sensor_msgs/msg/JointState'
 _BETTER = ('/measured_joint_states', '/joint_states')
 """How topics end that are read before others: what is measured, then what the twin says."""
+
+_FEW = 10  # throws that a record of one may be taken for because of its noise
+_WHOLE = 1.5  # times the noise that one motion leaves of a record at most, if it is that of one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +84,10 @@ class Source:
         """
         whole = self.throw_of(tracks, path)
         try:
-            return whole.between(self.start, self.end).throws()
+            whole = whole.between(self.start, self.end)
+            if len(find_throws(whole.plate)) < _FEW and _is_one(whole):
+                return [whole]
+            return whole.throws()
         except TrackError as error:
             raise TrackError(f'{whole.name}: {error}') from None
 
@@ -142,6 +150,15 @@ class Source:
             for message in reader.messages(names):
                 record.add(message)
         return record.tracks()
+
+
+def _is_one(record: ThrowTracks) -> bool:
+    """Tell whether one motion explains a record, however it looks to who cuts it in its noise."""
+    try:
+        residual = fit_plate(record.plate).fit.residuals[0]
+    except FitError:
+        return False
+    return residual.rms < _WHOLE * record.plate.noise
 
 
 class Record:

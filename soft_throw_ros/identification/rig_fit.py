@@ -40,7 +40,7 @@ from soft_throw_ros.identification.problem import (
     Reference,
     USUAL,
 )
-from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks
+from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 
@@ -173,11 +173,13 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
         _LEAST_NOISE * max(track.noise for track in tracks),
         _LEFT_OUT * max(float(np.ptp(track.position)) for track in tracks),
     )
+
+    def like(track: Track) -> Track:
+        return replace(track, least_noise=max(track.least_noise, least))
+
     return [
         replace(
-            throw,
-            plate=replace(throw.plate, least_noise=least),
-            projectile=throw.projectile and replace(throw.projectile, least_noise=least),
+            throw, plate=like(throw.plate), projectile=throw.projectile and like(throw.projectile)
         )
         for throw in throws
     ]

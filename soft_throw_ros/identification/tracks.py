@@ -10,8 +10,8 @@ import re
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.signal import welch
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.signal import spectrogram
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
@@ -34,8 +34,11 @@ _TIME = ('t', 'time')
 _MISSING = ('', 'nan')
 _SWINGS = 6.0  # plate periods that are kept of a throw among others
 _SEEN = 2.0  # plate periods of the last one of several throws that must be seen
-_QUIET = 0.25  # plate periods that it rests between two throws at least
-_SEGMENT = 2**15  # samples whose spectra are averaged
+_QUIET = 0.5  # plate periods that it rests between two throws at least, and ...
+_BEFORE = 0.25  # that are kept of it
+_SMOOTH = 0.125  # plate periods that are averaged over to see where it rests
+_ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, a swing is at least
+_SEGMENT = 2**15  # samples of one spectrum
 _DIFFERENCES = 4  # order of the differences that noise is taken from
 
 
@@ -175,7 +178,7 @@ class ThrowTracks:
         Notes
         -----
         A throw begins where the plate leaves its lowest place of rest. If it comes back there,
-        what is kept is `_QUIET` periods before and at most `_SWINGS` periods after that, so that
+        what is kept is `_BEFORE` periods before and at most `_SWINGS` periods after that, so that
         the plate must not be put back earlier. If there are several, the last one is left out if
         the record ends `_SEEN` periods after its start or sooner. A record in which the plate
         rests there only once, or never, is one throw and stays whole.
@@ -215,14 +218,16 @@ def noise_of(position: Floats) -> float:
 
 def find_throws(plate: Track) -> list[tuple[float, float]]:
     """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
-    time, position = plate.time, plate.position
+    time = plate.time
     period = _dominant_period(plate)
     size = max(3, round(_QUIET * period / plate.interval))
     if size >= time.size:
         return []
+    width = max(1, round(_SMOOTH * period / plate.interval))
+    position = uniform_filter1d(plate.position, width)
     low = minimum_filter1d(position, size)
     high = maximum_filter1d(position, size)
-    tolerance = 6.0 * plate.noise + 0.005 * float(np.ptp(position))
+    tolerance = 6.0 * plate.noise / math.sqrt(width) + 0.005 * float(np.ptp(position))
     quiet = high - low < 2.0 * tolerance
     if not quiet.any():
         return []
@@ -244,7 +249,7 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
         starts.pop()
     limits = [*starts[1:], math.inf]
     return [
-        (start - _QUIET * period, min(start + _SWINGS * period, limit - _QUIET * period))
+        (start - _BEFORE * period, min(start + _SWINGS * period, limit - _BEFORE * period))
         for start, limit in zip(starts, limits, strict=True)
     ]
 
@@ -254,8 +259,10 @@ def _dominant_period(plate: Track) -> float:
     count = max(16, round(plate.duration / plate.interval) + 1)
     even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
     velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
-    frequency, power = welch(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
-    return 1.0 / float(frequency[max(1, int(np.argmax(power)))])
+    frequency, _, powers = spectrogram(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
+    noise = 8.0 / step * (plate.noise * np.sin(np.pi * step * frequency)) ** 2
+    strength = powers.max(axis=1) - _ABOVE_NOISE * noise
+    return 1.0 / float(frequency[max(1, int(np.argmax(strength)))])
 
 
 def read_csv(

@@ -6,6 +6,8 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
+from time import sleep
 
 import numpy as np
 import pytest
@@ -362,6 +364,26 @@ def test_throw_of_a_bag_that_is_none_is_left_out(capsys, tmp_path):
     assert result.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
 
 
+@pytest.mark.parametrize(
+    ('start', 'noise'),
+    [(-0.002, 2e-5), (0.015, 4e-4)],
+    ids=['never at rest', 'hardly to be seen'],
+)
+def test_throw_that_looks_like_several_is_one(capsys, write, start, noise):
+    time = np.arange(0.0, 0.1, 2e-4)
+    plate = Underdamped.of(RIG.engine).position(time - start)
+    projectile = follow(RIG, until=time[-1] - start).projectile_position(time - start)
+    seen = np.stack([plate, projectile]) + noise * np.random.default_rng(2).normal(
+        size=(2, time.size)
+    )
+    lines = [f'{t:.4f},{low:.7f},{high:.7f}' for t, low, high in zip(time, *seen, strict=True)]
+    found = run_json(capsys, write(lines), '--thickness', 12e-3)
+    assert found['sources'] == ['tracks.csv']
+    for name, truth in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
+        best, error = value(found, name)
+        assert best == pytest.approx(truth, abs=4.0 * error)
+
+
 def test_projectile_that_is_not_seen_is_left_out(capsys, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     projectile[projectile > 0.04] = np.nan  # beyond what the camera sees
@@ -468,6 +490,25 @@ def test_watch_refreshes_after_every_throw(capsys, recorder, tmp_path):
         value(found, 'layer.wave_speed')[0], rel=1e-3
     )
     assert set(tmp_path.iterdir()) == {folder, output}
+
+
+def test_watch_goes_along_with_a_recorder_that_runs_beside_it(capsys, tmp_path):
+    # The rig throws again only when the throw before is in the parameter file
+    output = tmp_path / 'rig.yaml'
+    recorder = Recorder(tmp_path / 'bag', starts=(0.2, 0.8, 1.4), pieces=3)
+
+    def record():
+        for number in (1, 2):
+            while not (output.exists() and f'throw {number}:' in output.read_text()):
+                sleep(0.01)
+            recorder.write()
+        recorder.bag.close()
+
+    beside = threading.Thread(target=record, daemon=True)
+    beside.start()
+    lines = run(capsys, '--watch', recorder.folder, *KNOWN, '--output', output).out.splitlines()
+    beside.join()
+    assert [line.partition(':')[0] for line in lines] == [f'bag, throw {n}' for n in (1, 2, 3)]
 
 
 def test_watch_fits_the_last_throws_only(capsys, recorder):

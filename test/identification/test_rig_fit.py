@@ -281,6 +281,20 @@ def test_rig_fit_refuses_what_it_does_not_know(make_throw, change, message):
         fit_rig([make_throw(Rig(), rate=500.0)], KNOWN, **change)
 
 
+def test_noises_that_are_estimated_are_not_too_unlike(make_throw):
+    # Ten samples in a period make the plate look noisy, and nothing the flight
+    throw = make_throw(Rig(), rate=632.0, duration=0.1, noise=0.0)
+    assert throw.plate.noise > 100.0 * throw.projectile.between(0.04, 1.0).noise
+    found = fit_rig([throw], KNOWN)
+    plate, projectile = (residual.track for residual in found.fit.residuals)
+    assert projectile.noise >= 0.1 * plate.noise
+    for name, truth in truth_of(Rig()).items():
+        if name in found.fit:
+            assert found.fit[name].value == pytest.approx(truth, rel=1e-4)
+    seen = replace(throw, projectile=replace(throw.projectile, least_noise=1e-4))
+    assert fit_rig([seen], KNOWN).fit.residuals[1].track.noise == 1e-4
+
+
 def test_layer_needs_a_projectile(make_throw):
     throw = replace(make_throw(Rig(), rate=500.0), projectile=None)
     with pytest.raises(FitError, match=re.escape('layer.wave_speed cannot be found without')):

@@ -158,9 +158,10 @@ def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
     return ThrowTracks(name='bag', plate=track, projectile=track)
 
 
-def test_record_is_cut_into_its_throws():
+@pytest.mark.parametrize('noise', [0.0, 1e-5, 2e-4])  # up to a tenth of the amplitude
+def test_record_is_cut_into_its_throws(noise):
     starts = [0.2, 0.7, 1.3, 1.8]
-    throws = record(starts=starts).throws()
+    throws = record(starts=starts, noise=noise).throws()
     assert [throw.name for throw in throws] == [f'bag, throw {n}' for n in range(1, 5)]
     for start, throw in zip(starts, throws, strict=True):
         assert start - 0.01 < throw.plate.time[0] < start
