@@ -52,7 +52,7 @@ _ENTRIES = (
     row('measured.start', 0.1,
          "Part of the plate's peak speed by `engine.*` at which a throw has started",
          low=0.01, high=0.9),
-    row('measured.band', 5e-5,
+    row('measured.band', 1e-4,
          'Rms difference of a measured projectile beyond which the model is reported as wrong',
          unit='m', low=1e-7, high=1.0),
     row('layer.name', 'gelatin_16.8mm',

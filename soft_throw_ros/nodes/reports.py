@@ -155,6 +155,7 @@ class Observer:
             'measurement',
             message,
             warn=not account.taken or refused > 0 or account.lost > 0 or lead <= 0.0,
+            at_rest=self._session.is_at_rest,
             samples=account.taken,
             messages=account.received,
             messages_lost=account.lost,

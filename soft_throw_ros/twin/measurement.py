@@ -52,7 +52,7 @@ PER_CROSSING, PER_PERIOD = 3, 20
 _PER_WINDOW = 8  # times at which the plate is smoothed
 _KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
 _LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
-_SURE = 6.0  # standard errors that are no noise
+_SURE, _QUIET = 6.0, 4.0  # standard errors that are no noise, and that are nothing else
 
 
 class Sample(NamedTuple):
@@ -355,7 +355,7 @@ class Watch:
     Notes
     -----
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
-    speed of a start, and no more when it has been for `RISE` of its period. A throw has begun
+    speed of a start, or four standard errors, and no more when it has been for `RISE` of its period. A throw has begun
     when it goes upwards at that speed, and at six standard errors of it. The time of the start is
     found a window later, see `find_start`.
 
@@ -393,7 +393,7 @@ class Watch:
                         return departure
             elif self.is_armed and speed > max(start, _SURE * error):
                 self._begun = time
-            elif abs(speed) > max(0.5 * start, 0.5 * _SURE * error):
+            elif abs(speed) > max(0.5 * start, _QUIET * error):
                 self._restless = time
                 self.is_armed = self.is_armed and time - self._quiet <= self._rise_time
             else:

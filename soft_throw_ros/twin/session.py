@@ -287,6 +287,11 @@ class Session:
         """Whether samples of the rig are taken."""
         return self._track is not None
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether a measured plate is at rest, so that a throw starts when it jumps up."""
+        return self._watch is not None and self._watch.is_armed
+
     def measure(self, samples: Sequence[Sample]) -> None:
         """Take samples of the rig, if the plate is measured, or refuse and count them."""
         with self._lock:
