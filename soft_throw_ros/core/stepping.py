@@ -279,7 +279,9 @@ class ThrowStepper(ABC):
         rows = np.ascontiguousarray(states, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise ValueError(f'states must be of shape (n, 3), got {rows.shape}')
-        times, _ = checked_samples(times, rows.sum(axis=1), 'states', after=self._last_fed)
+        times = np.ascontiguousarray(times, dtype=np.float64)
+        if times.shape != rows.shape[:1] or not _go_on(times, rows, self._last_fed):
+            checked_samples(times, rows.sum(axis=1), 'states', after=self._last_fed)
         if not times.size:
             return
         self._check_room(times.size)
@@ -473,6 +475,18 @@ class ThrowStepper(ABC):
     @abstractmethod
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+
+
+@nb.njit(cache=True, nogil=True)
+def _go_on(times: Floats, rows: Floats, last: float) -> bool:
+    """Tell if states are finite, and times increase after the last one and are not negative."""
+    for n in range(times.size):
+        if not (last < times[n] < math.inf and times[n] >= 0.0):
+            return False
+        if not np.isfinite(rows[n]).all():
+            return False
+        last = times[n]
+    return True
 
 
 @nb.njit(cache=True, nogil=True)

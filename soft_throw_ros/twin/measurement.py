@@ -355,9 +355,9 @@ class Watch:
     Notes
     -----
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
-    speed of a start, or four standard errors, and no more when it has been for `RISE` of its period. A throw has begun
-    when it goes upwards at that speed, and at six standard errors of it. The time of the start is
-    found a window later, see `find_start`.
+    speed of a start, or four standard errors, and no more when it has been for `RISE` of its
+    period. A throw has begun when it goes upwards at that speed, and at six standard errors of
+    it. The time of the start is found a window later, see `find_start`.
 
     """
 

@@ -28,6 +28,7 @@ from soft_throw_ros.twin.measurement import (
     Departure,
     first_states,
     Nodes,
+    PAST,
     peak_speed,
     SECOND,
     Track,
@@ -44,8 +45,8 @@ from soft_throw_ros.twin.results import (
     ThrowResult,
 )
 
-LOST = SECOND // 10
-"""When nothing has come for so long, and for a crossing time, the plate is lost. [ns]"""
+LOST = PAST
+"""When nothing has come for so long, what comes then is too old, and the plate is lost. [ns]"""
 
 FEWEST = 8
 """Samples of the projectile in flight that tell its errors."""
@@ -145,8 +146,7 @@ class Pursuit:
     ) -> Advanced:
         """Go on as far as the plate is known, and look ahead from there."""
         crossing = self.plan.rig.crossing_time
-        lost_ns = max(LOST, round(crossing * SECOND))
-        if nodes.gap > crossing or now_ns - self._track.newest_ns > lost_ns:
+        if nodes.gap > crossing or now_ns - self._track.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
             self._feed(nodes)
@@ -179,7 +179,10 @@ class Pursuit:
         until_ns = departure.onset_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
         residual = None
-        for sample in self._track.samples(self._compared_ns + 1, until_ns + 1):
+        samples = self._track.samples(self._compared_ns + 1, until_ns + 1)
+        if self._differences.is_complete:
+            samples = samples[-2:]  # the last one may be too late
+        for sample in samples:
             time = (sample.stamp_ns - departure.onset_ns) / SECOND
             if time > known:
                 break
@@ -284,9 +287,15 @@ class _Differences:
     gravity : float
         [m/s2]
 
+    Attributes
+    ----------
+    is_complete : bool
+        Whether no more are taken.
+
     """
 
     def __init__(self, *, longest: float, band: float, gravity: float) -> None:
+        self.is_complete = False
         self._longest = longest
         self._band = band
         self._gravity = gravity
@@ -300,6 +309,7 @@ class _Differences:
         release = flight.first_release
         since = time - release.time if release else 0.0
         if since > self._longest:
+            self.is_complete = True
             return
         self._count += 1
         self._sum += difference**2

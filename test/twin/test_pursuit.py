@@ -316,10 +316,11 @@ def test_plate_that_is_not_measured_any_more_is_lost() -> None:
     run = Run()
     run.throw(duration=0.056)
     assert run.session.throws == 1
+    run.go_on(900)
+    assert not run.results('final')  # nothing is concluded from messages that are late
     run.go_on(150)
     (final,) = run.results('final')
     assert not final.is_valid
-    assert len(run.outputs) - 57 >= 43  # nothing is concluded from a late message
     assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
 
 
