@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 import json
 import math
 from pathlib import Path
@@ -28,6 +29,7 @@ from soft_throw_ros.commands.identify_video import (
 from soft_throw_ros.commands.identify_watch import watch
 from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
 from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.sweep import whole_file
 from soft_throw_ros.identification.fit import Fit, FitError, Value
 from soft_throw_ros.identification.plate_fit import fit_plate
@@ -147,10 +149,12 @@ def main(args: list[str] | None = None) -> int:
 
 def _watch(arguments: argparse.Namespace, settings: Settings) -> None:
     """Say in a line what is found after every throw."""
+    start: Rig | None = None
 
     def refresh(throws: Sequence[ThrowTracks]) -> None:
-        report = _identify_throws(throws, arguments, settings)
-        _keep(report, arguments, settings)
+        nonlocal start
+        report = _identify_throws(throws, arguments, settings, start)
+        start = rig_of(_keep(report, arguments, settings))
         print(_json(report, indent=None) if arguments.json else _line(report), end='', flush=True)
         for warning in report.warnings:
             print(f'identify: {warning}', file=sys.stderr)
@@ -159,11 +163,12 @@ def _watch(arguments: argparse.Namespace, settings: Settings) -> None:
     watch(arguments.watch, _source(arguments), refresh, last=last)
 
 
-def _keep(report: Report, arguments: argparse.Namespace, settings: Settings) -> None:
+def _keep(report: Report, arguments: argparse.Namespace, settings: Settings) -> dict[str, Any]:
     """Write the parameter file, if one is asked for; refuse in any case what is none."""
     identified = with_found(settings, report)
     if arguments.output:
         _write(identified, report, arguments.output)
+    return identified
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -323,15 +328,21 @@ def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
 
 
 def _identify_throws(
-    throws: Sequence[ThrowTracks], arguments: argparse.Namespace, settings: Settings
+    throws: Sequence[ThrowTracks],
+    arguments: argparse.Namespace,
+    settings: Settings,
+    start: Rig | None = None,
 ) -> Report:
     has_projectile = any(throw.projectile is not None for throw in throws)
     usual = USUAL if has_projectile else ENGINE
     free = {*usual, *arguments.fit} - set(arguments.hold)
     rig = rig_of(settings)
-    found = fit_rig(
-        throws, rig, free=free, heights=arguments.heights, reference=arguments.reference
+    fit = partial(
+        fit_rig, throws, rig, free=free, heights=arguments.heights, reference=arguments.reference
     )
+    found = fit(start=start)
+    if start is not None and found.fit.is_misfit:  # it may be another layer
+        found = fit()
     ejection = ejection_of(found) if has_projectile else None
     warnings = found.fit.warnings()
     if ejection is not None and ejection.is_near_jump:
@@ -342,7 +353,7 @@ def _identify_throws(
     averaged: dict[int, Ejection] = {}
     refused: list[str] = []
     for number, throw in enumerate(found.throws):
-        if throw.projectile is not None:
+        if throw.projectile is not None and (arguments.json or not arguments.watch):
             try:
                 averaged[number] = analyse_throw(throw, gravity=rig.gravity)
             except FitError as error:

@@ -184,7 +184,7 @@ class Fit:
                 f'{correlation:.4f}): the error of each is {factor:.0f} times what it would be if '
                 'the other were known; hold one'
             )
-        if self._misfit_probability() < _DOUBT:
+        if self.is_misfit:
             found.append(
                 f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
                 'leaves out something that these tracks show, and the errors do not tell how much'
@@ -202,6 +202,11 @@ class Fit:
                 f'neighbours {worst.autocorrelation:.2f}): the errors are too small'
             )
         return found
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the residuals are larger than noise explains."""
+        return self._misfit_probability() < _DOUBT
 
     def _misfit_probability(self) -> float:
         """Compute the probability of so large a chi squared; estimated noise has errors too."""

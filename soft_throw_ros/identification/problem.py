@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -221,8 +221,8 @@ class Problem:
     def start(self, plates: Sequence[PlateFit]) -> Floats:
         """Find where to start from, given fits of the plates alone."""
         values = np.zeros(len(self.place))
-        for name in self.free:
-            values[self.place[name]] = _parameter(self.rig, name)
+        for name, value in values_of(self.rig, self.free).items():
+            values[self.place[name]] = value
         for number, plate in enumerate(plates):
             for name, value in (('start_time', plate.start_time), ('plate_offset', plate.offset)):
                 if self.local(name, number) in self.place:
@@ -262,9 +262,13 @@ def rest_height(rig: Rig) -> float:
     return rig.layer.thickness - rig.static_sag
 
 
-def _parameter(rig: Rig, name: str) -> float:
-    part, _, field = name.partition('.')
-    return float(getattr(getattr(rig, part), field))
+def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
+    """Look up some of `PARAMETERS`."""
+    values = {}
+    for name in names:
+        part, _, field = name.partition('.')
+        values[name] = float(getattr(getattr(rig, part), field))
+    return values
 
 
 def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:

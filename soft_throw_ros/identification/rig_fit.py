@@ -39,6 +39,7 @@ from soft_throw_ros.identification.problem import (
     Problem,
     Reference,
     USUAL,
+    values_of,
 )
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
@@ -107,6 +108,7 @@ def fit_rig(
     free: Collection[str] = USUAL,
     heights: Heights = 'own',
     reference: Reference = 'face',
+    start: Rig | None = None,
 ) -> RigFit:
     """
     Fit a rig to the tracks of one throw or many.
@@ -156,8 +158,10 @@ def fit_rig(
     plates = [_fit_plate(throw, heights) for throw in throws]
     rig = _with_engine_of(plates, rig, in_order)
     problem = Problem(tuple(throws), rig, in_order, heights, reference)
-    if layer:
+    if layer and start is None:
         problem = replace(problem, rig=find_layer(problem, plates, layer))
+    elif start is not None:
+        problem = replace(problem, rig=changed_rig(rig, values_of(start, layer)))
     return _until_landing(problem, plates)
 
 

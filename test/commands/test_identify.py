@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `identify`."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import signal
@@ -289,13 +290,13 @@ class Bag:
         return self.writer.folder
 
 
-def recorded(starts=(0.2, 0.8), noise=2e-5):
+def recorded(starts=(0.2, 0.8), noise=2e-5, rigs=None):
     """A record of throws, after each of which all is put back."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, starts[-1] + 0.6, 5e-4)
-    history = follow(RIG, until=0.25)
     heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
-    for start in starts:
+    for start, rig in zip(starts, rigs or [RIG] * len(starts), strict=True):
+        history = follow(rig, until=0.25)
         since = time - start
         thrown = (since > 0.0) & (since < 0.25)
         heights[0, thrown] = Underdamped.of(RIG.engine).position(since[thrown])
@@ -521,6 +522,15 @@ def test_watch_fits_the_last_throws_only(capsys, recorder):
     ]
     starts = [report['throws'][-1]['start_time'] for report in reports]
     assert starts == pytest.approx([0.2, 0.8, 1.4], abs=1e-4)
+
+
+def test_watch_notices_another_layer(capsys, recorder):
+    other = replace(RIG, layer=replace(RIG.layer, wave_speed=15.0))
+    changed = recorder(rigs=[RIG, other, other])
+    out = run(capsys, '--watch', changed.folder, *KNOWN, '--last', 1, '--json').out
+    speeds = [json.loads(line)['found']['layer.wave_speed'] for line in out.splitlines()]
+    for speed, truth in zip(speeds, (6.9, 15.0, 15.0), strict=True):
+        assert speed['value'] == pytest.approx(truth, abs=4.0 * speed['error'])
 
 
 def test_watch_begins_with_what_is_there(capsys, recorder):

@@ -281,6 +281,17 @@ def test_rig_fit_refuses_what_it_does_not_know(make_throw, change, message):
         fit_rig([make_throw(Rig(), rate=500.0)], KNOWN, **change)
 
 
+def test_fit_from_a_rig_that_is_about_right_ends_where_others_do(make_throw):
+    throw = make_throw(Rig(layer=Layer(thickness=9.5e-3)), rate=2000.0)
+    known = replace(KNOWN, layer=Layer(thickness=9.5e-3, wave_speed=50.0))
+    anywhere = fit_rig([throw], known)
+    near = replace(known, layer=Layer(thickness=9.5e-3, wave_speed=7.5))
+    found = fit_rig([throw], known, start=near)
+    assert found.fit.values == pytest.approx(anywhere.fit.values, rel=1e-5, abs=1e-9)
+    assert not found.fit.is_misfit
+    assert fit_rig([throw], known, start=known).fit.is_misfit  # 50 m/s is too far away
+
+
 def test_noises_that_are_estimated_are_not_too_unlike(make_throw):
     # Ten samples in a period make the plate look noisy, and nothing the flight
     throw = make_throw(Rig(), rate=632.0, duration=0.1, noise=0.0)
