@@ -4,6 +4,7 @@
 from dataclasses import replace
 import json
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -105,6 +106,21 @@ def test_sample_gives_its_rig(capsys):
     for name in ('time', 'speed', 'peak_plate_speed', 'energy_transfer'):
         apart = abs(averaged[name]['value'] - ejection[name]['value'])
         assert apart < 3.0 * averaged[name]['error']
+
+
+def test_readme_shows_what_is_printed_of_the_sample(capsys, tmp_path, monkeypatch):
+    root = SAMPLE.parents[2]
+    text = (root / 'README.md').read_text(encoding='utf-8')
+    (command,) = re.findall(r"make identify ARGS='(.*synthetic_throw.*)'", text)
+    monkeypatch.chdir(root)
+    args = command.replace('my_rig.yaml', str(tmp_path / 'my_rig.yaml')).split()
+    printed = run(capsys, *args).out.splitlines()[:4]
+    shown = re.findall(r'^    ((?:engine|layer)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
+    # The last digits may depend on the processor
+    for line, other in zip(printed, shown, strict=True):
+        assert line.split()[0] == other.split()[0]
+        assert float(line.split()[1]) == pytest.approx(float(other.split()[1]), rel=1e-3)
+    assert files.read(tmp_path / 'my_rig.yaml')['layer.thickness'] == 12e-3
 
 
 def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
