@@ -401,7 +401,7 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Repor
         except FitError as error:
             raise FitError(f'{path}: {error}') from None
         layers.append((thickness, ringing))
-        if arguments.space_time:
+        if line is not None and arguments.space_time:
             _draw(arguments.space_time, identify_figure.draw_space_time, line, ends, ringing)
         warnings += [f'{path}: {warning}' for warning in ringing.fit.warnings()]
     speed = fit_wave_speed(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -237,29 +237,36 @@ class Record:
             parts.append(rows)
         return np.concatenate(parts)
 
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether there are several topics to read, and none is better than the others."""
+        return len(self._best()) > 1
+
     def _choose(self) -> str:
         """Choose the topic to read."""
-        found = [
-            topic for topic, rows in sorted(self._rows.items()) if np.isfinite(rows[:, 1]).any()
-        ]
-        best: Collection[str] = found
-        if self._topic is not None:
-            best = {self._topic}.intersection(found)
-        else:
-            for ending in _BETTER:
-                if better := [topic for topic in found if topic.endswith(ending)]:
-                    best = better
-                    break
+        best = self._best()
         if len(best) == 1:
-            return next(iter(best))
-        wrong = [reason for topic, reason in self._unreadable.items() if topic == self._topic]
-        if wrong:
-            raise TrackError(f'{self._path}: {self._topic}: {wrong[0]}')
+            return best[0]
+        if self._topic in self._unreadable:
+            raise TrackError(f'{self._path}: {self._topic}: {self._unreadable[self._topic]}')
+        found = self._found()
         there = ', '.join(found) or 'none'
         raise TrackError(
             f'{self._path}: no topic {self._topic or "of its own"} has positions of a joint '
             f'plate; those that have: {there}' + (' (choose with --topic)' if found else '')
         )
+
+    def _found(self) -> list[str]:
+        """List the topics that have positions of a plate."""
+        return sorted(topic for topic, rows in self._rows.items() if np.isfinite(rows[:, 1]).any())
+
+    def _best(self) -> list[str]:
+        """List those of them to read."""
+        found = self._found()
+        if self._topic is not None:
+            return [topic for topic in found if topic == self._topic]
+        ranks = [[topic for topic in found if topic.endswith(ending)] for ending in _BETTER]
+        return next(filter(None, ranks), found)
 
 
 class Growing:
@@ -294,13 +301,13 @@ class Growing:
         Raises
         ------
         TrackError
-            If it is complete, and has no plate.
+            If it is complete, and has no plate; or has several, and none was asked for.
 
         """
         try:
             whole = self._source.throw_of(self.record.tracks(), self._path)
         except TrackError:
-            if is_complete:
+            if is_complete or self.record.is_ambiguous:
                 raise
             return []
         now = whole.plate.time[-1]

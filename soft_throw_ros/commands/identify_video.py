@@ -6,13 +6,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 import contextlib
+import math
 import mimetypes
 from pathlib import Path
 import re
 
-import numpy as np
 from soft_throw_ros.commands.rig_options import number_or_text
-from soft_throw_ros.core import checks
 from soft_throw_ros.design.sweep import whole_file
 from soft_throw_ros.identification.fit import FitError
 from soft_throw_ros.identification.space_time import space_time, SpaceTime
@@ -90,16 +89,12 @@ def check_video_options(arguments: argparse.Namespace) -> None:
             if value is not None:
                 raise ValueError(f'argument --{name.replace("_", "-")}: is for videos')
         return
-    for name in ('rate', 'scale'):
-        if given[name] is None:
+    for name, values in (('rate', [arguments.rate]), ('scale', arguments.scale or [None])):
+        if None in values:
             raise ValueError(f'argument --{name}: must be given with a video')
-        for value in np.atleast_1d(np.array(given[name], dtype=object)):
-            try:
-                checks.positive(name, value)
-            except ValueError:
-                raise ValueError(
-                    f'argument --{name}: must be finite and positive, got {value}'
-                ) from None
+        for value in values:
+            if not isinstance(value, float) or not 0.0 < value < math.inf:
+                raise ValueError(f'argument --{name}: must be finite and positive, got {value}')
     if (arguments.tracks or arguments.line) and len(videos) > 1:
         option = '--tracks' if arguments.tracks else '--line'
         raise ValueError(f'argument {option}: is for one video at a time, got {len(videos)}')

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+import contextlib
 import sys
 import time
 
@@ -61,14 +62,14 @@ def watch(folder: str, source: Source, refresh: Refresh, *, last: int) -> None:
         take(growing.throws(is_complete=False))
         time.sleep(_PAUSE)
 
-    try:
-        for item in tail(folder, look):
-            if isinstance(item, Message):
-                growing.record.add(item)
-    except BagError as error:
-        if not kept:
-            raise
-        print(f'identify: {error}', file=sys.stderr)
-    except KeyboardInterrupt:
-        return
-    take(growing.throws(is_complete=True))
+    print(f'identify: watching {folder} until it is complete; Ctrl-C ends it', file=sys.stderr)
+    with contextlib.suppress(KeyboardInterrupt):
+        try:
+            for item in tail(folder, look):
+                if isinstance(item, Message):
+                    growing.record.add(item)
+        except BagError as error:
+            if not kept:
+                raise
+            print(f'identify: {error}', file=sys.stderr)
+        take(growing.throws(is_complete=True))

@@ -278,6 +278,8 @@ class _Followed:
             within = np.clip(reach + 0.5 - distance, 0.0, 1.0)
             darkness = within * (around - levels)
             total = float(darkness.sum())
+            if total <= 0.0:
+                return None
             place = darkness @ pixels / total
         depth = around - float(smooth[near.slice][near.image].min())
         if depth < _CLEAREST * self._noise:

@@ -572,6 +572,17 @@ def test_watch_without_a_plate_says_so(capsys, recorder):
     assert 'no topic /none has positions of a joint plate' in message
 
 
+def test_watch_of_two_rigs_asks_for_one_at_once(capsys, tmp_path, monkeypatch):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag')
+    for rig in ('/a', '/b'):
+        bag.add(f'{rig}/joint_states', time, plate, projectile)
+    bag.writer.flush()
+    monkeypatch.setattr(identify_watch.time, 'sleep', lambda _: pytest.fail('it waits'))
+    assert 'choose with --topic' in refused(capsys, '--watch', bag.writer.folder)
+    bag.close()
+
+
 def test_watch_ends_well_when_it_is_interrupted(tmp_path):
     recorder = Recorder(tmp_path / 'bag', starts=(0.2, 0.8), pieces=1)
     with subprocess.Popen(

@@ -132,7 +132,9 @@ def test_video_gives_the_rig_that_was_filmed(capsys, throw_video, tmp_path):
     assert lines[1] == 't [s],plate [m],layer 1 [m],projectile [m]'
     again = run(capsys, tracks, '--thickness', 12e-3)
     for name, value in found['found'].items():
-        assert again['found'][name]['value'] == pytest.approx(value['value'], rel=1e-6)
+        assert again['found'][name]['value'] == pytest.approx(
+            value['value'], abs=0.2 * value['error']
+        )
 
 
 def test_folder_of_pictures_is_read_by_their_numbers(capsys, throw_pictures, tmp_path):
