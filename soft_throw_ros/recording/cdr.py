@@ -258,7 +258,7 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
 
     """
     first = datas[0]
-    stamp, names, series, _, _ = _joint_state_layout(first)
+    stamp, names, series, padding, _ = _joint_state_layout(first)
     begins, counts = zip(*series, strict=True)
     fields: list[tuple[str, Any, int]] = [('sec', '<i4', stamp), ('nanosec', '<u4', stamp + 4)]
     fields += [
@@ -280,6 +280,8 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
     is_fixed = np.ones(len(first), bool)
     for begin, size in [(stamp, 8), *zip(begins, np.multiply(counts, 8), strict=True)]:
         is_fixed[begin : begin + size] = False
+    for begin, end in padding:
+        is_fixed[begin:end] = False
     if (rows[:, is_fixed] != rows[0, is_fixed]).any():
         raise MessageError(f'messages JointState of one topic are not all of {", ".join(names)}')
     values = np.frombuffer(joined, layout)

@@ -43,13 +43,17 @@ PHASE = 'phase'
 THROW_RESULT = 'throw_result'
 RECOMMENDATION = 'recommendation'
 JOURNAL = 'journal'
+MEASURED = 'measured_joint_states'
+PREDICTED = 'predicted_joint_states'
+RESIDUAL = 'residual'
 
+_JOINT_STATE = 'sensor_msgs/msg/JointState'
 _ARRAY = 'std_msgs/msg/Float64MultiArray'
 _TEXT = 'std_msgs/msg/String'
 _DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 
 _TYPES = {
-    STATES: 'sensor_msgs/msg/JointState',
+    STATES: _JOINT_STATE,
     STRAIN: _ARRAY,
     VELOCITY: _ARRAY,
     THROW_FIELD: _ARRAY,
@@ -57,7 +61,13 @@ _TYPES = {
     THROW_RESULT: _DIAGNOSTICS,
     RECOMMENDATION: _DIAGNOSTICS,
     JOURNAL: _TEXT,
+    MEASURED: _JOINT_STATE,
+    PREDICTED: _JOINT_STATE,
+    RESIDUAL: _JOINT_STATE,
 }
+
+_BESIDE = {MEASURED: JOINTS, PREDICTED: JOINTS[1:], RESIDUAL: JOINTS}
+"""What is said of which joints, beside the states."""
 
 _LOG = 'rcl_interfaces/msg/Log'
 
@@ -112,6 +122,28 @@ class Motion:
 class Places:
     """Where plate and projectile are between state messages: shape (n,), and (n, 2). [ns], [m]"""
 
+    stamps: Stamps
+    position: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beside:
+    """
+    Positions besides those of the states.
+
+    Parameters
+    ----------
+    kind : str
+        `MEASURED`, of plate and projectile, above where they rest before the throw; `PREDICTED`,
+        of the projectile; or `RESIDUAL`, of both, by the model less those measured.
+    stamps : ndarray, shape (n,)
+        [ns]
+    position : ndarray, shape (n, joints)
+        NaN for a joint that is not measured. [m]
+
+    """
+
+    kind: str
     stamps: Stamps
     position: Floats
 
@@ -251,6 +283,7 @@ class LogLine:
 Part = (
     Motion
     | Places
+    | Beside
     | LayerStrain
     | LayerEnergy
     | ThrowPicture
@@ -354,6 +387,7 @@ class TwinDigest:
         self._on_damage = on_damage
         self._pace: Pace | None = None
         self._ejection_time: float | None = None
+        self._rest: tuple[float, float] | None = None  # where a rig was measured at rest
         self._states: list[_States] = []  # since the throw began
         self._recent: _States | None = None  # of this batch and the last
         self._strains: list[tuple[int, Floats]] = []  # whose velocities have not come
@@ -361,6 +395,8 @@ class TwinDigest:
     @property
     def time_scale(self) -> float:
         """Time of the rig over that of the stamps. [-]"""
+        if self.settings['engine.motion'] == 'measured':
+            return 1.0
         return float(self.settings['time_scale'])
 
     def take(self, messages: Sequence[tuple[str, Message]]) -> Iterator[Part]:
@@ -380,6 +416,10 @@ class TwinDigest:
                 yield from self._read(self._phase, message)
             elif kind in (THROW_RESULT, RECOMMENDATION):
                 yield from self._read(self._reports, message, kind)
+        for name in _BESIDE:
+            beside = [message for kind, message in messages if kind == name]
+            if beside:
+                yield from self._beside(name, beside)
         yield from self._layer_strain(layers[STRAIN])
         yield from self._layer_energy(layers[STRAIN], layers[VELOCITY])
 
@@ -443,6 +483,28 @@ class TwinDigest:
                 except MessageError as error:
                     self._on_damage(message, error)
         yield from (part for part in parts if part is not None)
+
+    def _beside(self, kind: str, messages: Sequence[Message]) -> Iterator[Beside]:
+        """Read what is said of positions besides the states."""
+        joints = _BESIDE[kind]
+        try:
+            read = decode_joint_states([message.data for message in messages])
+        except MessageError as error:
+            self._on_damage(messages[0], error)
+            return
+        if joints[0] not in read.names or read.position.shape[1] != len(read.names):
+            return  # it is of another machine
+        position = np.full((len(messages), len(joints)), math.nan)
+        for column, name in enumerate(joints):
+            if name in read.names:
+                position[:, column] = read.position[:, read.names.index(name)]
+        if kind == MEASURED:
+            if self._rest is None or self.rig is None:
+                return
+            height = self.rig.layer.thickness - self.rig.static_sag
+            position -= [self._rest[0], self._rest[1] - height]
+        is_number = (np.abs(position) <= _LARGEST).any(axis=1)
+        yield Beside(kind=kind, stamps=read.stamps[is_number], position=position[is_number])
 
     def _add_energies(self, states: _States) -> None:
         """Integrate what the plate does, from where it was last at rest."""
@@ -575,7 +637,7 @@ class TwinDigest:
             if kind == THROW_RESULT:
                 time = values.get('ejection_time')
                 self._ejection_time = time if isinstance(time, float) and time > 0.0 else None
-                if values.get('stage') == 'release' and self.start is not None:
+                if values.get('stage') in ('predicted', 'release') and self.start is not None:
                     stamp = self.start
             yield Report(stamp=stamp, kind=kind, message=str(status.message), values=values)
 
@@ -589,6 +651,11 @@ class TwinDigest:
         step = operator.index(entry['step'])
         if entry['kind'] == 'throw':
             due = stamp if self._pace is None else self._pace.deadline(step)
+            self._rest = None
+            if 'departure' in entry:
+                departure = journal.values_departure(entry['departure'])
+                due = departure.onset_ns
+                self._rest = departure.plate_rest, departure.projectile_rest
             self.start = stamp = due if abs(due - stamp) < _NEAR else stamp
             self._ejection_time = None
             self._states = [

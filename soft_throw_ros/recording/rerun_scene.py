@@ -25,17 +25,21 @@ import rerun.blueprint as rrb
 from rerun.experimental import ViewerClient
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.recording.digest import (
+    Beside,
     Digest,
     Floats,
     LayerEnergy,
     LayerStrain,
     LogLine,
+    MEASURED,
     Motion,
     Part,
     PhaseChange,
     Places,
+    PREDICTED,
     RECOMMENDATION,
     Report,
+    RESIDUAL,
     RigChange,
     Stamps,
     THROW_RESULT,
@@ -80,6 +84,18 @@ _PHASES = {
 _ALPHA = '\N{GREEK SMALL LETTER ALPHA}'
 
 _MILLI = 1e3
+
+_BESIDE: Mapping[str, tuple[str, float, list[str], list[Colour]]] = {
+    MEASURED: (
+        'position/measured',
+        1e3,
+        ['plate, measured', 'projectile, measured'],
+        [_RED, _ORANGE],
+    ),
+    PREDICTED: ('position/predicted', 1e3, ['projectile, predicted'], [_GREEN]),
+    RESIDUAL: ('residual', 1e6, ['plate', 'projectile'], [_GREY, _BLUE]),
+}
+"""Where positions beside those of the states are drawn, in mm or um."""
 
 _DIGITS = 4
 """Of numbers in tables."""
@@ -388,6 +404,7 @@ class _TwinScene:
         self._settings: Mapping[str, Any] = {}
         self._largest_strain = _STRAIN
         self._recommended: tuple[float, float] | None = None
+        self._beside: set[str] = set()
         self._landscape_stamp = 0
         self._landscapes: list[tuple[int, Future[_Landscape]]] = []
         self._set_styles()
@@ -432,6 +449,8 @@ class _TwinScene:
                 self._draw_motion(part)
             case Places():
                 self._draw_places(part.stamps, part.position)
+            case Beside():
+                self._draw_beside(part)
             case LayerStrain():
                 self._draw_layer(part)
             case LayerEnergy():
@@ -459,6 +478,16 @@ class _TwinScene:
         self._draw_series('energy/work', motion.stamps, _MILLI * motion.plate_work)
         self._draw_series('energy/projectile', motion.stamps, _MILLI * motion.projectile_energy)
         self._draw_places(motion.stamps, motion.position)
+
+    def _draw_beside(self, beside: Beside) -> None:
+        name, factor, lines, colours = _BESIDE[beside.kind]
+        if beside.kind not in self._beside:
+            self._beside.add(beside.kind)
+            self._canvas.style(
+                self._path(name),
+                rr.SeriesLines(names=lines, colors=colours, widths=[1.0] * len(lines)),
+            )
+        self._draw_series(name, beside.stamps, factor * beside.position)
 
     # side view, in mm, downwards as Rerun has it
 
@@ -649,7 +678,7 @@ class _TwinScene:
 
     def view_key(self) -> Any:
         """Return what another layout is needed for."""
-        return self._period, self._bounds()
+        return self._period, self._bounds(), RESIDUAL in self._beside
 
     def layout(self, *, is_live: bool, has_log: bool) -> rrb.Container:
         """Arrange all there is of the twin."""
@@ -674,7 +703,9 @@ class _TwinScene:
                 ('velocity', 'Velocity v (m/s)'),
                 ('force', 'Compressive force F (N)'),
                 ('energy', 'Energy (mJ)'),
+                ('residual', 'Model less measurement (µm)'),
             )
+            if name != 'residual' or RESIDUAL in self._beside
         ]
         half, low, high = self._bounds()
         side = rrb.Spatial2DView(
@@ -709,7 +740,7 @@ class _TwinScene:
             shares.append(1.6)
         return rrb.Horizontal(
             rrb.Vertical(side, throw, row_shares=[3.0, 2.1]),
-            rrb.Vertical(phase, *series, row_shares=[1.4, 3.0, 3.0, 3.0, 3.0]),
+            rrb.Vertical(phase, *series, row_shares=[1.4, *[3.0] * len(series)]),
             rrb.Vertical(*right, row_shares=shares),
             column_shares=[2.5, 4.2, 4.2],
             name=self._prefix or '/',
@@ -948,6 +979,10 @@ _THROW_ROWS = (
     ('peak_force', 'peak force on plate (N)', 1.0),
     ('plate_work', 'work of the plate (mJ)', 1e3),
     ('apex_height', 'apex (mm)', 1e3),
+    ('lead', 'release known before (ms)', 1e3),
+    ('residual.position_rms', 'model off by, rms (µm)', 1e6),
+    ('residual.ejection_time_error', 'and tₑ by (µs)', 1e6),
+    ('residual.ejection_speed_error', 'and Vₑ by (m/s)', 1.0),
 )
 
 _LAYER_ROWS = (
@@ -979,7 +1014,8 @@ def _throw_text(report: Report) -> str:
         key.removesuffix('.ejection_time') for key in values if key.endswith('.ejection_time')
     ]
     throw = values.get('throw')
-    stage = 'in all' if values.get('stage') == 'final' else 'up to the release'
+    stages = {'final': 'in all', 'predicted': 'as it will be'}
+    stage = stages.get(str(values.get('stage')), 'up to the release')
     if not values.get('recontacts'):
         values = {key: value for key, value in values.items() if not key.startswith('last_')}
     heads = ['twin', *(_MODELS.get(model, model) for model in models)]

@@ -18,15 +18,19 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.digest import (
+    Beside,
     Digest,
     is_shown,
     LayerEnergy,
     LayerStrain,
     LogLine,
+    MEASURED,
     Motion,
     PhaseChange,
     Places,
+    PREDICTED,
     Report,
+    RESIDUAL,
     RigChange,
     ThrowPicture,
 )
@@ -37,6 +41,9 @@ from soft_throw_ros.twin.results import State
 TwinMessages: Any = runpy.run_path(str(Path(__file__).with_name('twin_messages.py')))[
     'TwinMessages'
 ]
+
+
+rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
 
 
 def one_throw(steps: int, **request: Any) -> Any:
@@ -332,3 +339,50 @@ def test_lines_that_are_of_no_journal_are_counted(real, line) -> None:
     assert list(digest.take([message])) == []
     assert digest.damaged == 1
     assert digest.damage.startswith('/twin/journal: ')
+
+
+@pytest.fixture(scope='module')
+def measured() -> Any:
+    """One throw of a measured plate."""
+    twin = TwinMessages(engine__motion='measured')
+    return twin.measure(rigs['measured_throw'](Rig(), begin_ns=twin.now, duration=0.1))
+
+
+def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> None:
+    found = parts(measured.messages, Beside)
+    beside = {
+        kind: [part for part in found if part.kind == kind]
+        for kind in (MEASURED, PREDICTED, RESIDUAL)
+    }
+    predictions = [outputs.prediction for outputs in measured.outputs if outputs.prediction]
+    assert joined(beside[PREDICTED], 'stamps').tolist() == [item.stamp_ns for item in predictions]
+    positions = joined(beside[PREDICTED], 'position')
+    assert positions[:, 0].tolist() == [item.position for item in predictions]
+    residuals = [outputs.residual for outputs in measured.outputs if outputs.residual]
+    assert joined(beside[RESIDUAL], 'position').tolist() == [list(item[1:]) for item in residuals]
+    # what was measured is there from the start of the throw on, and where the prediction is
+    stamps, truth = joined(beside[MEASURED], 'stamps'), joined(beside[MEASURED], 'position')
+    assert stamps.size > 200
+    there = (predictions[0].stamp_ns < stamps) & (stamps < predictions[20].stamp_ns)
+    assert there.sum() > 50
+    times = joined(beside[PREDICTED], 'stamps')
+    expected = np.interp(stamps[there], times, positions[:, 0])
+    assert truth[there, 1] == pytest.approx(expected, abs=5e-5)  # the prediction is a polygon
+
+
+def test_measured_throw_starts_with_the_plate(measured) -> None:
+    onset = measured.pace.time_ns + 50_000_000
+    (picture,) = parts(measured.messages, ThrowPicture)
+    assert picture.start == pytest.approx(onset, abs=5000)
+    assert picture.times[-1] == pytest.approx(1.5 * picture.ejection_time)
+    reports = parts(measured.messages, Report)
+    stamps = {report.values.get('stage'): report.stamp for report in reports}
+    assert stamps['predicted'] == stamps['release'] == picture.start
+
+
+def test_positions_of_other_joints_are_no_damage() -> None:
+    twin = one_throw(20)
+    data = JointStateEncoder('arm', ('elbow', 'wrist')).encode(0, [0.0] * 6)
+    for name in ('measured_joint_states', 'predicted_joint_states', 'residual'):
+        twin._send(name, data, 0)
+    assert parts(twin.messages, Beside) == []

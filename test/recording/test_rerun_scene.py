@@ -395,3 +395,26 @@ def test_picture_shows_the_throw(twin, path) -> None:
     # equal to scale: 16.8 mm of layer, some of it hardly strained, below 8.2 mm of projectile
     assert 0.3 < is_projectile.sum() / is_compressed.sum() < 1.0
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 500
+
+
+def test_measured_throw_is_drawn_with_prediction_and_residual(tmp_path) -> None:
+    rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
+    twin = TwinMessages(engine__motion='measured')
+    twin.measure(rigs['measured_throw'](Rig(), begin_ns=twin.now, duration=0.1, onset=0.05))
+    recording = Recording(record(tmp_path, twin.messages))
+    predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
+    stamps, values = recording.scalars('/twin/position/predicted')
+    assert stamps.tolist() == [item.stamp_ns for item in predictions]
+    assert values[:, 0] == pytest.approx([1e3 * item.position for item in predictions])
+    _, residuals = recording.scalars('/twin/residual')
+    expected = [[1e6 * item[1], 1e6 * item[2]] for item in _residuals(twin)]
+    np.testing.assert_allclose(residuals, expected)
+    _, truth = recording.scalars('/twin/position/measured')
+    assert truth[:, 1].max() > 1e3 * Rig().layer.thickness
+    assert any('Model less measurement' in title for _, title in recording.views)
+    text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
+    assert 'release known before (ms)' in text
+
+
+def _residuals(twin: Any) -> list[Any]:
+    return [outputs.residual for outputs in twin.outputs if outputs.residual]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import sys
 from typing import Any
 import warnings
@@ -21,6 +21,7 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.twin.measurement import Sample
 from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
@@ -54,10 +55,12 @@ class TwinMessages:
         self.outputs: list[Outputs] = []
         self.channels = {
             topic.name.removeprefix('~/'): self._channel(topic.name, topic.type_name)
-            for topic in topics.TOPICS
+            for topic in (*topics.TOPICS, topics.MEASURED)
         }
         self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
         self._encode_state = JointStateEncoder(topics.FRAME, topics.JOINTS).encode
+        self._encode_prediction = JointStateEncoder(topics.FRAME, topics.PREDICTED_JOINTS).encode
+        self._encode_positions = JointStateEncoder(topics.FRAME, topics.JOINTS, series=1).encode
         self._encode_field = ArrayEncoder({'y': 64}).encode
         self._encode_throw_field = ArrayEncoder({'t': 200, 'y': 64}).encode
         self.now = BEGIN
@@ -84,6 +87,20 @@ class TwinMessages:
                 return self
         raise AssertionError(f'it has not come in {limit} steps')
 
+    def measure(self, samples: Sequence[Sample]) -> TwinMessages:
+        """Go on while a rig is measured, whose samples come at once."""
+        waiting = list(samples)
+        while waiting:
+            self.now = self.pace.deadline(self.session.step)
+            count = sum(sample.stamp_ns <= self.now for sample in waiting)
+            for sample in waiting[:count]:
+                data = self._encode_positions(sample.stamp_ns, (sample.plate, sample.projectile))
+                self._send('measured_joint_states', data, 0)
+            self.session.measure(waiting[:count])
+            del waiting[:count]
+            self.go(1)
+        return self
+
     def change(self, **request: Any) -> None:
         """Change settings."""
         self.session.change(_named(request))
@@ -103,6 +120,12 @@ class TwinMessages:
         if outputs.field is not None:
             self._send('layer/strain', self._encode_field(outputs.field.strain), 2)
             self._send('layer/velocity', self._encode_field(outputs.field.velocity), 3)
+        if outputs.prediction is not None:
+            stamp, *values = outputs.prediction[:4]
+            self._send('predicted_joint_states', self._encode_prediction(stamp, values), 2)
+        if outputs.residual is not None:
+            stamp, *values = outputs.residual
+            self._send('residual', self._encode_positions(stamp, values), 2)
         for phase in outputs.phases:
             self._send('phase', serialize_message(String(data=phase.value)), 4)
         if outputs.throw_field is not None:
