@@ -212,7 +212,9 @@ def values_departure(values: Any) -> Departure:
 def _pack(whole: Sequence[Sequence[int]], samples: Sequence[Sample]) -> str:
     """Write columns of whole numbers, and what samples have besides their stamps."""
     columns = [np.diff(column, prepend=0).astype('<i8').tobytes() for column in whole]
-    values = np.array([sample[1:] for sample in samples], '<f8').reshape(len(samples), -1)
+    values = np.array([sample[1:] for sample in samples], '<f8').reshape(
+        -1, len(Sample._fields) - 1
+    )
     return base64.b64encode(zlib.compress(b''.join(columns) + values.T.tobytes(), 1)).decode()
 
 

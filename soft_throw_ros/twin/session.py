@@ -37,7 +37,7 @@ from soft_throw_ros.twin.results import (
 )
 
 BATCH_TIME = 0.1
-"""For which samples are put together in an entry of the journal. [s]"""
+"""For which samples are put together in an entry of the journal, by the clock. [s]"""
 
 
 class Refused(Exception):
@@ -134,6 +134,7 @@ class Session:
         self.refused: Counter[str] = Counter()
         self._batches: list[tuple[int, list[Sample]]] = []  # that are not in the journal yet
         self._written = 0  # samples
+        self._told = step  # when they were written last
         self._track: Track | None = None  # of a measured plate
         self._watch: Watch | None = None
         self._departure: Departure | None = None  # which is to begin a throw
@@ -417,8 +418,8 @@ class Session:
             self._notices.clear()
             self._throw_field = None
             self.step = step + 1
-            if self._batches and step - self._batches[0][0] >= BATCH_TIME * self._plan.rate:
-                self._write_samples()
+            if self._track is not None and step - self._told >= BATCH_TIME * self._plan.rate:
+                self._write_samples()  # even if there are none, which is worth knowing
             return outputs
 
     def _begin_if_due(self, step: int, *, has_returned: bool) -> None:
@@ -507,7 +508,7 @@ class Session:
         nodes = None
         if departure is None:
             nodes = track.advance(self._pace.deadline(step))
-            self._plate.see(nodes)
+            self._plate.see(nodes, start_speed=track.tuning.start_speed)
             departure = watch.see(nodes)
             if departure is not None and not self._is_fast_enough(track):
                 departure = None
@@ -532,7 +533,7 @@ class Session:
         assert self._watch is not None
         nodes = self._track.advance(self._pace.deadline(step))
         self._watch.see(nodes)
-        self._plate.see(nodes)
+        self._plate.see(nodes, start_speed=self._track.tuning.start_speed)
         return nodes
 
     def _is_fast_enough(self, track: Track) -> bool:
@@ -627,6 +628,7 @@ class Session:
         """Write down what has been measured since the last time."""
         entry = journal.samples_entry(self.step, self._batches, first=self._written)
         self._written += entry['count']
+        self._told = self.step
         self._batches = []
         self._on_entry(journal.encode(entry))
 
@@ -646,22 +648,28 @@ class _Plate:
     def __init__(self) -> None:
         self.rest = math.nan
         self._height = self._speed = 0.0
+        self._carried = self._carried_speed = 0.0
 
-    def see(self, nodes: Nodes) -> None:
-        """Take in how the plate moves."""
-        if nodes.times.size:
-            self._height, self._speed, _ = nodes.states[-1].tolist()
-            if math.isnan(self.rest):
-                self.rest = self._height
+    def see(self, nodes: Nodes, *, start_speed: float) -> None:
+        """Take in how the plate moves, which carries the projectile if that is slow."""
+        if not nodes.times.size:
+            return
+        self._height, self._speed, _ = nodes.states[-1].tolist()
+        if math.isnan(self.rest):
+            self.rest = self._height
+        self._carried_speed = 0.0
+        if abs(self._speed) < start_speed:
+            self._carried, self._carried_speed = self._height, self._speed
 
     def state(self, rest: State) -> State:
-        """Return the state of plate and projectile, which lies still on the layer."""
-        height = 0.0 if math.isnan(self.rest) else self._height - self.rest
+        """Return the state of the plate, and of the projectile, which lies on the layer."""
+        if math.isnan(self.rest):
+            return rest
         return rest._replace(
-            plate_position=rest.plate_position + height,
-            projectile_position=rest.projectile_position + height,
+            plate_position=rest.plate_position + self._height - self.rest,
+            projectile_position=rest.projectile_position + self._carried - self.rest,
             plate_velocity=self._speed,
-            projectile_velocity=self._speed,
+            projectile_velocity=self._carried_speed,
         )
 
 

@@ -513,6 +513,16 @@ def test_journal_without_samples_of_an_entry_is_noticed() -> None:
     assert sum(len(line) for line in run.journal) < 25 * run.session.taken + 20_000
 
 
+def test_journal_tells_that_nothing_is_measured() -> None:
+    run = Run()
+    run.go_on(450)
+    entries = [journal.decode(line) for line in run.journal]
+    told = [entry for entry in entries if entry['kind'] == 'samples']
+    assert [entry['step'] for entry in told] == [101, 202, 303, 404]
+    assert [journal.entry_samples(entry) for entry in told] == [[]] * 4
+    assert len(run.repeat()) == 450
+
+
 def test_throw_without_its_departure_is_refused() -> None:
     run = Run()
     run.throw()
