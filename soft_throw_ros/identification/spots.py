@@ -4,8 +4,8 @@ Dark round spots on plate, layer and projectile, followed through a high-speed v
 
 Notes
 -----
-Spots are found in the first picture: what a closing by diameter fills in is dark and no wider
-than that, whatever lies around it, and what of it is round is a spot. From then on each is looked
+Spots are found in the first picture: what a closing by area fills in is dark and no larger than
+that, whatever lies around it, and what of it is round is a spot. From then on each is looked
 for where its last step leads. Its place is the centre of mass of its darkness, within a circle
 around that place itself which is wider than the spot by the blur, so that the grid of pixels does
 not show. Noise of the grey levels of :math:`\sigma` makes it err by at least :math:`\sigma
@@ -35,7 +35,7 @@ BODIES = ('plate', 'layer', 'projectile', 'none')
 """What spots may be on."""
 
 _SMOOTHING = 1.0  # of pictures, to find out what is dark [px]
-_WIDEST = 3  # the shorter side of the picture over the widest spot
+_WIDEST = 3  # the shorter side of the picture over the width of the largest spot
 _SMALLEST = 9  # pixels of a spot
 _FAINTEST = 0.3  # darkness of a spot over that of the darkest, and ...
 _CLEAREST = 6.0  # over the noise
@@ -46,7 +46,7 @@ _RING = 2.0  # half the width of what is looked at around that [px]
 _MARGIN = 4  # beyond its diameter that it is looked for [px]
 _ROUNDS = 3  # of finding the centre of a circle around it
 _CHANGE = 2.0  # of the area of a spot since the first picture
-_LEVELS = 1023.0  # grey levels to find spots with
+_LEVELS = 63.0  # grey levels to find spots with
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,14 +194,14 @@ class Found(NamedTuple):
 def find_spots(picture: Picture) -> list[Found]:
     """Find the dark round spots of a picture, the lowest one first."""
     from skimage.measure import label, regionprops
-    from skimage.morphology import diameter_closing
+    from skimage.morphology import area_closing
 
     smooth = _smooth(picture)
-    # The closing counts in whole grey levels
+    # The fewer levels there are, the faster it is closed
     scale = max(float(np.ptp(smooth)), 1e-12) / _LEVELS
-    levels = np.round((smooth - smooth.min()) / scale).astype(np.uint16)
-    closed = diameter_closing(levels, max(min(picture.shape) // _WIDEST, 3))
-    darkness = scale * (closed - levels)
+    levels = np.round((smooth - smooth.min()) / scale).astype(np.uint8)
+    closed = area_closing(levels, max((min(picture.shape) // _WIDEST) ** 2, _SMALLEST))
+    darkness = scale * (closed.astype(np.float64) - levels)
     faintest = max(_FAINTEST * float(darkness.max()), _CLEAREST * _noise(picture))
     found = []
     for region in regionprops(label(darkness > faintest), intensity_image=darkness):
