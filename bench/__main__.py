@@ -3,8 +3,8 @@
 Compare with other ways to get the same numbers, in Markdown tables.
 
 Trust the ratios: all that stands in one table ran in turns on one machine. Errors are measured,
-too. It takes a few minutes; PART is one or more of throw, landscape, second, twin and
-recorder.
+too. It takes a few minutes; PART is one or more of throw, landscape, elastic, second, measured,
+twin and recorder.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ PARTS = {
     'landscape': 'bench.landscape',
     'elastic': 'bench.elastic_landscape',
     'second': 'bench.one_second',
+    'measured': 'bench.measured_plate',
     'twin': 'bench.twin_node',
     'recorder': 'bench.recorder_node',
 }
