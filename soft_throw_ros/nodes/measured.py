@@ -64,9 +64,11 @@ class MeasuredSteps:
     """
 
     def __init__(self, node: Node, session: Session) -> None:
+        self._node = node
         self._session = session
         topic = topics.MEASURED
-        channel = Channel(topic=topic.name, type=topic.type_name, schema='')
+        name = node.resolve_topic_name(topic.name)
+        channel = Channel(topic=name, type=topic.type_name, schema='')
         self._tap = Tap(node, channel, topic.qos)
         self._read = JointStateReader().read
         self._leads: list[int] = []
@@ -103,6 +105,8 @@ class MeasuredSteps:
 
     def account(self) -> Account:
         """Sum up since the last call; it may come from another thread."""
+        publishers = self._node.get_publishers_info_by_topic(self._tap.channel.topic)
+        self._tap.is_shared = len(publishers) > 1
         self._tap.listen()
         leads, self._leads = self._leads, []
         now = (

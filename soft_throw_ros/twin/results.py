@@ -156,7 +156,8 @@ class ThrowResult:
     peak_plate_speed : float
         :math:`V_p^*`. [m/s]
     peak_strain : float
-        Largest magnitude of the strain so far, anywhere in the layer. [-]
+        Largest magnitude of the strain so far, anywhere in the layer; at its ends with a measured
+        plate. [-]
     max_strain : float
         Where the linear range ends. [-]
     peak_acceleration : float
