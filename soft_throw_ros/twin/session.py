@@ -488,9 +488,11 @@ class Session:
         tuning, track = self._plan.tuning, self._track
         if tuning is None:
             self._track = self._watch = None
+            self._plate = _Plate()
             return
+        self._asked = math.inf
         if departure is not None:
-            self._plate.rest = departure.plate_rest
+            self._plate = _Plate(departure.plate_rest)
             self._track = Track(
                 tuning,
                 origin_ns=departure.onset_ns,
@@ -645,29 +647,28 @@ class _Seen(NamedTuple):
 class _Plate:
     """Where a measured plate was seen last, above where it was at rest."""
 
-    def __init__(self) -> None:
-        self.rest = math.nan
-        self._height = self._speed = 0.0
-        self._carried = self._carried_speed = 0.0
+    def __init__(self, rest: float = math.nan) -> None:
+        self._rest = self._height = self._carried = rest
+        self._speed = self._carried_speed = 0.0
 
     def see(self, nodes: Nodes, *, start_speed: float) -> None:
         """Take in how the plate moves, which carries the projectile if that is slow."""
         if not nodes.times.size:
             return
         self._height, self._speed, _ = nodes.states[-1].tolist()
-        if math.isnan(self.rest):
-            self.rest = self._height
+        if math.isnan(self._rest):
+            self._rest = self._carried = self._height
         self._carried_speed = 0.0
         if abs(self._speed) < start_speed:
             self._carried, self._carried_speed = self._height, self._speed
 
     def state(self, rest: State) -> State:
         """Return the state of the plate, and of the projectile, which lies on the layer."""
-        if math.isnan(self.rest):
+        if math.isnan(self._rest):
             return rest
         return rest._replace(
-            plate_position=rest.plate_position + self._height - self.rest,
-            projectile_position=rest.projectile_position + self._carried - self.rest,
+            plate_position=rest.plate_position + self._height - self._rest,
+            projectile_position=rest.projectile_position + self._carried - self._rest,
             plate_velocity=self._speed,
             projectile_velocity=self._carried_speed,
         )

@@ -417,17 +417,21 @@ def test_measurement_can_be_switched_on_and_off() -> None:
     assert not run.session.is_measured
     run.session.measure([Sample(BEGIN, 0.0)])  # nobody listens
     run.session.change({'engine.motion': 'measured'})
-    run.session.reset()
-    run.throw(begin_ns=BEGIN)
+    run.session.ask_throw()  # which takes over what was pending first, and then there is none
+    run.throw()
     assert run.session.is_measured
+    assert run.session.throws == 1
     assert len(run.results('release')) == 1
     run.session.change({'engine.motion': 'underdamped'})
     run.session.reset()
     run.go_on(200)
     assert not run.session.is_measured
+    assert run.session.throws == 1
     run.session.ask_throw()
     run.go_on(20)
     assert len(run.results('release')) == 2
+    again = run.repeat()
+    assert list(map(bits, again)) == list(map(bits, run.outputs))
 
 
 # once more
