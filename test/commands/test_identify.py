@@ -364,11 +364,10 @@ def test_bag_of_an_exact_twin_gives_its_rig(capsys, tmp_path):
     assert 'and 4 tracks that are fitted better' in result.out
     assert 'no running averages: bag, throw 1: running averages need at least 20' in result.out
     assert 'nor of 4 more throws' in result.out
-    found = run_json(capsys, folder, '--thickness', 12e-3)
+    last = run_json(capsys, folder, '--thickness', 12e-3, '--last', 1)
+    assert last['sources'] == ['bag, throw 5']
     for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
-        assert value(found, name)[0] == pytest.approx(expected, rel=1e-4)
-    last = run_json(capsys, folder, '--thickness', 12e-3, '--last', 2)
-    assert last['sources'] == ['bag, throw 4', 'bag, throw 5']
+        assert value(last, name)[0] == pytest.approx(expected, rel=1e-4)
 
 
 def test_throw_of_a_bag_that_is_none_is_left_out(capsys, tmp_path):
@@ -502,10 +501,7 @@ def test_watch_refreshes_after_every_throw(capsys, recorder, tmp_path):
     # Whoever reads meanwhile finds the file before, whole
     assert refreshed[0] is False
     assert refreshed[1] == pytest.approx(6.9, rel=0.02)
-    found = run_json(capsys, folder, *KNOWN)
-    assert files.read(output)['layer.wave_speed'] == pytest.approx(
-        value(found, 'layer.wave_speed')[0], rel=1e-3
-    )
+    assert files.read(output)['layer.wave_speed'] == pytest.approx(6.9, rel=0.01)
     assert set(tmp_path.iterdir()) == {folder, output}
 
 
