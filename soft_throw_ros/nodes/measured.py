@@ -29,8 +29,9 @@ class Account(NamedTuple):
 
     Attributes
     ----------
-    received, taken, lost : int
-        Messages that came, samples taken of them, and messages that did not come.
+    received, taken, disordered, lost : int
+        Messages that came, samples taken of them, of these after later ones, and messages that
+        did not come.
     refused : Counter of str
         Samples that were refused, by reason.
     leads : list of int
@@ -40,6 +41,7 @@ class Account(NamedTuple):
 
     received: int
     taken: int
+    disordered: int
     lost: int
     refused: Counter[str]
     leads: list[int]
@@ -72,7 +74,8 @@ class MeasuredSteps:
         self._tap = Tap(node, channel, topic.qos)
         self._read = JointStateReader().read
         self._leads: list[int] = []
-        self._told = (0, 0, 0, Counter[str]())
+        self._told = (0, 0, 0, 0)
+        self._refused: Counter[str] = Counter()
 
     @property
     def step(self) -> int:
@@ -109,16 +112,15 @@ class MeasuredSteps:
         self._tap.is_shared = len(publishers) > 1
         self._tap.listen()
         leads, self._leads = self._leads, []
-        now = (
-            self._tap.received,
-            self._session.taken,
-            self._tap.lost,
-            Counter(self._session.refused),
-        )
+        session, tap = self._session, self._tap
+        now = (tap.received, session.taken, session.disordered, tap.lost)
         before, self._told = self._told, now
-        return Account(
-            now[0] - before[0], now[1] - before[1], now[2] - before[2], now[3] - before[3], leads
+        refused = Counter(session.refused)
+        news, self._refused = refused - self._refused, refused
+        received, taken, disordered, lost = (
+            later - earlier for earlier, later in zip(before, now, strict=True)
         )
+        return Account(received, taken, disordered, lost, news, leads)
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -157,6 +157,7 @@ class Observer:
             warn=not account.taken or refused > 0 or account.lost > 0 or lead <= 0.0,
             at_rest=self._session.is_at_rest,
             samples=account.taken,
+            samples_out_of_order=account.disordered,
             messages=account.received,
             messages_lost=account.lost,
             samples_refused=refused,

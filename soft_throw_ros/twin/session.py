@@ -63,8 +63,8 @@ class Session:
         Number of the next step.
     throws : int
         How many throws have started.
-    taken : int
-        How many samples of the rig were taken.
+    taken, disordered : int
+        How many samples of the rig were taken, and of these after later ones.
     refused : Counter of str
         How many were refused, by reason, see `measurement.Track`.
 
@@ -130,7 +130,7 @@ class Session:
         self._throw_field: ThrowField | None = None
         self._pace = Pace(step=step, time_ns=0, rate=self._plan.rate)
         self._pace_entry: journal.Entry | None = None
-        self.taken = 0
+        self.taken = self.disordered = 0
         self.refused: Counter[str] = Counter()
         self._batches: list[tuple[int, list[Sample]]] = []  # that are not in the journal yet
         self._written = 0  # samples
@@ -298,10 +298,15 @@ class Session:
         with self._lock:
             if self._track is None:
                 return
+            newest_ns = self._track.newest_ns
             taken = self._track.take(samples, self._pace.deadline(self.step))
-            if taken:
-                self.taken += len(taken)
-                self._batches.append((self.step, taken))
+            if not taken:
+                return
+            self._batches.append((self.step, taken))
+            self.taken += len(taken)
+            for sample in taken:
+                self.disordered += sample.stamp_ns < newest_ns
+                newest_ns = max(newest_ns, sample.stamp_ns)
 
     def take(self, entry: journal.Entry) -> None:
         """

@@ -173,14 +173,16 @@ def test_other_messages_are_refused_with_a_reason(ros: Any, twin: Driven, bench:
     bench.send(Sample(now + SECOND, 0.0, math.nan, 0.0))
     bench.send(Sample(now, 0.0, math.nan, math.nan))
     bench.send(Sample(now, 0.0, math.nan, math.nan))
-    ros.spin_until(lambda: twin.has(6), 'six messages')
-    assert twin.session.taken == 1
+    bench.send(Sample(now - MILLISECOND, 0.0, math.nan, math.nan))
+    ros.spin_until(lambda: twin.has(7), 'seven messages')
+    assert twin.session.taken == 2
     assert twin.session.refused == {'names': 2, 'not finite': 1, 'future': 1, 'doubled': 1}
     bench.listen(topics.DIAGNOSTICS)
     statuses = hear_statuses(ros, bench, 'twin: measurement')
     values = msg_to_values(statuses)
     assert statuses.level == DiagnosticStatus.WARN
-    assert (values['samples'], values['samples_refused'], values['refused.names']) == (1, 5, 2)
+    assert (values['samples'], values['samples_refused'], values['refused.names']) == (2, 5, 2)
+    assert values['samples_out_of_order'] == 1
     assert '5 refused: ' in statuses.message
 
 
@@ -236,18 +238,21 @@ def test_twin_in_another_process_follows_a_rig_in_real_time(start: Any, ros: Any
 
     def measure() -> None:
         clock = SystemClock()
-        for sample in rigs['measured_throw'](
-            rig, begin_ns=clock.now(), rate=2500.0, onset=0.15, duration=0.4
-        ):
-            while clock.now() < sample.stamp_ns:
-                time.sleep(1e-4)
-            bench.send(sample)
+        for _ in range(5):  # in case that messages are lost, or late by more than a second
+            for sample in rigs['measured_throw'](
+                rig, begin_ns=clock.now(), rate=2500.0, onset=0.15, duration=0.4
+            ):
+                while clock.now() < sample.stamp_ns:
+                    time.sleep(1e-4)
+                bench.send(sample)
+            if results(bench, 'release'):
+                return
 
     thread = threading.Thread(target=measure)
     thread.start()
     ros.spin_until(lambda: bool(results(bench, 'release')), 'the release')
     thread.join()
-    (release,) = results(bench, 'release')
+    release = results(bench, 'release')[0]
     assert release.first.speed == pytest.approx(simulate(rig).ejection_speed, rel=0.01)
     assert release.lead is not None
     process.end(2)
