@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
+import runpy
 from typing import Any
 
 import hypothesis
@@ -12,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.resimulation import (
     Place,
     read_stretches,
@@ -23,6 +26,8 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
+
+rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
 
 SECOND = 1_000_000_000
 BEGIN = 5 * SECOND + 123
@@ -220,6 +225,61 @@ def test_journal_of_any_kind_is_repeated_or_left_out(data) -> None:
             list(resimulation.until(timeline.pieces[place.piece].run, place.step))
 
 
+class MeasuredRun(Run):
+    """A session with a measured plate."""
+
+    def restart(self) -> None:
+        settings = {**TWIN.defaults(), 'engine.motion': 'measured'}
+        self.session = Session(settings, on_entry=self.lines.append)
+        self.set_clock(self.now)
+
+    def throw(self) -> None:
+        """Measure a throw, and break it off."""
+        begin_ns = self.pace.deadline(self.session.step)
+        samples = rigs['measured_throw'](Rig(), begin_ns=begin_ns, duration=0.12, noise=5e-6)
+        while samples:
+            now = self.pace.deadline(self.session.step)
+            count = sum(sample.stamp_ns <= now for sample in samples)
+            self.session.measure(samples[:count])
+            del samples[:count]
+            self.go(1)
+        self.session.reset()
+
+
+@pytest.fixture(scope='module')
+def measured() -> MeasuredRun:
+    run = MeasuredRun()
+    run.throw()
+    run.throw()
+    run.session.close()
+    return run
+
+
+def test_measured_steps_come_again(measured) -> None:
+    steps, misfits = measured.steps()
+    assert misfits == []
+    assert [(step.due_ns, step.outputs.state) for step in steps] == [
+        (due, outputs.state) for due, outputs in measured.came
+    ]
+
+
+@given(data=st.data())
+@hypothesis.settings(max_examples=60)
+def test_measured_journal_of_any_kind_is_repeated_or_left_out(measured, data) -> None:
+    lines = list(measured.lines)
+    for _ in range(data.draw(st.integers(1, 3))):
+        index = data.draw(st.integers(0, len(lines) - 1))
+        lines[index] = data.draw(spoilt(lines[index]))
+    timeline = Timeline(read_stretches(lines))
+    misfits: list[str] = []
+    resimulation = Resimulation(read_stretches(lines), misfits.append)
+    place = None
+    for due, _ in measured.came:
+        place = timeline.find(due, place) or place
+        if place is not None and 0 <= place.step < 1000:
+            list(resimulation.until(timeline.pieces[place.piece].run, place.step))
+
+
 VALUES = st.one_of(
     st.sampled_from([None, True, -1, 0, 2**70, 1e300, math.nan, '', [], {}, '[' * 100_000]),
     st.floats(),
@@ -241,8 +301,11 @@ def spoilt(draw: Any, line: str) -> str:
     if kind == 'other':
         return str(draw(VALUES))
     where = entry
-    if kind == 'inner' and isinstance(entry.get('settings'), dict):
-        where = entry['settings']
+    if kind == 'inner':
+        inner = [entry[name] for name in ('settings', 'departure') if name in entry]
+        where = draw(
+            st.sampled_from([part for part in inner if isinstance(part, dict)] or [entry])
+        )
     key = draw(st.sampled_from(sorted(where)))
     if kind == 'key':
         del where[key]
