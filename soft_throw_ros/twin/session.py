@@ -524,11 +524,11 @@ class Session:
                 self._end_throw(step, self._flight, 'next')
             if self._wanted_plan is not self._plan:
                 self._take_over(step)
-            if self._plan.tuning is None:
-                self._put_back(step)
-            else:
+            if self._plan.tuning is not None:
                 self._begin_throw(step, departure)
                 nodes = self._look_back(step)
+            elif self._phase is not Phase.RETURNING:  # from now on it is not measured
+                self._put_back(step)
         elif self._phase is Phase.RETURNING and watch.is_armed:
             self._enter(Phase.REST)
             self._is_fast_enough(track)

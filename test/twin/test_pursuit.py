@@ -398,6 +398,25 @@ def test_next_jump_after_a_rest_starts_the_next_throw() -> None:
     assert final.ended_by in ('next', 'rest', 'max_events')
 
 
+@pytest.mark.parametrize('is_flying', [False, True])
+def test_jump_takes_over_another_motion_that_waits(is_flying) -> None:
+    run = Run(throw__period=0.0)
+    if is_flying:
+        run.throw()
+        run.send(measured_throw(run.rig, begin_ns=BEGIN + 120_000_000, onset=1.0, duration=0.04))
+        run.go_on()
+    throws = run.session.throws
+    run.session.change({'engine.motion': 'underdamped'})
+    begin_ns = BEGIN + SECOND // 1000 * run.session.step
+    run.throw(begin_ns=begin_ns)
+    assert run.session.throws == throws
+    assert not run.session.is_measured
+    assert run.phases()[-1] is Phase.RETURNING
+    run.go_on(200)
+    assert run.phases()[-2:] == [Phase.RETURNING, Phase.REST]
+    assert list(map(bits, run.repeat())) == list(map(bits, run.outputs))
+
+
 def test_plate_at_rest_is_shown_where_it_is_measured() -> None:
     run = Run()
     run.throw(duration=0.2)
