@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design a throw: landscapes of what could be."""
+"""Design a throw: the right layer, what it takes to reach a height, and landscapes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import sys
 # Name: module with add_arguments(parser) and run(arguments), and what it is for. Only the module
 # that is asked for is imported, for they are slow to load.
 TASKS = {
+    'recommend': ('soft_throw_ros.commands.design_recommend', 'recommend a layer'),
+    'aim': ('soft_throw_ros.commands.design_aim', 'find what it takes to reach a height or speed'),
     'map': ('soft_throw_ros.commands.design_map', 'map ejection time and energy over two axes'),
 }
 

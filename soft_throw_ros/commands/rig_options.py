@@ -1,20 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that describe a rig, the same for every command: a parameter file and the table's."""
+"""Options that stand for parameters of the twin: those of a rig, the same for every command."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 
 from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
 
+
+def _option(name: str) -> str:
+    """Call a parameter by its last name."""
+    group, _, last = name.rpartition('.')
+    if name == 'layer.name':
+        return '--layer'
+    return ('--uncertain-' if group == 'uncertainty' else '--') + last.replace('_', '-')
+
+
 OPTIONS = {
-    entry.name: '--layer'
-    if entry.name == 'layer.name'
-    else '--' + entry.name.rpartition('.')[2].replace('_', '-')
+    entry.name: _option(entry.name)
     for entry in TWIN.entries
     if entry.is_of_rig and entry.name != 'model'
 }
 """The parameters that describe a rig, and what their options are called."""
+
+RECOMMENDATION_OPTIONS = {
+    entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == 'recommendation'
+}
+"""The parameters that say what is asked of a layer, and what their options are called."""
+
+UNCERTAINTY_OPTIONS = {
+    entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == 'uncertainty'
+}
+"""The parameters that say how far a rig may be off, and what their options are called."""
+
+_ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
 
 
 def add_rig_options(parser: argparse.ArgumentParser) -> None:
@@ -22,18 +42,27 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
-    group = parser.add_argument_group(
-        'parameters of the rig', 'as those of the twin; each replaces what the file says'
-    )
-    for name, option in OPTIONS.items():
+    title, text = 'parameters of the rig', 'as those of the twin; each replaces what the file says'
+    add_options(parser, OPTIONS, title=title, description=text)
+
+
+def add_options(
+    parser: argparse.ArgumentParser, names: Iterable[str], *, title: str, description: str = ''
+) -> None:
+    """Add a group with an option for each of some parameters; `read_settings` reads them."""
+    group = parser.add_argument_group(title, description)
+    for name in names:
         entry = TWIN.by_name[name]
-        default = f'{entry.default:g}' if isinstance(entry.default, float) else entry.default
-        text = f'{entry.meaning}; {entry.rule} (default {default})'
+        is_text = isinstance(entry.default, str)
+        text = f'{entry.meaning}; {entry.rule}'
+        if entry.default != '':
+            text += f' (default {_shown(entry.default)})'
         group.add_argument(
-            option,
+            _ALL_OPTIONS[name],
             dest=name,
-            metavar=entry.unit.upper() or ('NAME' if entry.choices else 'NUMBER'),
-            type=number_or_text,
+            metavar=entry.unit.upper() or ('NAME' if is_text else 'NUMBER'),
+            nargs='+' if isinstance(entry.default, tuple) else None,
+            type=str if is_text else number_or_text,
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
@@ -50,12 +79,12 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
 
     """
     given = vars(arguments)
-    request = {name: given[name] for name in OPTIONS if name in given}
+    request = {name: given[name] for name in _ALL_OPTIONS if name in given}
     settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
     try:
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
-        options = (f'argument {OPTIONS[name]}: ' for name in error.names if name in request)
+        options = (f'argument {_ALL_OPTIONS[name]}: ' for name in error.names if name in request)
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
 
@@ -66,3 +95,9 @@ def number_or_text(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, tuple):
+        return ' '.join(map(_shown, value))
+    return f'{value:g}' if isinstance(value, float) else str(value)

@@ -8,8 +8,7 @@ Values are given like the parameters of the twin, and the same table says what i
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import csv
 from functools import partial
 import io
@@ -19,15 +18,18 @@ import math
 import os
 from pathlib import Path
 import sys
-import threading
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from soft_throw_ros.commands.columns import Row, write_columns
+from soft_throw_ros.commands.patience import patience
 from soft_throw_ros.commands.rig_options import (
+    add_options,
     add_rig_options,
     number_or_text,
     OPTIONS,
     read_settings,
+    UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
 from soft_throw_ros.core import method_of_steps, spring_mass, stepping
@@ -39,6 +41,8 @@ from soft_throw_ros.core.travelling_wave import (
     first_releases,
     ThrowUnresolvedError,
 )
+from soft_throw_ros.design.requests import uncertainties_of
+from soft_throw_ros.design.uncertainty import prediction_uncertainty
 from soft_throw_ros.twin.plan import make_stepper, model_of
 
 Prediction = Mapping[str, float]
@@ -46,43 +50,30 @@ Prediction = Mapping[str, float]
 
 _LONGEST = 10.0  # the stepper is not followed any longer [s]
 
-_PATIENCE = 2.0  # after this it is said why it takes so long [s]
-
-
-class _Row(NamedTuple):
-    """A line of the table: which part of a prediction, how it is called, and in which unit."""
-
-    key: str
-    title: str
-    unit: str = ''
-    scale: float = 1.0
-
 
 _ROWS = (
-    _Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
-    _Row('ejection_phase', '  t_e f'),
-    _Row('ejection_speed', 'ejection speed V_e', 'm/s'),
-    _Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
-    _Row('energy_transfer', 'energy transfer alpha'),
-    _Row('recontacts', 're-contacts'),
-    _Row('last_ejection_time', 'last release', 'ms', 1e3),
-    _Row('last_ejection_speed', '  its speed', 'm/s'),
-    _Row('last_energy_transfer', '  its alpha'),
-    _Row('apex_height', 'apex', 'mm', 1e3),
-    _Row('peak_strain', 'peak strain', '%', 1e2),
-    _Row('peak_strain_depth', '  at y', 'mm', 1e3),
-    _Row('peak_plate_strain', '  at the plate', '%', 1e2),
-    _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
-    _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
-    _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    _Row('peak_plate_force', 'peak force on plate', 'N'),
-    _Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    _Row('layer_energy', '  to the layer', 'mJ', 1e3),
-    _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
-    _Row('heat', '  to heat', 'mJ', 1e3),
+    Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
+    Row('ejection_phase', '  t_e f'),
+    Row('ejection_speed', 'ejection speed V_e', 'm/s'),
+    Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
+    Row('energy_transfer', 'energy transfer alpha'),
+    Row('recontacts', 're-contacts'),
+    Row('last_ejection_time', 'last release', 'ms', 1e3),
+    Row('last_ejection_speed', '  its speed', 'm/s'),
+    Row('last_energy_transfer', '  its alpha'),
+    Row('apex_height', 'apex', 'mm', 1e3),
+    Row('peak_strain', 'peak strain', '%', 1e2),
+    Row('peak_strain_depth', '  at y', 'mm', 1e3),
+    Row('peak_plate_strain', '  at the plate', '%', 1e2),
+    Row('peak_contact_strain', '  at the projectile', '%', 1e2),
+    Row('peak_acceleration', 'peak acceleration', 'm/s2'),
+    Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
+    Row('peak_plate_force', 'peak force on plate', 'N'),
+    Row('plate_work', 'work of the plate', 'mJ', 1e3),
+    Row('layer_energy', '  to the layer', 'mJ', 1e3),
+    Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
+    Row('heat', '  to heat', 'mJ', 1e3),
 )
-
-_COLUMN = 12  # characters of the table
 
 
 class InputError(ValueError):
@@ -116,14 +107,15 @@ def main(args: list[str] | None = None) -> int:
         if 'cases' in given:
             other = sorted(given.keys() - {'cases', 'output'})
             if other:
-                option = OPTIONS.get(other[0], '--' + other[0].replace('_', '-'))
+                options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
+                option = options.get(other[0], '--' + other[0].replace('_', '-'))
                 parser.error(f'argument {option}: not allowed with argument --cases')
             text = _release_cases_of(given['cases'])
         else:
             settings = read_settings(arguments)
             if 'max_strain' in given:
                 settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
-            with _patience():
+            with patience('throw'):
                 throw = predict(settings, given.get('model', MODELS))
             text = (
                 json.dumps(throw, indent=2, allow_nan=False) + '\n'
@@ -169,20 +161,9 @@ def _parser() -> argparse.ArgumentParser:
         'te_f and alpha are added to them, without gravity',
     )
     parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
+    add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
-
-
-@contextlib.contextmanager
-def _patience() -> Iterator[None]:
-    """Say why it takes so long if it does."""
-    text = 'throw: compiling, once; takes some ten seconds'
-    notice = threading.Timer(_PATIENCE, print, (text,), {'file': sys.stderr})
-    notice.start()
-    try:
-        yield
-    finally:
-        notice.cancel()
 
 
 def _write(text: str, output: str | None) -> None:
@@ -215,8 +196,9 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
     -------
     dict
         What `--json` prints, in SI units: `parameters`; the numbers that decide a throw, as
-        `rig`; what each of the `models` says, with `notes` about them; and whether the throw
-        `leaves_linear_range`. A model that cannot do this throw is None, and its note says why.
+        `rig`; what each of the `models` says; how far the first release may be off, as
+        `uncertainty`; `notes` about both; and whether the throw `leaves_linear_range`. A model
+        that cannot do this throw is None, and its note says why.
 
     """
     rig = rig_of(settings)
@@ -228,6 +210,12 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
             models[name], notes[name] = model(settings), note
         except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
             models[name], notes[name] = None, f'none, {error}'
+    uncertainty = None
+    try:
+        found = prediction_uncertainty(rig, uncertainties_of(settings))
+        uncertainty, notes['uncertainty'] = found.values(), found.sentence()
+    except ValueError as error:
+        notes['uncertainty'] = f'none, {error}'
     strains = [
         value
         for prediction in models.values()
@@ -235,7 +223,9 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
         if key in ('peak_strain', 'peak_plate_strain')
     ]
     return {
-        'parameters': {name: settings[name] for name in (*OPTIONS, 'max_strain')},
+        'parameters': {
+            name: settings[name] for name in (*OPTIONS, *UNCERTAINTY_OPTIONS, 'max_strain')
+        },
         'rig': {
             'mass_ratio': rig.mass_ratio,
             'speed_ratio': rig.speed_ratio,
@@ -245,6 +235,7 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
             'relaxation_time': rig.relaxation_time,
         },
         'models': models,
+        'uncertainty': uncertainty,
         'notes': notes,
         'leaves_linear_range': max(strains, default=0.0) > settings['max_strain'],
     }
@@ -393,13 +384,7 @@ def table(throw: Mapping[str, Any]) -> str:
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
-    words = [name.split('_') for name in models]
-    heads = itertools.zip_longest(*words, fillvalue='')
-    lines = [numbers, '', *(_line('', '', head) for head in heads)]
-    for row in _ROWS:
-        cells = [_cell((model or {}).get(row.key), row.scale) for model in models.values()]
-        if any(cell != '-' for cell in cells):
-            lines.append(_line(row.title, row.unit, cells))
+    lines = [numbers, '', *write_columns(_ROWS, models)]
     lines.append('')
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in throw['notes'].items()]
     if throw['leaves_linear_range']:
@@ -408,17 +393,6 @@ def table(throw: Mapping[str, Any]) -> str:
             'range (--max-strain): a real layer will do otherwise.'
         )
     return '\n'.join(lines) + '\n'
-
-
-def _line(title: str, unit: str, cells: Iterable[str]) -> str:
-    line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_COLUMN}}' for cell in cells)
-    return line.rstrip()
-
-
-def _cell(value: float | None, scale: float) -> str:
-    if value is None:
-        return '-'
-    return str(value) if isinstance(value, int) else f'{scale * value:#.6g}'
 
 
 _CASES = {
@@ -465,7 +439,7 @@ def release_cases(file: Iterable[str], name: str) -> str:
     """
     lines, rows = _read_cases(file, name)
     mu, kappa, zeta = np.array(rows).reshape(-1, len(_CASES)).T
-    with _patience():
+    with patience('throw'):
         releases = first_releases(
             mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
         )

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters: a table for every node, settings made from it, and parameter files. No ROS."""
 
+from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.recorder import RECORDER
 from soft_throw_ros.configuration.table import Entry, ParameterError, Settings, Table, Value
-from soft_throw_ros.configuration.twin import CUSTOM, LAYERS, rig_of, TWIN
+from soft_throw_ros.configuration.twin import LAYERS, rig_of, TWIN
 
 __all__ = [
     'CUSTOM',

@@ -64,4 +64,4 @@ def _text(value: Value) -> str:
         return str(value).lower()
     if isinstance(value, float):
         return f'{value:g}'
-    return ' '.join(value) if isinstance(value, tuple) else str(value)
+    return ' '.join(map(_text, value)) if isinstance(value, tuple) else str(value)

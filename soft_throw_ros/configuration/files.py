@@ -17,13 +17,12 @@ import re
 import textwrap
 from typing import Any
 
+from soft_throw_ros.configuration import markup
 from soft_throw_ros.configuration.table import ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
 import yaml
 
 _KEY = 'ros__parameters'
-_TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
-_FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +161,7 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
             node, _, name = target.rpartition(':')
             if separator and text:  # what is no rule is refused by ROS
                 where = f'-p {argument}'
-                value = _value(_compose(text, where))
+                value = markup.value_of(markup.compose(text, where))
                 given = Given(value=value, where=where, order=order, in_file=False)
                 sections.setdefault(_pattern(node or '/**'), {})[name] = given
     return sections
@@ -216,7 +215,7 @@ def _text(value: Value) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
-        return f'[{", ".join(value)}]'
+        return f'[{", ".join(map(str, value))}]'
     text = str(value) or "''"
     # YAML 1.1 takes 1e-05 for a text; with a point everybody takes it for a number
     return text.replace('e', '.0e') if re.fullmatch(r'-?\de[-+]\d+', text) else text
@@ -232,40 +231,21 @@ def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def _add_file(sections: Sections, path: Path, *, order: int) -> None:
-    try:
-        text = path.read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else 'is no UTF-8 text'
-        raise ParameterError(f'{path}: {reason}') from None
-    root = _compose(text, str(path))
+    root = markup.read(path)
     if root is not None:
         for pattern, parameters in _nodes(root, path):
             for name, node in _parameters(parameters):
-                where = f'{path}:{node.start_mark.line + 1}'
-                given = Given(value=_value(node), where=where, order=order)
+                given = Given(
+                    value=markup.value_of(node), where=markup.place(path, node), order=order
+                )
                 sections.setdefault(_pattern(pattern), {})[name] = given
-
-
-def _compose(text: str, where: str) -> yaml.Node | None:
-    """Parse YAML into nodes, which know their lines; ROS has no aliases, so no node recurs."""
-    try:
-        for token in yaml.scan(text, Loader=yaml.SafeLoader):
-            if isinstance(token, yaml.AliasToken):
-                problem = f'ROS takes no alias, got *{token.value}'
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=token.start_mark)
-        return yaml.compose(text, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, RecursionError) as error:
-        mark = getattr(error, 'problem_mark', None)
-        line = f':{mark.line + 1}' if mark and not where.startswith('-p') else ''
-        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ParameterError(f'{where}{line}: {problem}') from None
 
 
 def _nodes(tree: yaml.Node, path: Path, parent: str = '') -> Iterator[tuple[str, yaml.Node]]:
     """Yield every `ros__parameters` with the pattern above it."""
     if not isinstance(tree, yaml.MappingNode):
         raise ParameterError(
-            f'{path}:{tree.start_mark.line + 1}: expected NODE: {_KEY}: NAME: VALUE, '
+            f'{markup.place(path, tree)}: expected NODE: {_KEY}: NAME: VALUE, '
             f'got {getattr(tree, "value", "")!r} before any {_KEY}'
         )
     for key, value in tree.value:
@@ -285,25 +265,3 @@ def _parameters(tree: yaml.Node, parent: str = '') -> Iterator[tuple[str, yaml.N
 
 def _pattern(name: str) -> str:
     return '/' + '/'.join(part for part in name.split('/') if part)
-
-
-def _value(node: yaml.Node | None) -> Any:
-    """Type a value as ROS does, which takes 2e-3 for a number and 1_000 for a text."""
-    if isinstance(node, yaml.SequenceNode):
-        return [_value(item) for item in node.value]
-    text = str(node.value) if node is not None else ''
-    plain = isinstance(node, yaml.ScalarNode) and not node.style
-    if not plain or '_' in text:
-        return text
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    if re.fullmatch(r'[-+]?0[0-7]+', text):
-        return int(text, 8)
-    if re.fullmatch(r'[-+]?(0|[1-9]\d*|0[xX][0-9a-fA-F]+)', text):
-        return int(text, 16 if 'x' in text.lower() else 10)
-    if re.fullmatch(r'[-+]?\.(inf|nan)', text, re.IGNORECASE):
-        return float(text.replace('.', ''))
-    try:
-        return float(text)
-    except ValueError:
-        return text

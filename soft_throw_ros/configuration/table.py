@@ -12,6 +12,7 @@ list one by one; refused are values out of range and contradictions inside one r
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 import difflib
@@ -19,7 +20,7 @@ from functools import cached_property
 import math
 from typing import Any, TypeAlias
 
-Value: TypeAlias = bool | float | int | str | tuple[str, ...]
+Value: TypeAlias = bool | float | int | str | tuple[str, ...] | tuple[float, ...]
 
 Settings: TypeAlias = Mapping[str, Any]
 
@@ -51,8 +52,8 @@ class Entry:
     ----------
     name : str
         Full name; the part before the first dot is its group.
-    default : bool, float, int, str or tuple of str
-        Its type is the parameter's type.
+    default : bool, float, int, str, or tuple of str or of float
+        Its type is the parameter's type; that of a tuple is that of its first value.
     meaning : str
         One sentence, without full stop.
     unit : str
@@ -63,6 +64,8 @@ class Entry:
         Whether 0 is allowed besides.
     choices : tuple of str
         The texts allowed; without, any text is.
+    kind : str
+        What a text is that is checked elsewhere, in words.
     pattern : str
         What the texts of a list begin with.
     hint : str
@@ -78,6 +81,7 @@ class Entry:
     high: float = math.inf
     or_zero: bool = False
     choices: tuple[str, ...] = ()
+    kind: str = ''
     pattern: str = ''
     hint: str = ''
 
@@ -106,12 +110,14 @@ class Entry:
         if isinstance(self.default, bool):
             return 'true or false'
         if isinstance(self.default, str):
-            return 'a text'
-        if isinstance(self.default, tuple):
+            return self.kind or 'a text'
+        if isinstance(self.default, tuple) and not self._is_of_numbers:
             return f'a list of texts, each beginning with {self.pattern}'
         if self.low == self.high:
             return f'{self.low:g}'
         kind = 'a whole number' if isinstance(self.default, int) else 'a number'
+        if isinstance(self.default, tuple):
+            kind = 'a list of numbers'
         unit = f' {self.unit}' if self.unit else ''
         zero = ', or 0' if self.or_zero else ''
         return f'{kind} from {self.low:g} to {self.high:g}{unit}{zero}'
@@ -121,17 +127,34 @@ class Entry:
         if self.choices:
             return isinstance(value, str) and value in self.choices
         if isinstance(self.default, tuple):
+            allows = self._allows_number if self._is_of_numbers else self._allows_text
             return (
-                isinstance(value, (list, tuple))
+                isinstance(value, (array, list, tuple))
                 and len(value) > 0
-                and all(isinstance(text, str) and text.startswith(self.pattern) for text in value)
+                and all(map(allows, value))
             )
         if isinstance(self.default, (bool, str)):
             return type(value) is type(self.default)
+        return self._allows_number(value)
+
+    @property
+    def _is_of_numbers(self) -> bool:
+        return isinstance(self.default, tuple) and isinstance(self.default[0], float)
+
+    def _allows_text(self, value: Any) -> bool:
+        return isinstance(value, str) and value.startswith(self.pattern)
+
+    def _allows_number(self, value: Any) -> bool:
         numbers = int if isinstance(self.default, int) else (int, float)
         if isinstance(value, bool) or not isinstance(value, numbers):
             return False
         return self.low <= value <= self.high or (self.or_zero and value == 0)
+
+    def converted(self, value: Any) -> Value:
+        """Return a value that is allowed in the parameter's own type."""
+        if self._is_of_numbers:
+            return tuple(map(float, value))
+        return type(self.default)(value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +202,7 @@ class Table:
         ----------
         name : str
             Full name of a parameter.
-        value : bool, float, int, str or sequence of str
+        value : bool, float, int, str or sequence of str or of numbers
             A whole number is taken for a float, nothing else is converted.
 
         Raises
@@ -205,7 +228,7 @@ class Table:
         if not entry.allows(value):
             hint = f'; {entry.hint}' if entry.hint else ''
             raise ParameterError(f'{name} must be {entry.rule}, got {value!r}{hint}', name)
-        return type(entry.default)(value)
+        return entry.converted(value)
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
         """

@@ -4,31 +4,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+import difflib
 import math
 from typing import Any
 
+from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library
 from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
-CUSTOM = 'custom'
-"""Name of a layer that is none of `LAYERS`."""
-
-LAYERS: Mapping[str, Mapping[str, float]] = {
-    f'gelatin_{1e3 * thickness:.1f}mm': {
-        'layer.thickness': thickness,
-        'layer.wave_speed': 7.8,
-        'layer.density': 1000.0,
-        'layer.diameter': 12e-3,
-        'layer.loss_tangent': 0.0,
-    }
-    for thickness in (2.0e-3, 5.6e-3, 9.5e-3, 16.8e-3, 23.4e-3, 29.1e-3)
-}
-"""The paper's gelatin layers: what choosing `layer.name` sets."""
+LAYERS: Mapping[str, Mapping[str, float]] = library().layers
+"""The layers of the installed library: what choosing `layer.name` sets."""
 
 _RIG = Rig()
-_THICKNESS = {'unit': 'm', 'low': 0.5e-3, 'high': 0.1}
-_WAVE_SPEED = {'unit': 'm/s', 'low': 1.0, 'high': 200.0}
+
+
+def _bounds(name: str) -> dict[str, Any]:
+    unit, low, high = BOUNDS[name]
+    return {'unit': unit, 'low': low, 'high': high}
+
 
 _ENTRIES = (
     row('engine.motion', 'underdamped',
@@ -55,19 +49,22 @@ _ENTRIES = (
     row('measured.band', 1e-4,
          'Rms difference of a measured projectile beyond which the model is reported as wrong',
          unit='m', low=1e-7, high=1.0),
+    row('layer.library', '',
+         'File of materials besides those of `config/layers.yaml`, which says how it is written',
+         kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
-         "One of the paper's layers, which sets all of `layer.*`; `custom` after any other change",
-         choices=(CUSTOM, *LAYERS)),
-    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer', **_THICKNESS),
+         'A layer of the library, which sets what it is known by; `custom` after any other change',
+         kind='a name in the library, or `custom`'),
+    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
+         **_bounds('thickness')),
     row('layer.wave_speed', _RIG.layer.wave_speed,
-         'Wave speed c_s; the modulus is density times its square', **_WAVE_SPEED),
+         'Wave speed c_s; the modulus is density times its square', **_bounds('wave_speed')),
     row('layer.density', _RIG.layer.density, 'Density rho_s of the layer',
-         unit='kg/m3', low=50.0, high=5000.0),
-    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer',
-         unit='m', low=1e-3, high=0.2),
+         **_bounds('density')),
+    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **_bounds('diameter')),
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
          "Internal loss of the layer, as its loss tangent at the plate's frequency",
-         low=0.0, high=2.0),
+         **_bounds('loss_tangent')),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
          unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
@@ -92,20 +89,67 @@ _ENTRIES = (
          low=1e-4, high=10.0),
     row('max_strain', 0.1, 'Strain beyond which the layer is reported as no longer linear',
          low=1e-3, high=1.0),
-    row('recommendation.objective', 'peak', 'What to look for: the most energy per throw',
-         choices=('peak',), hint='no other objective is in this version'),
-    row('recommendation.vary', 'both', 'What of the layer may be changed',
-         choices=('thickness', 'wave_speed', 'both')),
-    row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider', **_THICKNESS),
-    row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider', **_THICKNESS),
-    row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider', **_WAVE_SPEED),
-    row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider', **_WAVE_SPEED),
+    row('uncertainty.wave_speed', 0.3, 'How far the wave speed may be off, up or down',
+         unit='m/s', low=0.0, high=100.0),
+    row('uncertainty.thickness', 0.1e-3, 'How far the thickness may be off',
+         unit='m', low=0.0, high=0.05),
+    row('uncertainty.mass', 0.01, 'How far the mass may be off, as a part of it',
+         low=0.0, high=0.9),
+    row('uncertainty.frequency', 0.1, 'How far the frequency may be off',
+         unit='Hz', low=0.0, high=500.0),
+    row('uncertainty.damping_ratio', 0.003, 'How far the damping ratio may be off',
+         low=0.0, high=0.5),
+    row('recommendation.objective', 'peak',
+         'What to look for: `peak`, the most energy per throw; `robust`, the most in the worst '
+         'case of the uncertainties; `versatile`, the most in the worst of several throws; `aim`, '
+         'the smallest amplitude that reaches a target',
+         choices=('peak', 'robust', 'versatile', 'aim')),
+    row('recommendation.vary', 'both',
+         'What of the layer may be changed: thickness, wave speed, both, or all of it by a pick '
+         'from the library; `amplitude` is for aiming alone, which always changes it',
+         choices=('thickness', 'wave_speed', 'both', 'library', 'amplitude')),
+    row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider',
+         **_bounds('thickness')),
+    row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider',
+         **_bounds('thickness')),
+    row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider',
+         **_bounds('wave_speed')),
+    row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider',
+         **_bounds('wave_speed')),
+    row('recommendation.max_strain', 0.0, 'Largest strain to allow; 0 does not limit it',
+         low=1e-3, high=10.0, or_zero=True),
+    row('recommendation.max_acceleration', 0.0,
+         'Largest acceleration of the projectile to allow; 0 does not limit it',
+         unit='m/s2', low=1.0, high=1e6, or_zero=True),
+    row('recommendation.max_loss_tangent', 0.0,
+         'Largest loss tangent of a material to pick; 0 does not limit it',
+         low=1e-3, high=2.0, or_zero=True),
+    row('recommendation.max_amplitude', 0.1, 'Largest amplitude to aim with',
+         unit='m', low=1e-5, high=0.1),
+    row('recommendation.quantile', 0.0,
+         'Which case counts when robust: 0 is the worst, 0.05 is worse than 95 % of all',
+         low=0.0, high=0.5),
+    row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
+         unit='kg', low=1e-5, high=1.0),
+    row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
+         unit='Hz', low=1.0, high=1000.0),
+    row('recommendation.target_height', 0.1,
+         'How far the projectile is to rise when aiming; 0 aims at a speed',
+         unit='m', low=1e-4, high=1000.0, or_zero=True),
+    row('recommendation.target_speed', 0.0,
+         'How fast the projectile is to leave when aiming; 0 aims at a height',
+         unit='m/s', low=1e-3, high=200.0, or_zero=True),
+    row('recommended.layer', '', 'Layer to pick from the library'),
     row('recommended.thickness', math.nan, 'Best thickness', unit='m'),
     row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
+    row('recommended.density', math.nan, 'Density of the best layer', unit='kg/m3'),
     row('recommended.youngs_modulus', math.nan, 'Modulus of the best layer', unit='Pa'),
+    row('recommended.loss_tangent', math.nan, 'Loss tangent of the best layer'),
+    row('recommended.amplitude', math.nan, 'Amplitude that reaches the target', unit='m'),
     row('recommended.mass_ratio', math.nan, 'Projectile over layer mass, mu, of the best layer'),
     row('recommended.speed_ratio', math.nan, 'c_s / (L_s f), kappa, of the best layer'),
     row('recommended.energy_transfer', math.nan, 'Energy transfer factor alpha it gives'),
+    row('recommended.score', math.nan, 'Energy transfer factor that counts for the objective'),
     row('recommended.ejection_time', math.nan, 'Ejection time t_e it gives', unit='s'),
     row('recommended.ejection_speed', math.nan, 'Ejection speed V_e it gives', unit='m/s'),
     row('recommended.peak_strain', math.nan, 'Largest strain of the layer it gives'),
@@ -122,12 +166,30 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
 
     A layer's name implies the layer's values, and a value that is not the named layer's makes it
     `custom`. Harmonic motion implies no damping, and damping that the motion is underdamped.
-    What was asked for is never replaced.
+    Aiming at a speed implies that no height is aimed at, and the other way round. What was asked
+    for is never replaced.
+
+    Raises
+    ------
+    ParameterError
+        If the library has no layer of that name, or cannot be read.
+
     """
     implied: dict[str, Value] = {}
-    if 'layer.name' in changes:
-        implied.update(LAYERS.get(str(changes['layer.name']), {}))
-    elif _departures(settings['layer.name'], changes):
+    layers = _layers({**settings, **changes})
+    name = changes.get('layer.name')
+    if name is not None and name not in (CUSTOM, *layers):
+        close = difflib.get_close_matches(str(name), layers, n=1)
+        advice = f'did you mean {close[0]}?' if close else f'there are {", ".join(layers)}'
+        raise ParameterError(
+            f'layer.name must be a name in the library, or {CUSTOM!r}, got {name!r}; {advice}',
+            'layer.name',
+        )
+    if name is not None:
+        implied.update(layers.get(str(name), {}))
+    elif settings['layer.name'] != CUSTOM and (
+        settings['layer.name'] not in layers or _departures(layers, settings, changes)
+    ):
         implied['layer.name'] = CUSTOM
     motion = changes.get('engine.motion')
     if motion == 'harmonic':
@@ -137,6 +199,9 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
             implied['engine.damping_ratio'] = _RIG.engine.damping_ratio
         elif changes.get('engine.damping_ratio'):
             implied['engine.motion'] = 'underdamped'
+    for target, other in (_TARGETS, _TARGETS[::-1]):
+        if changes.get(target):
+            implied[other] = 0.0
     return {**changes, **{name: implied[name] for name in implied if name not in changes}}
 
 
@@ -158,14 +223,19 @@ def check_together(settings: Settings, changed: Collection[str]) -> None:
 
     """
     if 'layer.name' in changed:
-        layer = settings['layer.name']
-        for name in _departures(layer, {name: settings[name] for name in changed}):
+        layers, layer = _layers(settings), settings['layer.name']
+        for name in _departures(layers, settings, {name: settings[name] for name in changed}):
             raise ParameterError(
-                f'{name} of {layer} is {LAYERS[layer][name]:g}, got {settings[name]:g}; '
+                f'{name} of {layer} is {layers[layer][name]:g}, got {settings[name]:g}; '
                 f'leave one of the two out, or set layer.name to {CUSTOM!r}',
                 name,
                 'layer.name',
             )
+    if set(_TARGETS) <= set(changed) and all(settings[name] for name in _TARGETS):
+        height, speed = (settings[name] for name in _TARGETS)
+        raise ParameterError(
+            f'one of {" and ".join(_TARGETS)} must be 0, got {height:g} and {speed:g}', *_TARGETS
+        )
     if {'engine.motion', 'engine.damping_ratio'} <= set(changed):
         damping = settings['engine.damping_ratio']
         if settings['engine.motion'] == 'harmonic' and damping > 0.0:
@@ -218,7 +288,7 @@ def rig_of(settings: Settings) -> Rig:
     parts: dict[str, dict[str, Any]] = {'engine': {}, 'layer': {}, 'projectile': {}}
     for name, value in values.items():
         group, _, field = name.partition('.')
-        if group in parts and name not in ('engine.motion', 'layer.name'):
+        if group in parts and name not in ('engine.motion', 'layer.name', 'layer.library'):
             parts[group][field] = value
     return Rig(
         engine=Engine(**parts['engine']),
@@ -228,7 +298,17 @@ def rig_of(settings: Settings) -> Rig:
     )
 
 
-def _departures(layer: str, values: Mapping[str, Any]) -> list[str]:
+_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
+
+
+def _layers(settings: Settings) -> Mapping[str, Mapping[str, float]]:
+    """Return the layers of the library, that of the settings included."""
+    return library(str(settings['layer.library'])).layers
+
+
+def _departures(
+    layers: Mapping[str, Mapping[str, float]], settings: Settings, values: Settings
+) -> list[str]:
     """Name the values that are not those of the named layer."""
-    known = LAYERS.get(layer, {})
+    known = layers.get(settings['layer.name'], {})
     return [name for name, value in known.items() if values.get(name, value) != value]

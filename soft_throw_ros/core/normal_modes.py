@@ -39,7 +39,6 @@ speed.
 
 from __future__ import annotations
 
-import cmath
 import math
 from typing import Literal
 
@@ -67,7 +66,7 @@ _HEIGHTS = 17  # of the table in which peaks are looked for, and ...
 _TIMES = 512  # at most so many times
 _CLIMBS = 3  # of the table's highest points, from which it is searched on, ...
 _CLOSE = 0.98  # if they come so close to the highest found
-_SHORTEST = 1e-4  # step of the search, over the distance of the table's points
+_SHORTEST = 1e-3  # step of the search, over the distance of the table's points
 _MAX_MOVES = 100
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -248,6 +247,44 @@ def first_peaks(
     return FirstPeaks(release, *rest)
 
 
+def first_rise(
+    *,
+    mass_ratio: float,
+    speed_ratio: float,
+    loss_tangent: float,
+    damping_ratio: float = 0.0,
+    gravity_ratio: float = 0.0,
+) -> float:
+    r"""
+    Find how far the projectile has risen when it first leaves the layer.
+
+    Parameters
+    ----------
+    mass_ratio, speed_ratio, loss_tangent, damping_ratio, gravity_ratio : float
+        As for `first_release`. [-]
+
+    Returns
+    -------
+    float
+        From where it rested, in :math:`A`. [-]
+
+    Raises
+    ------
+    ValueError, ThrowUnresolvedError
+        As for `first_release`.
+
+    """
+    release = first_release(
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        loss_tangent=loss_tangent,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
+    )
+    time = float(release.ejection_phase) * speed_ratio
+    return float(_rise(time, float(mass_ratio), float(speed_ratio), damping_ratio, loss_tangent))
+
+
 def _unresolved(status: int, case: NDArray[np.float64]) -> ThrowUnresolvedError:
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent = case
     words = (
@@ -281,8 +318,9 @@ def _releases(cases):
     phase, speed = np.full(size, np.nan), np.full(size, np.nan)
     status = np.empty(size, np.int64)
     for i in range(size):
-        mu, kappa, zeta, gravity, loss = cases[:, i]
-        t, v, status[i] = first_release_kernel(mu, kappa, zeta, gravity, loss, MAX_PERIODS)
+        t, v, status[i] = first_release_kernel(
+            cases[0, i], cases[1, i], cases[2, i], cases[3, i], cases[4, i], MAX_PERIODS
+        )
         if status[i] == _RELEASED:
             phase[i], speed[i] = t, v
     return phase, speed, status
@@ -300,8 +338,8 @@ def _units(kappa, zeta, gravity, loss):
 @_jit
 def _modes(mu, lam, theta):
     """Compute 1 / D(lambda), the poles of the modes, their parts in V_m, and their beta."""
-    q = lam / cmath.sqrt(1.0 + theta * lam)
-    steady = 1.0 / (cmath.cosh(q) + mu * q * cmath.sinh(q))
+    q, grown, fallen = _wave_number(lam, theta)
+    steady = 2.0 / (grown + fallen + mu * q * (grown - fallen))
     # all that have not faded by then; and the slow poles of overdamped modes go as beta^-4
     beta_last = math.sqrt(2.0 * _FADED / (theta * _EARLY))
     size = min(MAX_MODES, max(16, int(beta_last / math.pi) + 2))
@@ -336,6 +374,22 @@ def _modes(mu, lam, theta):
 
 
 @_jit
+def _exp(z):
+    """Compute e^z."""
+    size = math.exp(z.real)
+    return complex(size * math.cos(z.imag), size * math.sin(z.imag))
+
+
+@_jit
+def _wave_number(lam, theta):
+    """Compute q, e^q and e^-q for s = lambda."""
+    below = 1.0 + theta * lam
+    real = math.sqrt(0.5 * (abs(below) + below.real))
+    q = lam / complex(real, 0.5 * below.imag / real)
+    return q, _exp(q), _exp(-q)
+
+
+@_jit
 def _root_of_mode(n, mu):
     """Find beta in [n pi, (n + 1/2) pi] with beta tan beta = 1 / mu."""
     beta = n * math.pi + min(0.5 * math.pi, 1.0 / math.sqrt(mu))
@@ -351,12 +405,12 @@ def _root_of_mode(n, mu):
 @_jit
 def _motion(time, lam, steady, rates, parts):
     """Compute V_m and its first two derivatives."""
-    value = steady * cmath.exp(lam * time)
+    value = steady * _exp(lam * time)
     speed, push, jerk = value.imag, (lam * value).imag, (lam * lam * value).imag
     for i in range(rates.size):
         s = rates[i]
         if s.real * time > -_FADED:
-            value = parts[i] * cmath.exp(s * time)
+            value = parts[i] * _exp(s * time)
             speed += value.real
             push += (s * value).real
             jerk += (s * s * value).real
@@ -372,13 +426,13 @@ def _release(mu, lam, theta, weight, steady, rates, parts, latest):
     end = 1.0 + latest * 2.0 * math.pi / crossing
     # of every mode its part in V_m' now, and what it is multiplied by in a step
     count = rates.size
-    now = rates * parts
-    turn = np.exp(rates * step)
-    rate = rates.copy()
+    now, turn, rate = np.empty_like(rates), np.empty_like(rates), rates.copy()
+    for j in range(count):
+        now[j], turn[j] = rates[j] * parts[j], _exp(rates[j] * step)
     remainder = abs(now[-1]) * count
     fade = math.exp(rates[-1].real * step)
     plate = lam * steady
-    plate_turn = cmath.exp(lam * step)
+    plate_turn = _exp(lam * step)
     low, low_push, low_jerk = 0.0, weight, 0.0
     is_armed = weight > 0.0
     i = 0
@@ -467,7 +521,7 @@ def first_peaks_kernel(
         return end / kappa, math.nan, status, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     waves = (mu, lam, theta, rates, parts, betas)
     static = weight * mu
-    size = min(max(int(12.0 * end), int(24.0 * end / kappa), 16), _TIMES)
+    size = _table_size(end, kappa)
     strain, when, where = _highest(static, end, size, waves)
     contact = _highest_at(1.0, 0.0, static, end, size, waves)
     push = _highest_at(1.0, theta, 0.0, end, size, waves)
@@ -487,6 +541,33 @@ def first_peaks_kernel(
 
 
 @_jit
+def first_loads_kernel(
+    mu: float, kappa: float, zeta: float, gravity: float, loss: float, latest: float
+) -> tuple[float, int, float, float]:
+    """
+    Compute (V_e / (A w), status, strain, acceleration), the last two as in FirstPeaks.
+
+    For use inside compiled code that only asks whether a throw keeps limits.
+    """
+    lam, theta, weight, root = _units(kappa, zeta, gravity, loss)
+    steady, rates, parts, betas = _modes(mu, lam, theta)
+    end, speed, status = _release(mu, lam, theta, weight, steady, rates, parts, latest)
+    if status != _RELEASED:
+        return math.nan, status, math.nan, math.nan
+    waves = (mu, lam, theta, rates, parts, betas)
+    size = _table_size(end, kappa)
+    strain, _, _ = _highest(weight * mu, end, size, waves)
+    push = _highest_at(1.0, theta, 0.0, end, size, waves)
+    return speed / root, status, strain / root, push / (mu * root * abs(lam))
+
+
+@_jit
+def _table_size(end, kappa):
+    """Choose into how many steps the time until the release is cut."""
+    return min(max(int(12.0 * end), int(24.0 * end / kappa), 16), _TIMES)
+
+
+@_jit
 def _shape(height, beta, mu):
     """Compute the strain of a mode at a height over its part in V_m, times s / beta."""
     angle = beta * (1.0 - height)
@@ -497,40 +578,40 @@ def _shape(height, beta, mu):
 def _steady_strain(height, waves):
     """Compute the strain at a height that goes with e^{lambda t}."""
     mu, lam, theta, _, _, _ = waves
-    q = lam / cmath.sqrt(1.0 + theta * lam)
-    above = q * (1.0 - height)
-    top = cmath.sinh(above) + mu * q * cmath.cosh(above)
-    return -q / lam * top / (cmath.cosh(q) + mu * q * cmath.sinh(q))
+    q, grown, fallen = _wave_number(lam, theta)
+    below = grown + fallen + mu * q * (grown - fallen)
+    grown, fallen = _exp(q * (1.0 - height)), _exp(-q * (1.0 - height))
+    return -q / lam * (grown - fallen + mu * q * (grown + fallen)) / below
 
 
 @_jit
 def _strain(height, time, viscous, waves):
     """Compute the strain without the static part, or with `viscous` theta the stress over E."""
     mu, lam, _, rates, parts, betas = waves
-    plate = _steady_strain(height, waves) * cmath.exp(lam * time)
+    plate = _steady_strain(height, waves) * _exp(lam * time)
     total = (plate * (1.0 + viscous * lam)).imag
     for i in range(rates.size):
         s = rates[i]
         if s.real * time > -_FADED:
-            value = parts[i] * cmath.exp(s * time) * (1.0 + viscous * s) / s
+            value = parts[i] * _exp(s * time) * (1.0 + viscous * s) / s
             total += value.real * betas[i] * _shape(height, betas[i], mu)
     return total
 
 
 @_jit
-def _row(height, viscous, static, end, size, waves):
+def _fill(values, height, viscous, static, end, waves):
     """Compute magnitudes as of `_strain` at even times from 0 to the end."""
     mu, lam, _, rates, parts, betas = waves
-    step = end / size
-    values = np.empty(size + 1)
+    step = end / (values.size - 1)
     plate = _steady_strain(height, waves) * (1.0 + viscous * lam)
-    plate_turn = cmath.exp(lam * step)
-    now, turn = np.empty_like(rates), np.exp(rates * step)
+    plate_turn = _exp(lam * step)
+    now, turn = np.empty_like(rates), np.empty_like(rates)
     for j in range(rates.size):
         now[j] = parts[j] * (1.0 + viscous * rates[j]) / rates[j]
         now[j] *= betas[j] * _shape(height, betas[j], mu)
+        turn[j] = _exp(rates[j] * step)
     count = rates.size
-    for i in range(size + 1):
+    for i in range(values.size):
         total = plate.imag - static
         left = 0
         for j in range(count):
@@ -542,14 +623,35 @@ def _row(height, viscous, static, end, size, waves):
         count = left
         values[i] = abs(total)
         plate *= plate_turn
-    return values
+
+
+@_jit
+def _rise(time, mu, kappa, zeta, loss):
+    """Integrate V_m, in A."""
+    lam, theta, _, root = _units(kappa, zeta, 0.0, loss)
+    steady, rates, parts, _ = _modes(mu, lam, theta)
+    total = (steady * (_exp(lam * time) - 1.0) / lam).imag
+    for i in range(rates.size):
+        total += (parts[i] * (_exp(rates[i] * time) - 1.0) / rates[i]).real
+    return total * abs(lam) / root
+
+
+@_jit
+def _largest(values):
+    """Find where the largest value is."""
+    best = 0
+    for i in range(values.size):
+        if values[i] > values[best]:
+            best = i
+    return best
 
 
 @_jit
 def _highest_at(height, viscous, static, end, size, waves):
     """Find the largest magnitude at a height."""
-    row = _row(height, viscous, static, end, size, waves)
-    i = np.argmax(row)
+    row = np.empty(size + 1)
+    _fill(row, height, viscous, static, end, waves)
+    i = _largest(row)
     return _climb(row[i], i * end / size, height, end / size, 0.0, viscous, static, end, waves)[0]
 
 
@@ -557,21 +659,24 @@ def _highest_at(height, viscous, static, end, size, waves):
 def _highest(static, end, size, waves):
     """Find the largest strain anywhere: (strain, time, height)."""
     spread = 1.0 / (_HEIGHTS - 1.0)
-    table = np.empty((_HEIGHTS, size + 1))
+    row = size + 1
+    table = np.empty(_HEIGHTS * row)
     for i in range(_HEIGHTS):
-        table[i] = _row(i * spread, 0.0, static, end, size, waves)
+        _fill(table[i * row : (i + 1) * row], i * spread, 0.0, static, end, waves)
     best, when, where = 0.0, 0.0, 0.0
     for _ in range(_CLIMBS):
-        at = np.argmax(table)
-        i, j = at // (size + 1), at % (size + 1)
-        if table[i, j] < _CLOSE * best:
+        at = _largest(table)
+        if table[at] < _CLOSE * best:
             break
+        i, j = at // row, at % row
         value, time, height = _climb(
-            table[i, j], j * end / size, i * spread, end / size, spread, 0.0, static, end, waves
+            table[at], j * end / size, i * spread, end / size, spread, 0.0, static, end, waves
         )
         if value > best:
             best, when, where = value, time, height
-        table[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3] = 0.0  # done with
+        for k in range(max(i - 2, 0), min(i + 3, _HEIGHTS)):  # done with
+            for m in range(max(j - 2, 0), min(j + 3, row)):
+                table[k * row + m] = 0.0
     return best, when, where
 
 
@@ -609,5 +714,5 @@ def _work(end, static, waves):
         for node in range(_NODES.size):
             time = (i + 0.5 * (1.0 + _NODES[node])) * width
             force = static - _strain(0.0, time, theta, waves)
-            total += 0.5 * width * _WEIGHTS[node] * force * cmath.exp(lam * time).imag
+            total += 0.5 * width * _WEIGHTS[node] * force * _exp(lam * time).imag
     return total

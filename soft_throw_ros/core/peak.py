@@ -154,7 +154,7 @@ def first_peaks(
     checks.positive('speed_ratio', speed_ratio)
     checks.below_one('damping_ratio', damping_ratio)
     checks.not_negative('gravity_ratio', gravity_ratio)
-    phase, speed, status, *rest = _first_peaks(
+    phase, speed, status, *rest = first_peaks_kernel(
         float(mass_ratio), float(speed_ratio), float(damping_ratio), float(gravity_ratio)
     )
     if status != 0:
@@ -169,8 +169,14 @@ def first_peaks(
 
 
 @_jit
-def _first_peaks(mu, kappa, zeta, gravity):
-    """Compute (t_e f, V_e / (A w), status), then what follows `release` in FirstPeaks."""
+def first_peaks_kernel(
+    mu: float, kappa: float, zeta: float, gravity: float
+) -> tuple[float, float, int, float, float, float, float, float, float, float]:
+    """
+    Compute (t_e f, V_e / (A w), status), then what follows `release` in FirstPeaks.
+
+    Without checks, for use inside compiled code.
+    """
     work = np.empty((2, MAX_INTERVALS))
     phase, speed, status = first_release_kernel(mu, kappa, zeta, gravity, work)
     if status != 0:

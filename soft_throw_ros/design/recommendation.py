@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Recommend a layer for a rig: the one that throws the projectile fastest.
+Recommend a layer for a rig: the one that throws best, by the objective that is set.
 
 What counts is the first release, for that is what can be relied on; see
 `soft_throw_ros.design.search` for how it is looked for, and for how gravity counts.
@@ -8,26 +8,55 @@ What counts is the first release, for that is what can be relied on; see
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 import functools
 import math
-from typing import get_args, Literal
+from typing import get_args, Literal, NamedTuple, TypeAlias
 
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.peak import first_peaks
+import numpy as np
+from soft_throw_ros.configuration.layers import Material
+from soft_throw_ros.core import checks, normal_modes, peak
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
-from soft_throw_ros.design.search import find_summit
+from soft_throw_ros.design.objective import Limits, Objective, Peak, problem_of, Robust
+from soft_throw_ros.design.search import find_summit, LATEST, one_throw, Problem, score
 
-Vary = Literal['thickness', 'wave_speed', 'both']
-
-Limits = tuple[float, float]
+Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
 PAPER_RATIOS = (0.32, 8.4)
 """What the paper quotes for the best mass and speed ratio. See `Optimum`. [-]"""
 
+WITHIN = 0.05
+"""Part of the best score that may be lost within a `Sensitivity`'s interval. [-]"""
+
+TOLERATED = 0.02
+"""Part that may be lost within its tolerance. [-]"""
+
+Span: TypeAlias = tuple[float, float]
+
 _EQUAL = 1e-9  # relative, in the energy transfer
+_NEAR = 1e-3  # likewise; how near to what was found a layer must come ...
+_BESIDE = (0.0, 1e-4, -1e-4, 5e-4, -5e-4, 2e-3, -2e-3)  # with its wave speed changed by this
 _LARGE_GRAVITY = 0.2  # of the plate's largest acceleration
+_SLIGHT = 1e-4  # change of a parameter for its elasticity
+_SMALL = 1e-3  # change of a parameter that ...
+_DEAR = 0.01  # should not cost so much, else it is at an edge
+_STEP = 0.01  # of the march to the ends of an interval, in logarithms, ...
+_FARTHEST = math.log(2.0)  # and where it ends
+_CANDIDATES = 8  # materials that are shown
+
+UNITS = {
+    'thickness': ('mm', 1e3),
+    'wave_speed': ('m/s', 1.0),
+    'mass': ('g', 1e3),
+    'frequency': ('Hz', 1.0),
+    'damping_ratio': ('', 1.0),
+}
+"""In which units people read the parameters of a `Sensitivity`, and how many make one in SI."""
+
+_COLUMNS = {'mass': 0, 'frequency': 1, 'damping_ratio': 2, 'thickness': 3, 'wave_speed': 4}
+"""Where in `Problem.throws` a parameter stands; the last two as what is added."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +146,15 @@ def best_ratios(damping_ratio: float) -> Optimum:
 
     """
     checks.below_one('damping_ratio', damping_ratio)
-    summit = find_summit(
+    problem = Problem(
         mass_ratio=0.3,
         speed_ratio=10.0,
-        damping_ratio=float(damping_ratio),
         gravity_ratio=0.0,
+        loss_tangent=0.0,
+        throws=one_throw(float(damping_ratio)),
+    )
+    summit = find_summit(
+        problem,
         thickness_factors=(0.5, 2.0),
         wave_speed_factors=(0.4, 2.5),
         tolerance=1e-7,
@@ -136,7 +169,7 @@ def best_ratios(damping_ratio: float) -> Optimum:
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
     r"""
-    What a throw gives, with the rig's damping and gravity, up to the first release.
+    What a throw gives, with the rig's damping, gravity and loss, up to the first release.
 
     Parameters
     ----------
@@ -144,8 +177,12 @@ class Prediction:
         Of the layer, :math:`L_s`. [m]
     wave_speed : float
         Of the layer, :math:`c_s`. [m/s]
+    density : float
+        Of the layer, :math:`\rho_s`. [kg/m3]
     youngs_modulus : float
         Of the layer, :math:`\rho_s c_s^2`. [Pa]
+    loss_tangent : float
+        Of the layer. [-]
     mass_ratio : float
         Projectile over layer mass, :math:`\mu`. [-]
     speed_ratio : float
@@ -177,7 +214,9 @@ class Prediction:
 
     thickness: float
     wave_speed: float
+    density: float
     youngs_modulus: float
+    loss_tangent: float
     mass_ratio: float
     speed_ratio: float
     ejection_time: float
@@ -200,12 +239,12 @@ def predict(rig: Rig) -> Prediction:
     Parameters
     ----------
     rig : Rig
-        Without loss in the layer.
+        With a layer of one material, with or without loss.
 
     Raises
     ------
     ValueError
-        If the layer has loss.
+        If the layer is graded.
     ThrowUnresolvedError
         If the projectile does not leave, or only after more crossings than are followed.
 
@@ -218,21 +257,28 @@ def predict(rig: Rig) -> Prediction:
     '11.6%, 40 g'
 
     """
-    _check_lossless(rig)
     engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    peaks = first_peaks(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        damping_ratio=engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
-    )
+    if not layer.is_uniform:
+        raise ValueError(f'a layer of one material can be recommended, got {layer!r}')
+    ratios = {
+        'mass_ratio': rig.mass_ratio,
+        'speed_ratio': rig.speed_ratio,
+        'damping_ratio': engine.damping_ratio,
+        'gravity_ratio': rig.gravity_ratio,
+    }
+    if layer.loss_tangent > 0.0:
+        peaks = normal_modes.first_peaks(**ratios, loss_tangent=layer.loss_tangent)
+    else:
+        peaks = peak.first_peaks(**ratios)
     speed_scale = engine.speed_scale
     strain_scale = speed_scale / layer.wave_speed
     speed = float(peaks.release.speed) * speed_scale
     return Prediction(
         thickness=layer.thickness,
         wave_speed=layer.wave_speed,
+        density=layer.density,
         youngs_modulus=layer.youngs_modulus,
+        loss_tangent=layer.loss_tangent,
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
         ejection_time=float(peaks.release.ejection_phase) / engine.frequency,
@@ -250,34 +296,114 @@ def predict(rig: Rig) -> Prediction:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    r"""
+    How much a parameter matters around the recommended layer, all others as they are.
+
+    Parameters
+    ----------
+    name : {'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio'}
+        The parameter.
+    value : float
+        What it is.
+    elasticity : float
+        :math:`d \ln \alpha / d \ln` of the parameter, for the score. [-]
+    low, high : float
+        Between these at most `WITHIN` of the score is lost; looked for from half to twice `value`.
+    tolerance : float
+        What it may be off, up or down, for at most `TOLERATED` to be lost.
+    edge : {'', 'less', 'more'}
+        On which side, if any, the energy falls off at once.
+
+    """
+
+    name: str
+    value: float
+    elasticity: float
+    low: float
+    high: float
+    tolerance: float
+    edge: str
+
+    @property
+    def deviation(self) -> str:
+        """The tolerance with its unit."""
+        unit, scale = UNITS[self.name]
+        return f'{scale * self.tolerance:.2g} {unit}'.rstrip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """
+    A layer from the library, and how good it would be.
+
+    Parameters
+    ----------
+    layer : str
+        Its name, for `layer.name`.
+    thickness : float
+        [m]
+    score : float
+        What it is ranked by. [-]
+
+    """
+
+    layer: str
+    thickness: float
+    score: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recommendation(Prediction):
     """
     What the recommended layer gives, and what it is to be compared with.
 
     Parameters
     ----------
-    vary : {'thickness', 'wave_speed', 'both'}
+    rig : Rig
+        The rig with the recommended layer.
+    objective : str
+        What was looked for.
+    vary : {'thickness', 'wave_speed', 'both', 'library'}
         What was allowed to change.
-    now : Prediction
-        The rig as it is.
-    by_thickness, by_wave_speed, by_both : Prediction
-        The best layer if this may change; that for `vary` is the recommended one.
+    layer : str
+        Name of the recommended layer in the library, if it was picked there.
+    score : float
+        The energy transfer that counts for the objective. [-]
+    now : Prediction or None
+        The rig as it is; None if it does not throw.
+    now_score : float
+        Its score, 0 if it does not throw. [-]
+    by_thickness, by_wave_speed, by_both : Prediction or None
+        The best layer if this may change; None if nothing is thrown within the limits, or if it
+        was not looked for: another objective than the peak takes its time.
+    candidates : tuple of Candidate
+        Layers of the library that came near, if one was to be picked; the best first.
+    sensitivities : tuple of Sensitivity
+        How much the parameters matter around the recommended layer.
     optimum : Optimum
-        The best ratios for the engine's damping, were there no limits.
+        The best ratios for the engine's damping, were there no limits and no loss.
     paper : Optimum
         The paper's ratios with the engine's damping.
     why : str
         What changes and what is gained, in a sentence.
     note : str
-        What has to be known besides, about the paper's numbers and about gravity.
+        What has to be known besides, about the paper's numbers, loss and gravity.
 
     """
 
+    rig: Rig
+    objective: str
     vary: Vary
-    now: Prediction
-    by_thickness: Prediction
-    by_wave_speed: Prediction
-    by_both: Prediction
+    layer: str
+    score: float
+    now: Prediction | None
+    now_score: float
+    by_thickness: Prediction | None = None
+    by_wave_speed: Prediction | None = None
+    by_both: Prediction | None = None
+    candidates: tuple[Candidate, ...]
+    sensitivities: tuple[Sensitivity, ...]
     optimum: Optimum
     paper: Optimum
     why: str
@@ -285,8 +411,8 @@ class Recommendation(Prediction):
 
     @property
     def gain(self) -> float:
-        """Part by which the energy of the projectile would grow. [-]"""
-        return self.energy_transfer / self.now.energy_transfer - 1.0
+        """Part by which the score would grow, infinite if there is none now. [-]"""
+        return self.score / self.now_score - 1.0 if self.now_score > 0.0 else math.inf
 
     def values(self) -> dict[str, float | str]:
         """Return everything by name, with a dot between the name of a part and of its value."""
@@ -295,39 +421,56 @@ class Recommendation(Prediction):
             value = getattr(self, item.name)
             if isinstance(value, (Prediction, Optimum)):
                 flat.update({f'{item.name}.{name}': part for name, part in vars(value).items()})
-            else:
+            elif item.name == 'sensitivities':
+                for part in value:
+                    flat.update({
+                        f'{part.name}.{name}': getattr(part, name)
+                        for name in ('elasticity', 'low', 'high', 'tolerance', 'edge')
+                    })  # fmt: skip
+            elif item.name == 'candidates':
+                flat.update({f'candidate.{part.layer}': part.score for part in value})
+            elif item.name != 'rig' and value is not None:
                 flat[item.name] = value
         return flat
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Choice:
+    """A layer to choose, as part of the rig."""
+
+    rig: Rig
+    prediction: Prediction
+    score: float
+    layer: str
 
 
 def recommend(
     rig: Rig,
     *,
-    vary: Vary,
-    thickness_min: float,
-    thickness_max: float,
-    wave_speed_min: float,
-    wave_speed_max: float,
-    objective: Literal['peak'] = 'peak',
+    vary: Vary = 'both',
+    objective: Objective | None = None,
+    limits: Limits | None = None,
+    materials: Mapping[str, Material] | None = None,
 ) -> Recommendation:
     """
-    Recommend the layer that throws the projectile fastest.
+    Recommend the layer that throws best.
 
-    All of the rig but thickness and wave speed of the layer stays, its density too: another wave
-    speed is another modulus.
+    All of the rig but the layer stays. Of the layer thickness and wave speed may change, its
+    density and loss tangent not: another wave speed is another modulus. Or all of it is picked
+    from a library.
 
     Parameters
     ----------
     rig : Rig
-        With the layer that it has now, without loss.
-    vary : {'thickness', 'wave_speed', 'both'}
-        What may change. All three are computed.
-    thickness_min, thickness_max : float
-        Between which the thickness may be. What may not change need not be within limits. [m]
-    wave_speed_min, wave_speed_max : float
-        Between which the wave speed may be. [m/s]
-    objective : {'peak'}
-        What is to be largest: the energy of one throw.
+        With the layer that it has now.
+    vary : {'thickness', 'wave_speed', 'both', 'library'}
+        What may change.
+    objective : Peak, Robust or Versatile, optional
+        What is to be largest; the energy of the throw if not given.
+    limits : Limits, optional
+        What must not be exceeded. What may not change need not be within.
+    materials : mapping of str to Material, optional
+        From which one is picked, if `vary` is 'library'.
 
     Returns
     -------
@@ -337,74 +480,70 @@ def recommend(
     Raises
     ------
     ValueError
-        If a choice is unknown, limits are not positive and increasing, or the layer has loss.
+        If a choice is unknown, there is no material to pick, or an uncertainty is as large as what
+        is uncertain.
     ThrowUnresolvedError
-        If no throw with a layer within the limits can be computed, or none of the rig as it is:
-        too many crossings, or gravity holds the projectile.
+        If no throw with a layer within the limits can be computed: too many crossings, gravity
+        holds the projectile, or every layer exceeds strain or acceleration.
 
     Notes
     -----
-    The energy transfer is not lower than the highest of a scan of 10^4 layers by more than 1e-3,
-    in 10^3 random rigs and limits, except as said in `soft_throw_ros.design.search`, for strong
-    gravity above all. All numbers returned but those of `Optimum` are with gravity.
+    The score is not lower than the highest of a scan of 10^4 layers by more than 1e-3, in 10^3
+    random rigs and limits, except as said in `soft_throw_ros.design.search`. All numbers returned
+    but those of `Optimum` are with gravity and loss.
 
     Examples
     --------
-    >>> best = recommend(
-    ...     Rig(), vary='thickness', thickness_min=1e-3, thickness_max=50e-3,
-    ...     wave_speed_min=1.0, wave_speed_max=50.0,
-    ... )
+    >>> best = recommend(Rig(), vary='thickness')
     >>> best.why
-    'thickness 16.8 -> 13.41 mm: 5.4 % more energy (alpha 3.64 -> 3.83)'
+    'thickness 16.8 -> 13.4 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
 
     """
-    _check_lossless(rig)
-    if objective != 'peak':
-        raise ValueError(f"objective must be 'peak', got {objective!r}")
+    objective, limits = objective or Peak(), limits or Limits()
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    thickness = _checked_limits('thickness', thickness_min, thickness_max)
-    wave_speed = _checked_limits('wave_speed', wave_speed_min, wave_speed_max)
-    now = predict(rig)
-    found: dict[str, Prediction] = {
-        'thickness': _best(rig, now, thickness, None),
-        'wave_speed': _best(rig, now, None, wave_speed),
-        'both': _best(rig, now, thickness, wave_speed),
+    spans = {
+        'thickness': (limits.thickness, None),
+        'wave_speed': (None, limits.wave_speed),
+        'both': (limits.thickness, limits.wave_speed),
     }
-    best = found[vary]
+    found = {
+        name: _best(rig, objective, limits, *span)
+        for name, span in spans.items()
+        if isinstance(objective, Peak) or name == vary
+    }
+    picked = _pick(rig, objective, limits, materials or {}) if vary == 'library' else []
+    best = (picked[0] if picked else None) if vary == 'library' else found[vary]
+    if best is None:
+        raise ThrowUnresolvedError(_why_none(rig, vary, limits))
+    now = _choice(rig, objective, limits)
     optimum = best_ratios(rig.engine.damping_ratio)
     paper = _paper_ratios(rig.engine.damping_ratio)
+    sensitivities = tuple(_sensitivities(best.rig, problem_of(best.rig, objective, limits)))
     return Recommendation(
-        **vars(best),
+        **vars(best.prediction),
+        rig=best.rig,
+        objective=objective.name,
         vary=vary,
-        now=now,
-        by_thickness=found['thickness'],
-        by_wave_speed=found['wave_speed'],
-        by_both=found['both'],
+        layer=best.layer,
+        score=best.score,
+        now=_prediction(now),
+        now_score=0.0 if now is None else now.score,
+        by_thickness=_prediction(found.get('thickness')),
+        by_wave_speed=_prediction(found.get('wave_speed')),
+        by_both=_prediction(found.get('both')),
+        candidates=tuple(
+            Candidate(
+                layer=choice.layer, thickness=choice.prediction.thickness, score=choice.score
+            )
+            for choice in picked[:_CANDIDATES]
+        ),
+        sensitivities=sensitivities,
         optimum=optimum,
         paper=paper,
-        why=_why(now, best, vary, thickness, wave_speed),
-        note=_note(optimum, paper, rig.gravity_ratio),
+        why=_why(rig, now, best, vary, objective, limits, sensitivities),
+        note=_note(best.rig, optimum, paper),
     )
-
-
-def _checked_limits(name: str, low: float, high: float) -> Limits:
-    """Return limits as floats, or raise ValueError."""
-    low = checks.positive(f'{name}_min', low)
-    high = checks.positive(f'{name}_max', high)
-    if low >= high:
-        raise ValueError(f'{name}_min must be below {name}_max, got {low:g} and {high:g}')
-    return low, high
-
-
-def _check_lossless(rig: Rig) -> None:
-    """Raise ValueError if the layer has internal loss."""
-    if rig.layer.loss_tangent > 0.0:
-        raise ValueError(
-            'layer.loss_tangent must be 0, got '
-            f'{rig.layer.loss_tangent:g}: loss lowers the best energy transfer and moves it '
-            'elsewhere, and the travelling-wave model has none'
-        )
 
 
 @functools.lru_cache(maxsize=64)
@@ -413,87 +552,279 @@ def _paper_ratios(damping_ratio: float) -> Optimum:
     return Optimum.at(mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio)
 
 
+def _prediction(choice: _Choice | None) -> Prediction | None:
+    return None if choice is None else choice.prediction
+
+
+def _choice(rig: Rig, objective: Objective, limits: Limits, *, layer: str = '') -> _Choice | None:
+    """Predict the throw of a rig and compute its score; None if there is no throw."""
+    try:
+        prediction = predict(rig)
+    except ThrowUnresolvedError:
+        return None
+    if isinstance(objective, Peak):
+        transfer = prediction.energy_transfer
+    else:
+        transfer = max(score(problem_of(rig, objective, limits)), 0.0) ** 2
+    return _Choice(rig=rig, prediction=prediction, score=transfer, layer=layer)
+
+
 def _best(
-    rig: Rig, now: Prediction, thickness: Limits | None, wave_speed: Limits | None
-) -> Prediction:
-    """Predict the best throw within limits; None for what may not change."""
-    layer = rig.layer
-    thickness = thickness or (layer.thickness, layer.thickness)
-    wave_speed = wave_speed or (layer.wave_speed, layer.wave_speed)
-    summit = find_summit(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        damping_ratio=rig.engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
-        thickness_factors=(thickness[0] / layer.thickness, thickness[1] / layer.thickness),
-        wave_speed_factors=(wave_speed[0] / layer.wave_speed, wave_speed[1] / layer.wave_speed),
-    )
+    rig: Rig,
+    objective: Objective,
+    limits: Limits,
+    thickness: Span | None,
+    wave_speed: Span | None,
+    *,
+    layer: str = '',
+) -> _Choice | None:
+    """Choose the best layer within limits, None for what may not change; None if there is none."""
+    given = rig.layer
+    thickness = thickness or (given.thickness, given.thickness)
+    wave_speed = wave_speed or (given.wave_speed, given.wave_speed)
+    problem = problem_of(rig, objective, limits)
     is_within = (
-        thickness[0] <= layer.thickness <= thickness[1]
-        and wave_speed[0] <= layer.wave_speed <= wave_speed[1]
+        thickness[0] <= given.thickness <= thickness[1]
+        and wave_speed[0] <= given.wave_speed <= wave_speed[1]
+        and not math.isnan(find_summit(problem).score)
     )
-    if math.isnan(summit.speed):
-        if is_within:
-            return now
-        raise ThrowUnresolvedError(
-            f'no throw with a thickness from {thickness[0]:g} to {thickness[1]:g} m and a wave '
-            f'speed from {wave_speed[0]:g} to {wave_speed[1]:g} m/s can be computed: the '
-            'projectile stays on the layer for too many crossings, or gravity '
-            f'({rig.gravity_ratio:.2g} of the largest acceleration of the plate) holds it'
-        )
-    best = predict(
-        replace(
-            rig,
-            layer=replace(
-                layer,
-                thickness=_within(thickness, layer.thickness * summit.thickness_factor),
-                wave_speed=_within(wave_speed, layer.wave_speed * summit.wave_speed_factor),
-            ),
-        )
+    now = _choice(rig, objective, limits, layer=layer) if is_within else None
+    summit = find_summit(
+        problem,
+        thickness_factors=(thickness[0] / given.thickness, thickness[1] / given.thickness),
+        wave_speed_factors=(wave_speed[0] / given.wave_speed, wave_speed[1] / given.wave_speed),
     )
-    if is_within and now.energy_transfer >= best.energy_transfer * (1.0 - _EQUAL):
+    if math.isnan(summit.score):
+        return now
+    found: list[_Choice] = []
+    for change in _BESIDE:
+        # the edge of a cliff, which a search by steps sees in a slightly other place
+        speed = given.wave_speed * summit.wave_speed_factor * (1.0 + change)
+        place = replace(
+            given,
+            thickness=_within(thickness, given.thickness * summit.thickness_factor),
+            wave_speed=_within(wave_speed, speed),
+        )
+        choice = _choice(replace(rig, layer=place), objective, limits, layer=layer)
+        if choice is not None:
+            found.append(choice)
+            if choice.score >= (1.0 - _NEAR) * summit.score**2:
+                break
+    best = max(found, key=lambda choice: choice.score, default=None)
+    if now is not None and (best is None or now.score >= best.score * (1.0 - _EQUAL)):
         return now
     return best
 
 
-def _within(limits: Limits, value: float) -> float:
+def _within(limits: Span, value: float) -> float:
     return min(max(value, limits[0]), limits[1])
 
 
+def _pick(
+    rig: Rig, objective: Objective, limits: Limits, materials: Mapping[str, Material]
+) -> list[_Choice]:
+    """
+    Rank the layers of a library, the best first.
+
+    Nothing is better than without limits of the loads, or than with nothing uncertain; that is
+    quickly known, and what can be no better than the best so far is left out.
+    """
+    bound_objective = Peak() if isinstance(objective, Robust) else objective
+    bound_limits = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
+    bounded: list[tuple[float, Place]] = []
+    for place in places(rig, limits, materials):
+        choice = _best(place.rig, bound_objective, bound_limits, place.thickness, None)
+        if choice is not None:
+            bounded.append((choice.score, place))
+    found: list[_Choice] = []
+    for bound, place in sorted(bounded, key=lambda item: -item[0]):
+        if found and bound <= max(choice.score for choice in found):
+            break
+        aim = objective
+        if isinstance(objective, Robust):
+            spread = max(objective.uncertainties.wave_speed, place.spread)
+            uncertainties = replace(objective.uncertainties, wave_speed=spread)
+            aim = replace(objective, uncertainties=uncertainties)
+        choice = _best(place.rig, aim, limits, place.thickness, None, layer=place.layer)
+        if choice is not None:
+            found.append(choice)
+    return sorted(found, key=lambda choice: -choice.score)
+
+
+class Place(NamedTuple):
+    """A layer of the library: its name, the rig with it, what may vary, and how sure it is."""
+
+    layer: str
+    rig: Rig
+    thickness: Span | None
+    spread: float  # of the wave speed, up or down
+
+
+def places(rig: Rig, limits: Limits, materials: Mapping[str, Material]) -> Iterator[Place]:
+    """Yield the layers of a library that are within the limits."""
+    for material in materials.values():
+        speed = material.wave_speed
+        if (
+            material.loss_tangent.value > limits.max_loss_tangent
+            or not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
+        ):
+            continue
+        layer = replace(
+            rig.layer,
+            wave_speed=speed.value,
+            density=material.density.value,
+            loss_tangent=material.loss_tangent.value,
+            diameter=material.diameter or rig.layer.diameter,
+        )
+        spread = 0.5 * (speed.high - speed.low)
+        for thickness in material.thicknesses:
+            if limits.thickness_min <= thickness <= limits.thickness_max:
+                place = replace(rig, layer=replace(layer, thickness=thickness))
+                yield Place(material.layer_name(thickness), place, None, spread)
+        if not material.thicknesses:
+            yield Place(material.name, replace(rig, layer=layer), limits.thickness, spread)
+
+
+def _sensitivities(rig: Rig, problem: Problem) -> Iterator[Sensitivity]:
+    """Find out how much each parameter matters for the score of the rig's layer."""
+    values = {
+        'thickness': rig.layer.thickness,
+        'wave_speed': rig.layer.wave_speed,
+        'mass': rig.projectile.mass,
+        'frequency': rig.engine.frequency,
+        'damping_ratio': rig.engine.damping_ratio,
+    }
+    best = score(problem) ** 2
+
+    def part(name: str, change: float) -> float:
+        """Compute the score after a change, in logarithms, over what it was."""
+        throws = problem.throws.copy()
+        column, factor = _COLUMNS[name], math.exp(change)
+        if name in ('thickness', 'wave_speed'):
+            throws[:, column] += factor - 1.0
+        else:
+            throws[:, column] *= factor
+        throws[:, 2] = np.minimum(throws[:, 2], 0.999)
+        return max(score(problem._replace(throws=throws)), 0.0) ** 2 / best
+
+    def reach(name: str, sign: float) -> tuple[float, float]:
+        """Find how far a parameter may change, one way, until TOLERATED and WITHIN are lost."""
+        ends: list[float] = []
+        good = 0.0
+        for lost in (TOLERATED, WITHIN):
+            bad = good
+            while bad <= good < _FARTHEST:
+                bad = min(good + _STEP, _FARTHEST)
+                if part(name, sign * bad) >= 1.0 - lost:
+                    good = bad
+            while bad - good > 1e-5:
+                middle = 0.5 * (good + bad)
+                if part(name, sign * middle) >= 1.0 - lost:
+                    good = middle
+                else:
+                    bad = middle
+            ends.append(good)
+        return ends[0], ends[1]
+
+    for name, value in values.items():
+        if value > 0.0:
+            less, more = part(name, -_SMALL), part(name, _SMALL)
+            down, up = reach(name, -1.0), reach(name, 1.0)
+            yield Sensitivity(
+                name=name,
+                value=value,
+                elasticity=(part(name, _SLIGHT) - part(name, -_SLIGHT)) / (2.0 * _SLIGHT),
+                low=value * math.exp(-down[1]),
+                high=value * math.exp(up[1]),
+                tolerance=value * min(1.0 - math.exp(-down[0]), math.exp(up[0]) - 1.0),
+                edge='less' if less < 1.0 - _DEAR else 'more' if more < 1.0 - _DEAR else '',
+            )
+
+
+def _why_none(rig: Rig, vary: Vary, limits: Limits) -> str:
+    """Say why nothing can be recommended."""
+    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
+    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
+    text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
+    if vary == 'library':
+        text += f' and a loss tangent of at most {limits.max_loss_tangent:g} from the library'
+    text = (
+        f'no throw with {text} can be computed: the projectile stays on the layer for too many '
+        f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
+        'plate) holds it'
+    )
+    if limits.max_strain < math.inf:
+        text += f', or the strain exceeds {limits.max_strain:g}'
+    if limits.max_acceleration < math.inf:
+        text += f', or the acceleration exceeds {limits.max_acceleration:g} m/s2'
+    return text
+
+
 def _why(
-    now: Prediction, best: Prediction, vary: Vary, thickness: Limits, wave_speed: Limits
+    rig: Rig,
+    now: _Choice | None,
+    best: _Choice,
+    vary: Vary,
+    objective: Objective,
+    limits: Limits,
+    sensitivities: tuple[Sensitivity, ...],
 ) -> str:
-    """Say what changes and what that gives."""
-    alpha = f'alpha {now.energy_transfer:.2f}'
-    if best is now:
-        return f'the layer as it is cannot be bettered within the limits ({alpha})'
-    changes = []
+    """Say what changes, what that gives, and how exactly it has to be met."""
+    words = objective.words
+    if best.rig.layer == rig.layer:
+        text = (
+            f'the layer as it is cannot be bettered within the limits ({words} {best.score:.2f})'
+        )
+    else:
+        before = f'{now.score:.2f}' if now else 'nothing'
+        gain = _gain_in_words(now.score if now else 0.0, best.score, vary)
+        changes = ' and '.join(_changes(rig, best, vary, limits))
+        text = f'{changes}: {gain} ({words} {before} -> {best.score:.2f})'
+    names = ('thickness', 'wave_speed') if vary == 'both' else (vary,)
+    names = ('thickness',) if vary == 'library' else names
+    parts = [item for item in sensitivities if item.name in names]
+    within = ' or '.join(f'+-{item.deviation}' for item in parts if not item.edge)
+    text += f'; {within} costs {100.0 * TOLERATED:g} %' if within else ''
+    for item in parts:
+        if item.edge:
+            text += f'; a little {item.edge} {item.name.replace("_", " ")} falls off an edge'
+    return text
+
+
+def _changes(rig: Rig, best: _Choice, vary: Vary, limits: Limits) -> Iterator[str]:
+    """Name what changes, with what it was and will be."""
+    old, new = rig.layer, best.rig.layer
+    if best.layer:
+        yield f'layer {best.layer}'
     if vary != 'wave_speed':
-        limit = _at_limit(best.thickness, thickness)
-        changes.append(
-            f'thickness {1e3 * now.thickness:.4g} -> {1e3 * best.thickness:.4g} mm{limit}'
+        limit = _at_limit(new.thickness, limits.thickness)
+        yield f'thickness {1e3 * old.thickness:.4g} -> {1e3 * new.thickness:.4g} mm{limit}'
+    if vary in ('wave_speed', 'both'):
+        limit = _at_limit(new.wave_speed, limits.wave_speed)
+        yield (
+            f'wave speed {old.wave_speed:.4g} -> {new.wave_speed:.4g} m/s{limit}, that is '
+            f'modulus {1e-3 * old.youngs_modulus:.4g} -> {1e-3 * new.youngs_modulus:.4g} kPa'
         )
-    if vary != 'thickness':
-        limit = _at_limit(best.wave_speed, wave_speed)
-        changes.append(
-            f'wave speed {now.wave_speed:.4g} -> {best.wave_speed:.4g} m/s{limit}, that is '
-            f'modulus {1e-3 * now.youngs_modulus:.4g} -> {1e-3 * best.youngs_modulus:.4g} kPa'
-        )
-    gain = best.energy_transfer / now.energy_transfer - 1.0
+
+
+def _gain_in_words(before: float, after: float, vary: Vary) -> str:
+    if before <= 0.0:
+        return 'as it is, the layer throws nothing'
+    gain = after / before - 1.0
     percent = 100.0 * abs(gain)
     amount = f'{percent:.1f} %' if percent < 9.95 else f'{percent:.0f} %'
     if gain >= 1.0:
-        words = f'{1.0 + gain:.3g} times the energy'
-    elif percent < 0.05:
-        words = 'practically the same energy'
-    elif gain > 0.0:
-        words = f'{amount} more energy'
-    else:
-        words = f'{amount} less energy, for the layer as it is exceeds the limits'
-    return f'{" and ".join(changes)}: {words} ({alpha} -> {best.energy_transfer:.2f})'
+        return f'{1.0 + gain:.3g} times the energy'
+    if percent < 0.05:
+        return 'practically the same energy'
+    if gain > 0.0:
+        return f'{amount} more energy'
+    if vary == 'library':
+        return f'{amount} less energy, for the layer as it is is not to be had within the limits'
+    return f'{amount} less energy, for the layer as it is exceeds the limits'
 
 
-def _at_limit(value: float, limits: Limits) -> str:
+def _at_limit(value: float, limits: Span) -> str:
     """Say which limit a value has run into, if any."""
     for limit, name in zip(limits, ('smallest', 'largest'), strict=True):
         if math.isclose(value, limit, rel_tol=1e-4):
@@ -501,7 +832,7 @@ def _at_limit(value: float, limits: Limits) -> str:
     return ''
 
 
-def _note(optimum: Optimum, paper: Optimum, gravity_ratio: float) -> str:
+def _note(rig: Rig, optimum: Optimum, paper: Optimum) -> str:
     """Say what has to be known besides."""
     note = (
         f'for a plate of damping {optimum.damping_ratio:g} the best is a projectile of '
@@ -510,9 +841,14 @@ def _note(optimum: Optimum, paper: Optimum, gravity_ratio: float) -> str:
         f'the paper says {paper.mass_ratio:g} and {paper.speed_ratio:g}, which mix two density '
         f'ratios and give {paper.energy_transfer:.3f}'
     )
-    if gravity_ratio > _LARGE_GRAVITY:
+    if rig.layer.loss_tangent > 0.0:
         note += (
-            f'; gravity is {gravity_ratio:.2g} of the largest acceleration of the plate, and '
-            'throws that it holds back to a later swing of the plate were not looked for'
+            f'; these are without loss, whereas the loss tangent of {rig.layer.loss_tangent:g} '
+            'counts in what is recommended'
+        )
+    if rig.gravity_ratio > _LARGE_GRAVITY:
+        note += (
+            f'; gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
+            f'that later swings throw as well: {LATEST:g} periods are waited for'
         )
     return note

@@ -19,6 +19,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.design.uncertainty import PredictionUncertainty
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.twin.results import Comparison, Floats, Release, ThrowResult
 from std_msgs.msg import Float64MultiArray
@@ -117,8 +118,14 @@ def statuses_to_msg(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> Diag
     return msg
 
 
-def throw_result_to_msg(result: ThrowResult, *, name: str, hardware_id: str) -> DiagnosticStatus:
-    """Make a status of what a throw gave; what has not happened is left out."""
+def throw_result_to_msg(
+    result: ThrowResult,
+    *,
+    name: str,
+    hardware_id: str,
+    uncertainty: PredictionUncertainty | None = None,
+) -> DiagnosticStatus:
+    """Make a status of what a throw gave; what has not happened, or is not known, is left out."""
     values: dict[str, Any] = {
         item.name: getattr(result, item.name)
         for item in dataclasses.fields(result)
@@ -129,6 +136,8 @@ def throw_result_to_msg(result: ThrowResult, *, name: str, hardware_id: str) -> 
     values.update(_release_to_values(result.last, 'last_'))
     for model, release in result.models.items():
         values.update(_release_to_values(release, f'{model}.'))
+    if uncertainty is not None:
+        values.update({f'uncertainty.{key}': value for key, value in uncertainty.values().items()})
     if result.lead is not None:
         values['lead'] = result.lead
     if result.comparison is not None:

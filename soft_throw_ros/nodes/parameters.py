@@ -109,14 +109,14 @@ class NodeParameters:
         """
         self._set([Parameter(name, value=value) for name, value in changes.items()])
 
-    def set_results(self, results: Mapping[str, float]) -> None:
+    def set_results(self, results: Mapping[str, float | str]) -> None:
         """
         Set parameters `recommended.*`, which are refused to everybody else.
 
         Parameters
         ----------
-        results : mapping of str to float
-            By the name without `recommended.`; results that are missing become nan.
+        results : mapping of str to float or str
+            By the name without `recommended.`; results that are missing become nan, or empty.
 
         Raises
         ------
@@ -124,11 +124,15 @@ class NodeParameters:
             If one is no result.
 
         """
-        values = {entry.name: math.nan for entry in self._table.entries if entry.is_result}
-        for name, value in results.items():
-            if f'recommended.{name}' not in values:
-                raise ParameterError(f'no result is named {name!r}, got {value!r} for it', name)
-            values[f'recommended.{name}'] = float(value)
+        entries = {entry.name: entry for entry in self._table.entries if entry.is_result}
+        values = {name: entry.default for name, entry in entries.items()}
+        for last_name, value in results.items():
+            name = f'recommended.{last_name}'
+            if name not in entries:
+                raise ParameterError(
+                    f'no result is named {last_name!r}, got {value!r} for it', last_name
+                )
+            values[name] = entries[name].converted(value)
         self._set([_Result(name, value=value) for name, value in values.items()])
 
     def _set(self, parameters: list[Parameter]) -> None:
@@ -197,8 +201,8 @@ def _descriptor(entry: Entry) -> ParameterDescriptor:
         description=f'{entry.meaning}{unit}', additional_constraints=entry.rule
     )
     low = 0 if entry.or_zero else entry.low
-    if not math.isfinite(low):
-        return descriptor
+    if not math.isfinite(low) or isinstance(entry.default, tuple):
+        return descriptor  # of a list ROS knows no range
     if isinstance(entry.default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
     else:

@@ -20,8 +20,9 @@ from typing import Any
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from soft_throw_ros.configuration import ParameterError, TWIN
+from soft_throw_ros.design.uncertainty import PredictionUncertainty
 from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.advice import Advice, advise, matters
+from soft_throw_ros.nodes.advice import Advice, advise, matters, uncertainty_of
 from soft_throw_ros.nodes.conversions import statuses_to_msg, throw_result_to_msg
 from soft_throw_ros.nodes.measured import MeasuredSteps
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -204,24 +205,26 @@ class Twin(Program):
             self._tell_landing(outputs.throw, event)
         for result in outputs.results:
             self._last_result = result
+            uncertainty = uncertainty_of(result.rig, self.parameters.settings)
             status = throw_result_to_msg(
                 result,
                 name=f'{self.get_name()}: throw',
                 hardware_id=self.get_fully_qualified_name(),
+                uncertainty=uncertainty,
             )
             self._throw_result.publish(statuses_to_msg(due, [status]))
-            self._tell(result)
+            self._tell(result, uncertainty)
         for notice in outputs.notices:
             self.get_logger().warning(notice)
 
-    def _tell(self, result: ThrowResult) -> None:
+    def _tell(self, result: ThrowResult, uncertainty: PredictionUncertainty | None) -> None:
         """Say in the log what a throw gave, and what is wrong with it."""
         if not result.is_valid:
             self.get_logger().warning(result.sentence())
         elif result.stage == 'predicted':
             self.get_logger().info(f'{result.sentence()}; {result.lead_sentence()}')
         elif result.stage == 'release' or result.first is None:
-            self.get_logger().info(self._with_advice(result))
+            self.get_logger().info(self._with_advice(result, uncertainty))
         if result.stage == 'predicted' and not result.is_ahead:
             self.get_logger().warning(
                 f'throw {result.throw}: {result.lead_sentence()}; a shorter measured.window or '
@@ -281,7 +284,10 @@ class Twin(Program):
                 response.message = str(error)
             else:
                 response.success = True
-                values = ', '.join(f'{name} {value:g}' for name, value in changes.items())
+                values = ', '.join(
+                    f'{name} {value:g}' if isinstance(value, float) else f'{name} {value}'
+                    for name, value in changes.items()
+                )
                 response.message = f'{values}, from the next throw or ~/reset on'
         return response
 
@@ -298,9 +304,11 @@ class Twin(Program):
         now = self.get_clock().now().nanoseconds
         self._recommendation.publish(statuses_to_msg(now, [status]))
 
-    def _with_advice(self, result: ThrowResult) -> str:
-        """Say what a throw gave, and what the recommended layer would give."""
+    def _with_advice(self, result: ThrowResult, uncertainty: PredictionUncertainty | None) -> str:
+        """Say what a throw gave, how sure that is, and what the recommended layer would give."""
         sentence = result.sentence()
+        if uncertainty is not None and result.first is not None:
+            sentence += f' (by the uncertainties of the rig {uncertainty.sentence()})'
         advice = self._advice
         if advice is None or advice.recommendation is None or advice.rig != result.rig:
             return sentence

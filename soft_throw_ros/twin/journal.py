@@ -51,6 +51,7 @@ VERSIONS: Mapping[str, str] = {
 """What the digits of a run depend on."""
 
 
+_SETTINGS = {'settings', 'pending', 'values'}  # parts of entries whose series were tuples
 _LONGEST_DATA = 1 << 28  # of an entry, unpacked [byte]
 
 
@@ -84,6 +85,12 @@ def decode(line: str) -> dict[str, Any]:
         raise JournalError(f'not a line of a journal, {error}: {line!r}') from error
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
         raise JournalError(f'an entry of a journal has kind and step, got {line!r}')
+    for part in _SETTINGS & entry.keys():
+        if isinstance(entry[part], dict):
+            entry[part] = {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in entry[part].items()
+            }
     return entry
 
 

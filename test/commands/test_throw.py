@@ -60,7 +60,8 @@ def write(tmp_path):
 
 def test_json_has_the_models_to_the_last_digit(capsys):
     printed = run_json(capsys, '--thickness', 0.01)
-    assert tuple(printed['models']) == tuple(printed['notes']) == tuple(throw.MODELS)
+    assert tuple(printed['models']) == tuple(throw.MODELS)
+    assert tuple(printed['notes']) == (*throw.MODELS, 'uncertainty')
     rig = Rig(layer=Layer(thickness=0.01))
     exact = simulate(rig)
     model = printed['models']['travelling_wave']
@@ -154,6 +155,32 @@ def test_table_lines_up_and_has_the_numbers_of_the_json(capsys):
     assert float(time.split()[4]) == pytest.approx(
         1e3 * models['travelling_wave']['ejection_time'], rel=5e-6
     )
+
+
+def test_uncertainty_of_the_rig_is_shown(capsys):
+    """Energy does not jump near the paper's thickness, so that a derivative tells as much."""
+    only = ('thickness', 'wave-speed', 'mass', 'frequency', 'damping-ratio')
+    nothing = [word for name in only for word in (f'--uncertain-{name}', 0)]
+    exact = [*EXACT, '--gravity', 0]
+    asked = [*exact, *nothing, '--uncertain-thickness', 1e-5]
+    printed = run_json(capsys, *asked)
+    found = printed['uncertainty']
+    lower, upper = (
+        run_json(capsys, *exact, '--thickness', 0.0168 + change)['models']['travelling_wave']
+        for change in (-0.95e-5, 0.95e-5)
+    )
+    for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
+        low, high = sorted((lower[name], upper[name]))
+        assert found[f'{name}.low'] == pytest.approx(low, rel=1e-5)
+        assert found[f'{name}.high'] == pytest.approx(high, rel=1e-5)
+    assert printed['notes']['uncertainty'] in run(capsys, *asked)
+
+
+def test_uncertainty_that_is_too_large_says_so_and_leaves_the_models(capsys):
+    printed = run_json(capsys, *EXACT, '--thickness', 0.002, '--uncertain-thickness', 0.002)
+    assert printed['uncertainty'] is None
+    assert 'uncertainty.thickness must be below' in printed['notes']['uncertainty']
+    assert printed['models']['travelling_wave'] is not None
 
 
 def test_table_warns_beyond_the_linear_range_only(capsys):

@@ -14,11 +14,19 @@ def one_change() -> st.SearchStrategy:
     """Draw a single change that is within its range."""
     options = []
     for entry in TWIN.entries:
-        if entry.choices:
-            options.append(st.tuples(st.just(entry.name), st.sampled_from(entry.choices)))
-        elif not entry.is_result:
+        if entry.is_result or entry.name == 'layer.library':  # which has a test of its own
+            continue
+        if entry.name == 'layer.name':
+            values = st.sampled_from(['custom', *LAYERS])
+        elif entry.choices:
+            values = st.sampled_from(entry.choices)
+        elif isinstance(entry.default, tuple):
+            numbers = st.lists(st.floats(entry.low, entry.high), min_size=1, max_size=3)
+            values = numbers.map(tuple)
+        else:
             kind = st.integers if isinstance(entry.default, int) else st.floats
-            options.append(st.tuples(st.just(entry.name), kind(entry.low, entry.high)))
+            values = kind(entry.low, entry.high)
+        options.append(st.tuples(st.just(entry.name), values))
     return st.one_of(options)
 
 

@@ -12,6 +12,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.nodes.parameters import NodeParameters
 from std_msgs.msg import String
+import yaml
 
 THICKNESS_RULE = 'layer.thickness must be a number from 0.0005 to 0.1 m, got '
 
@@ -51,7 +52,8 @@ def test_start_declares_the_whole_table(ros: Any, twin: Twin) -> None:
     assert twin.watched.settings == TWIN.defaults()
     for entry in TWIN.entries:
         value = client.get(entry.name)
-        assert type(value) is type(entry.default)
+        assert type(value) is (list if isinstance(entry.default, tuple) else type(entry.default))
+        value = tuple(value) if isinstance(value, list) else value
         assert value == entry.default or (entry.is_result and math.isnan(value))
 
 
@@ -275,9 +277,12 @@ def test_bad_file_is_named_with_the_line(start: Any, tmp_path: Path, pattern: st
 def test_dump_of_a_running_twin_starts_another(ros: Any, start: Any, tmp_path: Path) -> None:
     first = start('-p', 'engine.motion:=harmonic', '-p', 'layer.density:=900')
     first.watched.set_results({'thickness': 0.04})
-    lines = [f'    {name}: {item.value}' for name, item in first._parameters.items()]
+    values = {
+        name: list(item.value) if item.type_ == Parameter.Type.DOUBLE_ARRAY else item.value
+        for name, item in first._parameters.items()
+    }
     path = tmp_path / 'dump.yaml'
-    path.write_text('\n'.join(['/twin:', '  ros__parameters:', *lines]).replace('nan', '.nan'))
+    path.write_text(yaml.safe_dump({'/twin': {'ros__parameters': values}}))
     second = start('--params-file', str(path))
     assert second.watched.settings == first.watched.settings
     assert math.isnan(second.get_parameter('recommended.thickness').value)

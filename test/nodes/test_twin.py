@@ -388,7 +388,7 @@ def test_recommendation_follows_every_change(ros, twin, listener) -> None:
     )
     for name, value in advice.results().items():
         assert client.get(f'recommended.{name}') == value
-        assert math.isfinite(value)
+        assert isinstance(value, str) or math.isfinite(value)
 
 
 def test_recommendation_without_an_answer_says_why(ros, twin, listener) -> None:

@@ -283,7 +283,7 @@ def test_words_have_the_numbers(recording) -> None:
     assert transfers[1] == f'{throw.energy_transfer:.4g}'
     assert transfers[-1] == '3.098'
     best = recording.last('/twin/recommendation', 'TextDocument:text')[0]
-    assert '| 16.8 | 13.41 | 16.8 | 41.78 |' in best
+    assert '| 16.8 | 13.4 | 16.8 | 41.8 |' in best
     times, lines = recording.series('/log', 'TextLog:text')
     assert len(lines) == len(times) == 3
     assert lines[0][0].startswith('twin: throw 1: left after 7.647 ms')

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.configuration import LAYERS
+from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.peak import first_peaks
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.travelling_wave import first_releases, FirstRelease
@@ -20,7 +20,7 @@ from soft_throw_ros.design.landscape import Landscape, survey
 
 Floats = NDArray[np.float64]
 
-THICKNESSES: Floats = np.array([layer['layer.thickness'] for layer in LAYERS.values()])
+THICKNESSES: Floats = np.array(library().materials['gelatin'].thicknesses)
 """Of the paper's layers. [m]"""
 
 DAMPING_RATIO = Engine().damping_ratio

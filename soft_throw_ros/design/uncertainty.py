@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+What the uncertainties of a rig make of a prediction.
+
+Notes
+-----
+Ejection time and energy transfer jump where the release passes 3, 5, 7 ... crossings of the wave,
+so that no derivative tells how far they may be off. Instead throws are computed for rigs all over
+the uncertainties: a sequence of points that fills the unit cube evenly [1]_, always the same one.
+Between its bounds every value is taken as equally likely.
+
+References
+----------
+.. [1] The additive recurrence by powers of the root of :math:`x^{d + 1} = x + 1`, a
+   generalisation of the golden section. M. Roberts, "The unreasonable effectiveness of
+   quasirandom sequences" (2018).
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.design.search import Problem, releases
+
+Floats = NDArray[np.float64]
+
+COVERAGE = 0.95
+"""Part of the throws that lies in an `Interval`."""
+
+_SAMPLE = 1000
+_JUMP = 0.1  # of the range of ejection times: a gap without any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uncertainties:
+    """
+    How far a rig may be off, up or down.
+
+    Parameters
+    ----------
+    wave_speed : float
+        Of the layer; the default is that of [1]_, as the others are. [m/s]
+    thickness : float
+        Of the layer. [m]
+    mass : float
+        Of the projectile, as a part of it; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
+    frequency : float
+        Of the plate. [Hz]
+    damping_ratio : float
+        Of the plate. [-]
+
+    Raises
+    ------
+    ValueError
+        If a value is negative or not finite, or `mass` is not below 1.
+
+    References
+    ----------
+    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+    """
+
+    wave_speed: float = 0.3
+    thickness: float = 0.1e-3
+    mass: float = 0.01
+    frequency: float = 0.1
+    damping_ratio: float = 0.003
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            check = checks.below_one if item.name == 'mass' else checks.not_negative
+            name = f'uncertainty.{item.name}'
+            object.__setattr__(self, item.name, check(name, getattr(self, item.name)))
+
+    def throws(self, rig: Rig, offsets: Floats) -> Floats:
+        """
+        Return `Problem.throws` for rigs off by a part of the uncertainties each.
+
+        Parameters
+        ----------
+        rig : Rig
+            What is uncertain.
+        offsets : ndarray, shape (n, 5)
+            From -1 to 1, in the order of the fields. [-]
+
+        Returns
+        -------
+        ndarray, shape (n, 5)
+
+        Raises
+        ------
+        ValueError
+            If a value is as large as what is uncertain.
+
+        """
+        for name, uncertain in (
+            ('thickness', rig.layer.thickness),
+            ('wave_speed', rig.layer.wave_speed),
+            ('frequency', rig.engine.frequency),
+        ):
+            value = getattr(self, name)
+            if value >= uncertain:
+                raise ValueError(
+                    f'uncertainty.{name} must be below the {name.replace("_", " ")} itself, '
+                    f'{uncertain:g}, got {value:g}'
+                )
+        wave_speed, thickness, mass, frequency, damping = offsets.T
+        damping_ratio = rig.engine.damping_ratio + self.damping_ratio * damping
+        return np.column_stack([
+            1.0 + self.mass * mass,
+            1.0 + self.frequency / rig.engine.frequency * frequency,
+            np.clip(damping_ratio, 0.0, 0.999),
+            self.thickness / rig.layer.thickness * thickness,
+            self.wave_speed / rig.layer.wave_speed * wave_speed,
+        ])  # fmt: skip
+
+
+def even_offsets(count: int) -> Floats:
+    """Return points that fill the cube from -1 to 1 evenly, the middle first: (count, 5)."""
+    size = len(fields(Uncertainties))
+    root = 1.0
+    for _ in range(60):
+        root = (1.0 + root) ** (1.0 / (size + 1))
+    steps = root ** -np.arange(1.0, size + 1.0)
+    return 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """
+    Where a predicted value lies, with the probability `COVERAGE`.
+
+    Parameters
+    ----------
+    low, high : float
+        Quantiles of the throws.
+
+    """
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float] | Floats) -> Interval:
+        """Leave out as much at one end as at the other."""
+        rest = 0.5 * (1.0 - COVERAGE)
+        low, high = np.quantile(values, [rest, 1.0 - rest])
+        return cls(low=float(low), high=float(high))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionUncertainty:
+    r"""
+    How far a prediction may be off, from the uncertainties of the rig.
+
+    Parameters
+    ----------
+    ejection_time : Interval
+        :math:`t_e`. [s]
+    ejection_speed : Interval
+        :math:`V_e`, for the amplitude as given: it is off by the same part as that. [m/s]
+    energy_transfer : Interval
+        :math:`\alpha`. [-]
+    jumps : bool
+        Whether the release jumps within the uncertainties, so that the throws fall into groups.
+    held : float
+        Part of the throws in which the projectile does not leave, which are in no interval. [-]
+
+    """
+
+    ejection_time: Interval
+    ejection_speed: Interval
+    energy_transfer: Interval
+    jumps: bool
+    held: float
+
+    def sentence(self) -> str:
+        """Say it for people to read."""
+        time, speed, transfer = self.ejection_time, self.ejection_speed, self.energy_transfer
+        text = (
+            f'{1e3 * time.low:.3f} to {1e3 * time.high:.3f} ms, '
+            f'{speed.low:.4f} to {speed.high:.4f} m/s, '
+            f'alpha {transfer.low:.3f} to {transfer.high:.3f}'
+        )
+        if self.jumps:
+            text += ', with a jump between'
+        if self.held > 0.0:
+            text += f'; in {100.0 * self.held:.2g} % of all cases it does not leave'
+        return text
+
+    def values(self) -> dict[str, float | bool]:
+        """Return everything by name, with a dot between the name of an interval and its end."""
+        flat: dict[str, float | bool] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, Interval):
+                flat[f'{item.name}.low'], flat[f'{item.name}.high'] = value.low, value.high
+            else:
+                flat[item.name] = value
+        return flat
+
+
+def prediction_uncertainty(
+    rig: Rig, uncertainties: Uncertainties | None = None
+) -> PredictionUncertainty:
+    """
+    Find how far the first release of a throw may be off.
+
+    Parameters
+    ----------
+    rig : Rig
+        What throws.
+    uncertainties : Uncertainties, optional
+        How far the rig may be off; by default as the paper's.
+
+    Returns
+    -------
+    PredictionUncertainty
+
+    Raises
+    ------
+    ValueError
+        If an uncertainty is as large as what is uncertain.
+    ThrowUnresolvedError
+        If the projectile does not leave in any of the throws.
+
+    Examples
+    --------
+    >>> print(prediction_uncertainty(Rig()).sentence())
+    7.455 to 7.846 ms, 1.3523 to 1.3943 m/s, alpha 3.527 to 3.728
+
+    """
+    uncertainties = uncertainties or Uncertainties()
+    throws = uncertainties.throws(rig, even_offsets(_SAMPLE))
+    phases, speeds, relative = releases(
+        Problem(
+            mass_ratio=rig.mass_ratio,
+            speed_ratio=rig.speed_ratio,
+            gravity_ratio=rig.gravity_ratio,
+            loss_tangent=rig.layer.loss_tangent,
+            throws=throws,
+        )
+    )
+    left = relative > 0.0
+    if not left.any():
+        raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')
+    times = phases[left] / rig.engine.frequency
+    gaps = np.diff(np.sort(times))
+    return PredictionUncertainty(
+        ejection_time=Interval.of(times),
+        ejection_speed=Interval.of(speeds[left] * rig.engine.speed_scale),
+        energy_transfer=Interval.of(relative[left] ** 2),
+        jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
+        held=1.0 - float(left.mean()),
+    )

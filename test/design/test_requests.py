@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the twin's settings ask, and the answer."""
+
+import math
+
+import pytest
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.aiming import aim, Target
+from soft_throw_ros.design.objective import Limits, Peak, Robust, Versatile
+from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.design.requests import answer, limits_of, objective_of, uncertainties_of
+from soft_throw_ros.design.uncertainty import Uncertainties
+
+
+def changed(**changes):
+    """Return settings with changes, `__` for the dot."""
+    request = {name.replace('__', '.'): value for name, value in changes.items()}
+    settings = TWIN.defaults()
+    return {**settings, **TWIN.change(settings, request)}
+
+
+def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
+    settings = TWIN.defaults()
+    assert objective_of(settings) == Peak()
+    assert limits_of(settings) == Limits()
+    assert uncertainties_of(settings) == Uncertainties()
+    assert answer(settings) == recommend(Rig())
+
+
+def test_every_limit_counts():
+    settings = changed(
+        recommendation__thickness_min=0.002,
+        recommendation__wave_speed_max=30.0,
+        recommendation__max_strain=0.1,
+        recommendation__max_acceleration=500.0,
+        recommendation__max_loss_tangent=0.2,
+    )
+    assert limits_of(settings) == Limits(
+        thickness_min=0.002,
+        wave_speed_max=30.0,
+        max_strain=0.1,
+        max_acceleration=500.0,
+        max_loss_tangent=0.2,
+    )
+    assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf
+
+
+@pytest.mark.parametrize(
+    ('changes', 'objective'),
+    [
+        ({'recommendation__objective': 'robust', 'uncertainty__wave_speed': 0.5,
+          'recommendation__quantile': 0.05},
+         Robust(uncertainties=Uncertainties(wave_speed=0.5), quantile=0.05)),
+        ({'recommendation__objective': 'versatile', 'recommendation__masses': [1e-3, 3e-3],
+          'recommendation__frequencies': [50.0]},
+         Versatile(masses=(1e-3, 3e-3), frequencies=(50.0,))),
+    ],
+)  # fmt: skip
+def test_every_objective_is_asked_for(changes, objective):
+    settings = changed(**changes, recommendation__vary='thickness')
+    assert objective_of(settings) == objective
+    assert answer(settings) == recommend(Rig(), vary='thickness', objective=objective)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'target'),
+    [
+        ({'recommendation__target_height': 0.2}, Target(height=0.2)),
+        ({'recommendation__target_speed': 2.0}, Target(speed=2.0)),
+    ],
+)
+@pytest.mark.parametrize('vary', ['amplitude', 'both'])
+def test_aim_is_asked_for(changes, target, vary):
+    settings = changed(
+        **changes, recommendation__objective='aim', recommendation__vary=vary,
+        recommendation__max_amplitude=2.5e-3,
+    )  # fmt: skip
+    assert answer(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
+
+
+def test_layer_is_picked_from_the_library_that_is_set(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(
+        'jelly:\n  description: what is left\n  source: the kitchen\n'
+        '  density: 1000\n  wave_speed: 8\n  loss_tangent: 0\n'
+    )
+    settings = changed(
+        layer__library=str(path), recommendation__vary='library',
+        recommendation__max_loss_tangent=0.001,
+    )  # fmt: skip
+    best = answer(settings)
+    assert {item.layer for item in best.candidates} == {'jelly'}
+    assert best == recommend(
+        Rig(), vary='library', limits=limits_of(settings), materials=library(path).materials
+    )
+
+
+def test_amplitude_is_refused_unless_aimed():
+    with pytest.raises(ValueError, match=r"'amplitude' is for .* 'aim' alone"):
+        answer(changed(recommendation__vary='amplitude'))

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a prediction may be off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
+from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.uncertainty import (
+    COVERAGE,
+    even_offsets,
+    prediction_uncertainty,
+    Uncertainties,
+)
+
+NONE = Uncertainties(wave_speed=0.0, thickness=0.0, mass=0.0, frequency=0.0, damping_ratio=0.0)
+NAMES = ('ejection_time', 'ejection_speed', 'energy_transfer')
+
+
+def off(rig, *, wave_speed=0.0, thickness=0.0, mass=0.0, frequency=0.0, damping_ratio=0.0):
+    """Return the rig with its values off by so much, the mass by a part."""
+    engine, layer, projectile = rig.engine, rig.layer, rig.projectile
+    return replace(
+        rig,
+        engine=replace(
+            engine,
+            frequency=engine.frequency + frequency,
+            damping_ratio=engine.damping_ratio + damping_ratio,
+        ),
+        layer=replace(
+            layer, thickness=layer.thickness + thickness, wave_speed=layer.wave_speed + wave_speed
+        ),
+        projectile=replace(projectile, mass=projectile.mass * (1.0 + mass)),
+    )
+
+
+@pytest.mark.parametrize(
+    ('loss_tangent', 'gravity', 'error'),
+    [(0.0, 0.0, 1e-12), (0.0, 9.81, 1e-4), (0.05, 9.81, 1e-12)],
+)
+def test_nothing_uncertain_leaves_the_prediction(loss_tangent, gravity, error):
+    rig = Rig(layer=Layer(loss_tangent=loss_tangent), gravity=gravity)
+    found, known = prediction_uncertainty(rig, NONE), predict(rig)
+    assert not found.jumps
+    assert found.held == 0.0
+    for name in NAMES:
+        interval = getattr(found, name)
+        assert interval.low == interval.high == pytest.approx(getattr(known, name), rel=error)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('wave_speed', 0.01), ('thickness', 1e-5), ('mass', 1e-3), ('frequency', 0.01),
+     ('damping_ratio', 1e-3)],
+)  # fmt: skip
+def test_small_uncertainty_of_one_value_is_what_a_derivative_says(name, value):
+    rig = Rig(gravity=0.0)
+    found = prediction_uncertainty(rig, replace(NONE, **{name: value}))
+    ends = [predict(off(rig, **{name: sign * COVERAGE * value})) for sign in (-1.0, 1.0)]
+    for result in NAMES:
+        low, high = sorted(getattr(end, result) for end in ends)
+        interval = getattr(found, result)
+        assert interval.low == pytest.approx(low, abs=0.01 * (high - low))
+        assert interval.high == pytest.approx(high, abs=0.01 * (high - low))
+
+
+def test_interval_has_its_part_of_random_throws():
+    rig, uncertainties = Rig(), Uncertainties()
+    found = prediction_uncertainty(rig, uncertainties)
+    random = np.random.default_rng(0)
+    throws = [
+        predict(
+            off(
+                rig,
+                **{
+                    name: random.uniform(-size, size) for name, size in vars(uncertainties).items()
+                },
+            )
+        )
+        for _ in range(800)
+    ]
+    for name in NAMES:
+        values = np.array([getattr(throw, name) for throw in throws])
+        interval = getattr(found, name)
+        part = np.mean((values >= interval.low) & (values <= interval.high))
+        assert part == pytest.approx(COVERAGE, abs=0.03)
+
+
+def test_jump_within_the_uncertainties_is_seen_on_both_sides():
+    """The release jumps from before three crossings to after them."""
+    rig = Rig(layer=Layer(thickness=6.5e-3), gravity=0.0)
+
+    def time(thickness):
+        there = replace(rig, layer=replace(rig.layer, thickness=thickness))
+        return (
+            first_release(
+                mass_ratio=there.mass_ratio, speed_ratio=there.speed_ratio, damping_ratio=0.064
+            ).ejection_phase
+            / 63.2
+        )
+
+    thicknesses = np.linspace(1e-3, 30e-3, 2000)
+    times = np.array([time(thickness) for thickness in thicknesses])
+    edge = int(np.argmax(np.abs(np.diff(times))))
+    jump = abs(times[edge + 1] - times[edge])
+    assert jump > 1e-4
+    rig = replace(rig, layer=replace(rig.layer, thickness=float(thicknesses[edge])))
+    found = prediction_uncertainty(rig, replace(NONE, thickness=2e-5))
+    assert found.jumps
+    assert found.ejection_time.high - found.ejection_time.low > 0.9 * jump
+    assert found.sentence().endswith(', with a jump between')
+    away = replace(rig, layer=replace(rig.layer, thickness=0.95 * rig.layer.thickness))
+    assert not prediction_uncertainty(away, replace(NONE, thickness=2e-5)).jumps
+
+
+def test_part_that_gravity_holds_is_counted():
+    rig = Rig(engine=Engine(frequency=9.0))
+    found = prediction_uncertainty(rig, replace(NONE, frequency=6.0))
+    assert 0.0 < found.held < 1.0
+    assert 'of all cases it does not leave' in found.sentence()
+    with pytest.raises(ThrowUnresolvedError, match='does not leave, whatever is uncertain'):
+        prediction_uncertainty(Rig(engine=Engine(frequency=3.0)), NONE)
+
+
+def test_points_fill_the_cube_evenly():
+    points = even_offsets(512)
+    assert points.shape == (512, 5)
+    assert np.all(points[0] == 0.0)
+    assert np.abs(points).max() < 1.0
+    for axis in points.T:
+        counts, _ = np.histogram(axis, bins=16, range=(-1.0, 1.0))
+        assert counts.min() >= 28
+        assert counts.max() <= 36
+    assert np.abs(np.corrcoef(points.T) - np.eye(5)).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        (
+            {'thickness': -1e-3},
+            r'uncertainty\.thickness must be finite and not negative, got -0\.001',
+        ),
+        ({'mass': 1.0}, r'uncertainty\.mass must be .*1.*, got 1\.0'),
+        ({'frequency': float('inf')}, r'uncertainty\.frequency must be finite, got inf'),
+    ],
+)
+def test_bad_uncertainties_are_refused_with_the_value(values, message):
+    with pytest.raises(ValueError, match=message):
+        Uncertainties(**values)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'), [('thickness', 0.0168), ('wave_speed', 7.8), ('frequency', 80.0)]
+)
+def test_uncertainty_must_be_below_what_is_uncertain(name, value):
+    words = name.replace('_', ' ')
+    with pytest.raises(ValueError, match=rf'uncertainty\.{name} must be below the {words} itself'):
+        prediction_uncertainty(Rig(), replace(NONE, **{name: value}))
+
+
+def test_values_are_flat():
+    found = prediction_uncertainty(Rig(projectile=Projectile(mass=1e-3)))
+    values = found.values()
+    assert values['ejection_time.low'] == found.ejection_time.low
+    assert values['held'] == 0.0
+    assert values['jumps'] is False
+    assert len(values) == 8
