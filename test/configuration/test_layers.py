@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The library of layers: what is installed, and what is refused of a file of one's own."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+import pytest
+from soft_throw_ros.configuration import LAYERS, ParameterError, TWIN
+from soft_throw_ros.configuration.layers import (
+    BOUNDS,
+    CUSTOM,
+    default_file,
+    library,
+    Material,
+    Quantity,
+)
+from soft_throw_ros.core.rig import Layer, Rig
+import yaml
+
+ROOT = Path(__file__).parents[2]
+
+INSTALLED = library()
+
+FOAM = """\
+foam:
+  description: A foam
+  source: measured
+  density: 120.0
+  wave_speed: {value: 20.0, range: [18.0, 23.0]}
+  loss_tangent: 0.1
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Any:
+    """Write a library, and return its path."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / 'mine.yaml'
+        path.write_text(text, 'utf-8')
+        return path
+
+    return write
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(ParameterError) as error:
+        library(path)
+    assert error.value.names == ('layer.library',)
+    message = str(error.value)
+    assert '\n' not in message
+    return message
+
+
+# what is installed
+
+
+def test_installed_library_is_that_of_the_sources() -> None:
+    assert default_file().read_bytes() == (ROOT / 'config/layers.yaml').read_bytes()
+
+
+def test_gelatins_of_the_paper_are_there_in_six_thicknesses() -> None:
+    gelatins = {name: values for name, values in LAYERS.items() if name.endswith('mm')}
+    gelatins = {name: values for name, values in gelatins.items() if name.startswith('gelatin_')}
+    assert gelatins == {
+        f'gelatin_{millimetres}mm': {
+            'layer.thickness': float(f'{millimetres}e-3'),
+            'layer.wave_speed': 7.8,
+            'layer.density': 1000.0,
+            'layer.loss_tangent': 0.0,
+            'layer.diameter': 0.012,
+        }
+        for millimetres in ('2.0', '5.6', '9.5', '16.8', '23.4', '29.1')
+    }
+    speed = INSTALLED.materials['gelatin'].wave_speed
+    assert (speed.low, speed.value, speed.high) == (7.5, 7.8, 8.1)
+
+
+def test_default_layer_of_the_twin_is_one_of_the_library() -> None:
+    defaults = TWIN.defaults()
+    chosen = LAYERS[defaults['layer.name']]
+    assert {name: defaults[name] for name in chosen} == chosen
+    assert Layer(**{name[6:]: value for name, value in chosen.items()}) == Rig().layer
+
+
+@pytest.mark.parametrize('material', INSTALLED.materials.values(), ids=lambda item: item.name)
+def test_installed_material_is_described_sourced_and_within_bounds(material: Material) -> None:
+    assert len(material.description) > 10
+    assert re.search(r'\((19|20)\d\d\)|\barXiv:|Data sheet of|MatWeb', material.source)
+    for name in ('density', 'wave_speed', 'loss_tangent'):
+        quantity = getattr(material, name)
+        _, lowest, highest = BOUNDS[name]
+        assert lowest <= quantity.low <= quantity.value <= quantity.high <= highest
+    assert list(material.thicknesses) == sorted(set(material.thicknesses))
+
+
+def test_installed_moduli_are_those_of_the_file_to_all_digits() -> None:
+    """By another reader of YAML, and E = rho c^2."""
+    found = 0
+    for name, parts in yaml.safe_load(default_file().read_text('utf-8')).items():
+        if 'youngs_modulus' in parts:
+            given = parts['youngs_modulus']
+            modulus = float(given['value'] if isinstance(given, dict) else given)
+            material = INSTALLED.materials[name]
+            density, speed = material.density.value, material.wave_speed.value
+            assert density * speed**2 == pytest.approx(modulus, rel=1e-14)
+            found += 1
+    assert found == len(INSTALLED.materials) - 1  # the paper's gelatin has a wave speed
+
+
+@pytest.mark.parametrize('name', LAYERS)
+def test_every_layer_may_be_chosen_and_sets_what_it_is_known_by(name: str) -> None:
+    changes = TWIN.change(TWIN.defaults(), {'layer.name': name})
+    assert changes == {'layer.name': name, **LAYERS[name]}
+
+
+# a file of one's own
+
+
+def test_materials_of_one_s_own_come_besides_the_installed_ones(write: Any) -> None:
+    mine = library(write(FOAM))
+    assert mine.materials.keys() == {*INSTALLED.materials, 'foam'}
+    assert mine.materials['foam'] == Material(
+        name='foam',
+        description='A foam',
+        source='measured',
+        density=Quantity(value=120.0, low=120.0, high=120.0),
+        wave_speed=Quantity(value=20.0, low=18.0, high=23.0),
+        loss_tangent=Quantity(value=0.1, low=0.1, high=0.1),
+    )
+    assert mine.layers['foam'] == {
+        'layer.wave_speed': 20.0,
+        'layer.density': 120.0,
+        'layer.loss_tangent': 0.1,
+    }
+    assert library() == INSTALLED
+
+
+def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:
+    text = FOAM.replace('wave_speed: {value: 20.0, range: [18.0, 23.0]}',
+                        'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')  # fmt: skip
+    speed = library(write(text)).materials['foam'].wave_speed
+    expected = [math.sqrt(modulus / 120.0) for modulus in (1.2e4, 4.8e4, 1.2e5)]
+    assert [speed.low, speed.value, speed.high] == pytest.approx(expected, rel=1e-15)
+
+
+def test_material_in_some_thicknesses_makes_a_layer_of_each(write: Any) -> None:
+    layers = library(write(FOAM + '  thicknesses: [5e-3, 6.35e-3]\n  diameter: 0.02\n')).layers
+    mine = {name: values for name, values in layers.items() if name.startswith('foam')}
+    assert {name: values['layer.thickness'] for name, values in mine.items()} == {
+        'foam_5.0mm': 5e-3,
+        'foam_6.35mm': 6.35e-3,
+    }
+    assert all(values['layer.diameter'] == 0.02 for values in mine.values())
+
+
+def test_file_is_read_again_when_it_has_changed(write: Any) -> None:
+    path = write(FOAM)
+    assert library(path).materials['foam'].density.value == 120.0
+    write(FOAM.replace('120.0', '150.0'))
+    os.utime(path, ns=(1, 1))
+    assert library(path).materials['foam'].density.value == 150.0
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'line', 'message'),
+    [
+        ('  density', '  densty', 4, "no 'densty' in a material; did you mean density?"),
+        ('  density', '  colour', 4, "no 'colour' in a material; it has description, source,"),
+        ('120.0', 'light', 4, "density must be a number from 50 to 5000 kg/m3, got 'light'"),
+        ('120.0', "'120.0'", 4, "density must be a number .* got '120.0'"),
+        ('120.0', 'yes', 4, 'density must be a number .* got True'),
+        ('120.0', '', 4, "density must be a number .* got ''"),
+        ('120.0', '[120.0]', 4, r'density must be a number .* got \[120.0\]'),
+        ('120.0', '-120.0', 4, 'density must be a number .* got -120.0'),
+        ('120.0', '.nan', 4, 'density must be a number .* got nan'),
+        ('120.0', '1e300', 4, r'density must be a number .* got 1e\+300'),
+        ('loss_tangent: 0.1', 'loss_tangent: -0.1', 6, 'loss_tangent must be .* got -0.1'),
+        ('[18.0, 23.0]', '[21.0, 23.0]', 5,
+         r'the range of wave_speed must be two numbers around 20, got \[21.0, 23.0\]'),
+        ('[18.0, 23.0]', '[23.0, 18.0]', 5, r'two numbers around 20, got \[23.0, 18.0\]'),
+        ('[18.0, 23.0]', '[18.0]', 5, r'two numbers around 20, got \[18.0\]'),
+        ('[18.0, 23.0]', '18.0', 5, 'a list of numbers for wave_speed, got 18.0'),
+        ('[18.0, 23.0]', '[]', 5, r'a list of numbers for wave_speed, got \[\]'),
+        ('[18.0, 23.0]', '[18.0, 2300.0]', 5, 'wave_speed must be .* m/s, got 2300.0'),
+        ('{value: 20.0, range: [18.0, 23.0]}', '{value: 20.0}', 5,
+         'wave_speed must be a number or {value: ..., range: .*}, got value'),
+        ('{value: 20.0, range: [18.0, 23.0]}', '{}', 5, 'got nothing'),
+        ('{value: 20.0, range', '{value: 20.0, value', 5, 'value is given twice'),
+        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  youngs_modulus: 5e4', 2,
+         'foam must have either wave_speed or youngs_modulus, got both'),
+        ('wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'thicknesses: [0.01]', 2,
+         'foam must have either wave_speed or youngs_modulus, got neither'),
+        ('wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'youngs_modulus: 60.0', 5,
+         'wave_speed must be a number from 1 to 200 m/s, got 0.7'),
+        ('  loss_tangent: 0.1', '  diameter: 0.02', 2, 'foam has no loss_tangent'),
+        ('source: measured', 'source:', 3, "source must be a text, got ''"),
+        ('source: measured', 'source: [a, b]', 3, r"source must be a text, got \['a', 'b'\]"),
+        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: 0.01', 7,
+         'a list of numbers for thickness, got 0.01'),
+        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: [5.0]', 7,
+         'thickness must be a number from 0.0005 to 0.1 m, got 5.0'),
+        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  diameter: 12', 7,
+         'diameter must be a number from 0.001 to 0.2 m, got 12'),
+        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  density: 5', 7, 'density is given twice'),
+        ('foam:', 'gelatin:', 2, 'there is a material named gelatin already'),
+        ('foam:', 'custom:', 2, f"and not {CUSTOM!r}, got 'custom'"),
+        ('foam:', 'my foam:', 2, "letters, digits, .* got 'my foam'"),
+        ('source: measured', 'source: [', 5, 'expected .,. or'),
+        ('source: measured', '\tsource: measured', 3, 'cannot start any token'),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_quoted_with_file_and_line(
+    write: Any, old: str, new: str, line: int, message: str
+) -> None:
+    assert FOAM.count(old) == 1
+    path = write(FOAM.replace(old, new))
+    said = refused(path)
+    assert re.match(rf'{re.escape(str(path))}:{line}: ', said), said
+    assert re.search(message, said), said
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('', 'no material in it'),
+        ('# nothing\n', 'no material in it'),
+        ('- foam\n', r":1: expected NAME: {density: ..., ...}, got \['foam'\]"),
+        ('foam\n', ":1: expected NAME: {density: ..., ...}, got 'foam'"),
+        ('foam: soft\n', ":1: expected PROPERTY: VALUE, got 'soft'"),
+        (FOAM + FOAM, ':7: foam is given twice'),
+        ('a: &a {}\nb: *a\n', r':2: .*alias, got \*a'),
+    ],
+)
+def test_file_without_materials_is_refused(write: Any, text: str, message: str) -> None:
+    path = write(text)
+    assert re.match(rf'{re.escape(str(path))}.*{message}', refused(path))
+
+
+def test_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    assert refused(tmp_path / 'no.yaml') == f'{tmp_path / "no.yaml"}: No such file or directory'
+    assert refused(tmp_path) == f'{tmp_path}: Is a directory'
+    path = tmp_path / 'binary.yaml'
+    path.write_bytes(b'\xff\xfe')
+    assert refused(path) == f'{path}: is no UTF-8 text'
