@@ -16,11 +16,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize, sparse, stats
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -29,6 +29,7 @@ INSEPARABLE = 0.99
 """Correlation from which on two parameters are not told apart."""
 
 _LAGS = 10  # of the residual's autocorrelation that are looked at together
+_MANY = 40  # parameters, beyond which there are few of them in each residual
 _DOUBT = 1e-4  # probability below which chance is no explanation
 _SLIGHT = 0.5  # of the noise, below which it does not matter what residuals look like
 _SPREAD = 3.0  # variance of chi squared if the noise was estimated, over that if it was known
@@ -192,7 +193,8 @@ class Fit:
         coloured = [
             residual
             for residual in self.residuals
-            if residual.whiteness < _DOUBT and residual.rms > _SLIGHT * residual.track.noise
+            if residual.whiteness < _DOUBT / len(self.residuals)
+            and residual.rms > _SLIGHT * residual.track.noise
         ]
         if coloured:
             worst = max(coloured, key=lambda residual: residual.autocorrelation)
@@ -259,10 +261,19 @@ def fit_tracks(
         )
     # strictly within the bounds, as SciPy wants it
     margin = 1e-9 * np.where(np.isfinite(model.high - model.low), model.high - model.low, 1.0)
+    # Of many throws each has parameters of its own, which no other depends on
+    is_sparse = start.size > _MANY
+
+    def slopes(values: Floats) -> Any:
+        weighted = model.slopes(values) / noise[:, None]
+        return sparse.csr_matrix(weighted) if is_sparse else weighted
+
     solution = optimize.least_squares(
         lambda values: (model.predict(values) - position) / noise,
         np.clip(start, model.low + margin, model.high - margin),
-        jac=lambda values: model.slopes(values) / noise[:, None],
+        jac=slopes,
+        tr_solver='lsmr' if is_sparse else 'exact',
+        tr_options={'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {},
         bounds=(model.low, model.high),
         x_scale='jac',
         xtol=1e-10,
@@ -271,7 +282,7 @@ def fit_tracks(
         max_nfev=max_steps,
     )
     chi2 = 2.0 * float(solution.cost)
-    covariance = _covariance(solution.jac)
+    covariance = _covariance(solution.jac.toarray() if is_sparse else solution.jac)
     if not all(track.known_noise for _, track in tracks):
         covariance *= chi2 / dof
     fitted = np.split(
@@ -293,7 +304,8 @@ def fit_tracks(
 def _covariance(jacobian: Floats) -> Floats:
     """Compute the covariance of the values."""
     sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-60)
-    _, strengths, directions = np.linalg.svd(jacobian / sizes, full_matrices=False)
+    triangle = np.linalg.qr(jacobian / sizes, mode='r')
+    _, strengths, directions = np.linalg.svd(triangle)
     strengths = np.maximum(strengths, 1e-12 * strengths[0])  # what is not seen at all is very wide
     spread = directions.T / strengths
     return np.asarray((spread @ spread.T) / np.outer(sizes, sizes))

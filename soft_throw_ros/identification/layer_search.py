@@ -22,7 +22,7 @@ _THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # times what it is said to be
 _NEAR = np.geomspace(0.75, 1.33, 41)  # times a thickness that looks good
 _THINNEST = 1e-4  # [m]
 _LOSS = 0.05  # to start from
-_SCANNED = 3  # throws that are looked at, and ...
+_SCANNED = 3  # throws that are looked at; of these ...
 _PERIODS = 2.0  # of the plate, and ...
 _SAMPLES = 120  # in each
 _NARROWINGS = 12  # of a wave speed between two others
@@ -45,6 +45,9 @@ def find_layer(problem: Problem, plates: Sequence[PlateFit], layer: tuple[str, .
         If no layer can be followed.
 
     """
+    looked_at = [number for number, _ in problem.projectiles[:_SCANNED]]
+    problem = replace(problem, throws=tuple(problem.throws[number] for number in looked_at))
+    plates = [plates[number] for number in looked_at]
     early = problem.cut(plates, _PERIODS / problem.rig.engine.frequency)
     if not early.projectiles:
         early = problem
@@ -171,7 +174,7 @@ def _misfit(problem: Problem, plates: Sequence[PlateFit], rig: Rig) -> float:
     Infinity if the model cannot follow it.
     """
     tracks = []
-    for number, track in problem.projectiles[:_SCANNED]:
+    for number, track in problem.projectiles:
         every = -(-track.time.size // _SAMPLES)
         since = track.time[::every] - plates[number].start_time
         tracks.append((since, track.position[::every], track.noise))

@@ -9,6 +9,7 @@ import pytest
 from soft_throw_ros.core import method_of_steps
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.identification import fit as fit_module
 from soft_throw_ros.identification.fit import FitError
 from soft_throw_ros.identification.path import follow
 from soft_throw_ros.identification.problem import ENGINE, PARAMETERS, rest_height, USUAL
@@ -125,6 +126,16 @@ def test_many_throws_are_as_exact_as_they_should(make_throw):
         assert found.start_time(number) == pytest.approx(
             0.01 + 1e-4 * number, abs=4.0 * found.fit[name].error
         )
+
+
+def test_many_throws_are_fitted_as_few_are(make_throw, monkeypatch):
+    throws = [make_throw(Rig(), rate=1500.0, duration=0.06, seed=seed) for seed in range(3)]
+    few = fit_rig(throws, KNOWN).fit
+    monkeypatch.setattr(fit_module, '_MANY', 10)
+    many = fit_rig(throws, KNOWN).fit
+    assert len(many.names) > 10
+    assert np.abs((many.values - few.values) / few.errors).max() < 1e-3
+    assert many.covariance == pytest.approx(few.covariance, rel=1e-3, abs=1e-20)
 
 
 @pytest.mark.parametrize(
