@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 import math
+from operator import itemgetter
 import struct
 from typing import Any, NamedTuple
 
@@ -84,13 +85,16 @@ class JointStateEncoder:
         begins = [template.add_doubles(count) for _ in range(series)]
         for _ in range(series, len(_SERIES)):
             template.add('I', 0)
-        self._parts = [
-            (begin, slice(index * count, (index + 1) * count))
-            for index, begin in enumerate(begins)
-        ]
+        self._begin = begins[0]
+        self._count = count
+        # one series after another, with the length of the next one between them, and its padding
+        places = list(range(series * count))
+        for first in range((series - 1) * count, 0, -count):
+            places.insert(first, series * count)
+        self._arrange = itemgetter(*places)
         self._data = template.data
         self._pack_stamp = struct.Struct('<iI').pack_into
-        self._pack_part = struct.Struct(f'<{count}d').pack_into
+        self._pack_values = struct.Struct('<' + 'I4x'.join([f'{count}d'] * series)).pack_into
 
     def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """
@@ -100,8 +104,7 @@ class JointStateEncoder:
         """
         data = self._data
         self._pack_stamp(data, self._stamp, *divmod(stamp_ns, _SECOND))
-        for begin, part in self._parts:
-            self._pack_part(data, begin, *values[part])
+        self._pack_values(data, self._begin, *self._arrange((*values, self._count)))
         return bytes(data)
 
 

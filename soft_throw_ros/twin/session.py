@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 import math
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
@@ -388,17 +388,19 @@ class Session:
         """Go one step on."""
         with self._lock:
             step = self.step
-            seen = _Seen()
-            if self._track is not None and self._watch is not None:
-                seen = self._attend_to(step, self._track, self._watch)
+            events: tuple[Event, ...] = ()
+            prediction = residual = nodes = None
+            if self._track is not None:
+                nodes = self._attend_to(step, self._track)
             else:
                 has_returned = self._phase is Phase.RETURNING and step >= self._path.end
                 if self._phase is Phase.REST or has_returned:
                     self._begin_if_due(step, has_returned=has_returned)
-            if isinstance(self._flight, Pursuit):
-                seen = self._pursue(step, self._flight, seen.nodes)
-            elif self._flight is not None:
-                seen = _Seen(events=self._fly(step, self._flight))
+            flight = self._flight
+            if isinstance(flight, Flight):
+                events = self._fly(step, flight)
+            elif flight is not None and nodes is not None:
+                events, prediction, residual = self._pursue(step, flight, nodes)
             elif self._track is not None:
                 self._state = self._plate.state(self._plan.rest)
             elif self._phase is Phase.RETURNING:
@@ -410,12 +412,12 @@ class Session:
                 throw=self.throws,
                 state=self._state,
                 phases=tuple(self._phases),
-                events=seen.events,
+                events=events,
                 results=tuple(self._results),
                 field=self._field(step),
                 throw_field=self._throw_field,
-                prediction=seen.prediction,
-                residual=seen.residual,
+                prediction=prediction,
+                residual=residual,
                 notices=tuple(self._notices),
             )
             self._phases.clear()
@@ -509,8 +511,10 @@ class Session:
         assert self._track is not None
         self._watch = Watch(self._track)
 
-    def _attend_to(self, step: int, track: Track, watch: Watch) -> _Seen:
+    def _attend_to(self, step: int, track: Track) -> Nodes | None:
         """See how the plate moves, and start a throw when it jumps up."""
+        watch = self._watch
+        assert watch is not None
         departure, self._departure = self._departure, None
         nodes = None
         if departure is None:
@@ -532,7 +536,7 @@ class Session:
         elif self._phase is Phase.RETURNING and watch.is_armed:
             self._enter(Phase.REST)
             self._is_fast_enough(track)
-        return _Seen(nodes=nodes)
+        return nodes
 
     def _look_back(self, step: int) -> Nodes:
         """Return how the plate has moved since the start of a throw."""
@@ -555,9 +559,10 @@ class Session:
         )
         return False
 
-    def _pursue(self, step: int, flight: Pursuit, nodes: Nodes | None) -> _Seen:
+    def _pursue(
+        self, step: int, flight: Pursuit, nodes: Nodes
+    ) -> tuple[tuple[Event, ...], Prediction, Residual | None]:
         """Advance the throw of a measured plate that is under way."""
-        assert nodes is not None
         had_left = flight.has_left
         max_strain = self._settings['max_strain']
         advanced = flight.advance(
@@ -571,9 +576,7 @@ class Session:
         if advanced.forecast is not None:
             self._results.append(advanced.forecast)
         self._account_for(step, flight, advanced.events, had_left=had_left)
-        return _Seen(
-            events=advanced.events, prediction=advanced.prediction, residual=advanced.residual
-        )
+        return advanced.events, advanced.prediction, advanced.residual
 
     def _end_throw(self, step: int, flight: Flight | Pursuit, ended_by: str) -> None:
         flight.ended_by = ended_by
@@ -638,15 +641,6 @@ class Session:
         self._told = self.step
         self._batches = []
         self._on_entry(journal.encode(entry))
-
-
-class _Seen(NamedTuple):
-    """What comes of a step besides the state."""
-
-    events: tuple[Event, ...] = ()
-    nodes: Nodes | None = None
-    prediction: Prediction | None = None
-    residual: Residual | None = None
 
 
 class _Plate:
