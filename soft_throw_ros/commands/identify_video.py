@@ -216,9 +216,10 @@ def _save(tracks: dict[str, Track], path: str, arguments: argparse.Namespace) ->
         f'# From {Path(path).name}: {arguments.rate:g} pictures per second, {pixels:g} pixels '
         f'are {length:g} m.'
     )
+    noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
     try:
         with whole_file(arguments.tracks) as unfinished:
-            text = '\n'.join([origin, *csv_lines(tracks)])
+            text = '\n'.join([origin, f'# Noise: {noises}', *csv_lines(tracks)])
             unfinished.write_text(f'{text}\n', encoding='utf-8')
     except OSError as error:
         raise ValueError(f'{arguments.tracks}: {error.strerror}') from None

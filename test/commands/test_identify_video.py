@@ -3,6 +3,7 @@
 
 import json
 from pathlib import Path
+import re
 import runpy
 import sys
 
@@ -129,7 +130,8 @@ def test_video_gives_the_rig_that_was_filmed(capsys, throw_video, tmp_path):
     # What was followed is a CSV file like any other
     lines = tracks.read_text().splitlines()
     assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
-    assert lines[1] == 't [s],plate [m],layer 1 [m],projectile [m]'
+    assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
+    assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
     again = run(capsys, tracks, '--thickness', 12e-3)
     for name, value in found['found'].items():
         assert again['found'][name]['value'] == pytest.approx(
