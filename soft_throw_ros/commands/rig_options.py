@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from dataclasses import replace
 
 from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
 
@@ -34,6 +35,13 @@ UNCERTAINTY_OPTIONS = {
 }
 """The parameters that say how far a rig may be off, and what their options are called."""
 
+_MOTION = replace(
+    TWIN.by_name['engine.motion'],
+    meaning='How the plate moves: a damped step (D2), or A (1 - cos wt) without damping (Eq. 1)',
+    choices=('underdamped', 'harmonic'),
+)
+"""As an option: nobody measures a plate while a command runs."""
+
 _ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
 
 
@@ -52,7 +60,7 @@ def add_options(
     """Add a group with an option for each of some parameters; `read_settings` reads them."""
     group = parser.add_argument_group(title, description)
     for name in names:
-        entry = TWIN.by_name[name]
+        entry = _MOTION if name == _MOTION.name else TWIN.by_name[name]
         is_text = isinstance(entry.default, str)
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
@@ -72,6 +80,8 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     """
     Return complete settings: the defaults, what the file says, what the options say.
 
+    Of a plate that is measured, by the file, counts what `engine.*` say of it.
+
     Raises
     ------
     ParameterError
@@ -82,6 +92,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     request = {name: given[name] for name in _ALL_OPTIONS if name in given}
     settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
     try:
+        _check_motion(request.get(_MOTION.name, _MOTION.default))
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
         options = (f'argument {_ALL_OPTIONS[name]}: ' for name in error.names if name in request)
@@ -95,6 +106,15 @@ def number_or_text(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
+
+
+def _check_motion(motion: Value) -> None:
+    if not _MOTION.allows(motion):
+        raise ParameterError(
+            f'{_MOTION.name} must be {_MOTION.rule}, got {motion!r}; '
+            'what is measured is for the twin',
+            _MOTION.name,
+        )
 
 
 def _shown(value: Value) -> str:

@@ -9,6 +9,7 @@ What counts is the first release, for that is what can be relied on; see
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+import contextlib
 from dataclasses import dataclass, fields, replace
 import functools
 import math
@@ -17,7 +18,7 @@ from typing import get_args, Literal, NamedTuple, TypeAlias
 import numpy as np
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks, normal_modes, peak
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
 from soft_throw_ros.design.objective import Limits, Objective, Peak, problem_of, Robust
 from soft_throw_ros.design.search import find_summit, LATEST, one_throw, Problem, score
@@ -259,7 +260,7 @@ def predict(rig: Rig) -> Prediction:
     """
     engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
     if not layer.is_uniform:
-        raise ValueError(f'a layer of one material can be recommended, got {layer!r}')
+        raise ValueError(f'only layers of one material are predicted, got {layer!r}')
     ratios = {
         'mass_ratio': rig.mass_ratio,
         'speed_ratio': rig.speed_ratio,
@@ -480,8 +481,8 @@ def recommend(
     Raises
     ------
     ValueError
-        If a choice is unknown, there is no material to pick, or an uncertainty is as large as what
-        is uncertain.
+        If a choice is unknown, the layer is graded, or an uncertainty is as large as what is
+        uncertain.
     ThrowUnresolvedError
         If no throw with a layer within the limits can be computed: too many crossings, gravity
         holds the projectile, or every layer exceeds strain or acceleration.
@@ -502,6 +503,8 @@ def recommend(
     objective, limits = objective or Peak(), limits or Limits()
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
+    if type(rig.layer) is not Layer:  # a graded one is a kind of it
+        raise ValueError(f'only layers of one material are recommended, got {rig.layer!r}')
     spans = {
         'thickness': (limits.thickness, None),
         'wave_speed': (None, limits.wave_speed),
@@ -515,7 +518,7 @@ def recommend(
     picked = _pick(rig, objective, limits, materials or {}) if vary == 'library' else []
     best = (picked[0] if picked else None) if vary == 'library' else found[vary]
     if best is None:
-        raise ThrowUnresolvedError(_why_none(rig, vary, limits))
+        raise ThrowUnresolvedError(_why_none(rig, vary, objective, limits, materials or {}))
     now = _choice(rig, objective, limits)
     optimum = best_ratios(rig.engine.damping_ratio)
     paper = _paper_ratios(rig.engine.damping_ratio)
@@ -627,18 +630,24 @@ def _pick(
     Rank the layers of a library, the best first.
 
     Nothing is better than without limits of the loads, or than with nothing uncertain; that is
-    quickly known, and what can be no better than the best so far is left out.
+    quickly known, and where it is not what is asked, what can be no better than the best so far
+    is left out.
     """
     bound_objective = Peak() if isinstance(objective, Robust) else objective
     bound_limits = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
-    bounded: list[tuple[float, Place]] = []
+    bounded: list[tuple[_Choice, Place]] = []
     for place in places(rig, limits, materials):
-        choice = _best(place.rig, bound_objective, bound_limits, place.thickness, None)
+        choice = _best(
+            place.rig, bound_objective, bound_limits, place.thickness, None, layer=place.layer
+        )
         if choice is not None:
-            bounded.append((choice.score, place))
+            bounded.append((choice, place))
+    bounded.sort(key=lambda item: -item[0].score)
+    if (bound_objective, bound_limits) == (objective, limits):
+        return [choice for choice, _ in bounded]
     found: list[_Choice] = []
-    for bound, place in sorted(bounded, key=lambda item: -item[0]):
-        if found and bound <= max(choice.score for choice in found):
+    for bound, place in bounded:
+        if found and bound.score <= max(choice.score for choice in found):
             break
         aim = objective
         if isinstance(objective, Robust):
@@ -741,23 +750,35 @@ def _sensitivities(rig: Rig, problem: Problem) -> Iterator[Sensitivity]:
             )
 
 
-def _why_none(rig: Rig, vary: Vary, limits: Limits) -> str:
+def _why_none(
+    rig: Rig,
+    vary: Vary,
+    objective: Objective,
+    limits: Limits,
+    materials: Mapping[str, Material],
+) -> str:
     """Say why nothing can be recommended."""
     low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
     slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
     text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
     if vary == 'library':
-        text += f' and a loss tangent of at most {limits.max_loss_tangent:g} from the library'
-    text = (
+        text += ' from the library'
+        if limits.max_loss_tangent < math.inf:
+            text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
+    free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
+    if free != limits:
+        with contextlib.suppress(ThrowUnresolvedError):
+            best = recommend(rig, vary=vary, objective=objective, limits=free, materials=materials)
+            return (
+                f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
+                f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
+                f'these limits has {best.peak_strain:.3g} and {best.peak_acceleration:.4g} m/s2'
+            )
+    return (
         f'no throw with {text} can be computed: the projectile stays on the layer for too many '
         f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
         'plate) holds it'
     )
-    if limits.max_strain < math.inf:
-        text += f', or the strain exceeds {limits.max_strain:g}'
-    if limits.max_acceleration < math.inf:
-        text += f', or the acceleration exceeds {limits.max_acceleration:g} m/s2'
-    return text
 
 
 def _why(

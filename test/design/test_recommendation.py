@@ -116,7 +116,7 @@ def test_prediction_with_loss_is_that_of_the_modes(gravity):
 
 
 def test_graded_layer_is_not_predicted():
-    with pytest.raises(ValueError, match='a layer of one material can be recommended, got'):
+    with pytest.raises(ValueError, match='only layers of one material are predicted, got'):
         predict(Rig(layer=GradedLayer.stack(Layer(), Layer(density=1200.0))))
 
 
@@ -492,4 +492,22 @@ def test_limits_in_which_nothing_is_thrown_are_named():
         ThrowUnresolvedError, match=r'a wave speed from 0\.01 to 0\.02 m/s'
     ) as error:
         recommend(Rig(), vary='wave_speed', limits=limits)
-    assert 'or the strain exceeds 0.3' in str(error.value)
+    assert 'strain' not in str(error.value)  # which is not why
+
+
+def test_limits_that_every_layer_exceeds_are_named_with_what_the_best_would_need():
+    best = recommend(Rig(), vary='thickness')
+    with pytest.raises(ThrowUnresolvedError) as error:
+        recommend(Rig(), vary='thickness', limits=Limits(max_strain=0.01))
+    assert str(error.value) == (
+        'no layer with a thickness from 0.001 to 0.05 m and a wave speed from 7.8 to 7.8 m/s '
+        'keeps a strain of at most 0.01 and an acceleration of at most inf m/s2; the best '
+        f'without these limits has {best.peak_strain:.3g} and {best.peak_acceleration:.4g} m/s2'
+    )
+
+
+@pytest.mark.parametrize('vary', ['thickness', 'library'])
+def test_recommendation_for_a_graded_layer_is_refused(vary):
+    layer = GradedLayer.stack(Layer(thickness=0.01), Layer(thickness=0.01, wave_speed=20.0))
+    with pytest.raises(ValueError, match='only layers of one material are recommended, got Grad'):
+        recommend(Rig(layer=layer), vary=vary)
