@@ -179,6 +179,8 @@ class _StretchReader:
         if self._held is not None and self._open is not None:
             entry, line = self._held
             self._add(entry, line)
+            if not self._open.paces and entry['step'] > self._open.begin:
+                self._open.lack(f'the pace of step {self._open.begin} is missing')
             self._open.paces.append((entry['step'], journal.entry_pace(entry)))
             self._open.inputs.append(entry)
         self._held = None
