@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,9 +14,13 @@ from rcl_interfaces.msg import Log
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from soft_throw_ros.configuration import ParameterError, TWIN
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.configuration import ParameterError, rig_of, TWIN
+from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.design.objective import Limits, Robust, Versatile
+from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import (
     msg_to_array,
@@ -23,6 +28,7 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_time,
     msg_to_values,
     time_to_msg,
+    values_to_rig,
 )
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
@@ -429,7 +435,169 @@ def test_recommendation_can_be_applied(ros, twin, listener, vary) -> None:
     )
 
 
+JELLY = """\
+jelly:
+  description: Firm jelly
+  source: measured
+  density: 1050.0
+  wave_speed: {value: 22.0, range: [21.0, 23.0]}
+  loss_tangent: 0.0
+  thicknesses: [20e-3, 40e-3]
+"""
+
+
+@pytest.fixture
+def jelly(tmp_path) -> str:
+    """Write a library of one's own, and return its path."""
+    path = tmp_path / 'mine.yaml'
+    path.write_text(JELLY)
+    return str(path)
+
+
+def test_layer_of_one_s_own_library_is_set_at_once(ros, twin, listener, jelly) -> None:
+    client = ros.parameters(twin)
+    assert client.set_atomically(layer__library=jelly, layer__name='jelly_20.0mm') == ''
+    expected = {
+        'layer.library': jelly,
+        'layer.name': 'jelly_20.0mm',
+        'layer.thickness': 0.02,
+        'layer.wave_speed': 22.0,
+        'layer.density': 1050.0,
+    }
+    assert twin.session.pending == expected
+    assert {name: client.get(name) for name in expected} == expected
+    assert client.set(layer__name='jelly_40.0mm') == ['']
+    assert client.get('layer.thickness') == 0.04
+    trigger(ros, listener, twin, topics.THROW)
+    twin.go(150)
+    (result,) = (result for outputs in twin.outputs for result in outputs.results)
+    assert result.rig.layer == Layer(thickness=0.04, wave_speed=22.0, density=1050.0)
+
+
+def test_bad_library_or_name_is_refused_and_changes_nothing(ros, twin, jelly) -> None:
+    client = ros.parameters(twin)
+    assert client.set(layer__name='jelly_40.0mm')[0].startswith(
+        "layer.name must be a name in the library, or 'custom', got 'jelly_40.0mm'; "
+    )
+    assert client.set(layer__library='no.yaml') == ['no.yaml: No such file or directory']
+    Path(jelly).write_text(JELLY.replace('1050.0', 'heavy'))
+    (reason,) = client.set(layer__library=jelly)
+    assert reason.startswith(f'{jelly}:4: density must be a number ')
+    assert reason.endswith("got 'heavy'")
+    assert twin.parameters.settings == {**TWIN.defaults(), 'throw.period': 0.0}
+
+
+@pytest.mark.parametrize(
+    ('request_', 'expected'),
+    [
+        ({'objective': 'robust', 'vary': 'thickness'},
+         {'objective': Robust(), 'vary': 'thickness'}),
+        ({'objective': 'robust', 'vary': 'thickness', 'quantile': 0.05},
+         {'objective': Robust(quantile=0.05), 'vary': 'thickness'}),
+        ({'objective': 'versatile', 'masses': [1e-3, 4e-3], 'frequencies': [50.0]},
+         {'objective': Versatile(masses=(1e-3, 4e-3), frequencies=(50.0,))}),
+        ({'vary': 'library', 'max_loss_tangent': 0.1},
+         {'vary': 'library', 'materials': library().materials,
+          'limits': Limits(max_loss_tangent=0.1)}),
+        ({'thickness_max': 0.02, 'max_strain': 0.12, 'max_acceleration': 400.0},
+         {'limits': Limits(thickness_max=0.02, max_strain=0.12, max_acceleration=400.0)}),
+    ],
+)  # fmt: skip
+def test_recommendation_is_what_is_asked_for(ros, twin, request_, expected) -> None:
+    client = ros.parameters(twin)
+    values = {f'recommendation__{name}': value for name, value in request_.items()}
+    assert client.set_atomically(**values) == ''
+    best = settled(ros, twin).recommendation
+    assert best == recommend(Rig(), **expected)
+    ros.spin_until(lambda: client.get('recommended.score') == best.score, 'the result')
+    assert client.get('recommended.thickness') == best.thickness
+    assert client.get('recommended.layer') == best.layer
+
+
+def test_recommendation_names_the_rig_that_it_is_for(ros, twin, listener) -> None:
+    listener.listen(topics.RECOMMENDATION)
+    client = ros.parameters(twin)
+    assert client.set_atomically(layer__thickness=0.012, engine__frequency=50.0) == ''
+    rig = settled(ros, twin).rig
+    messages = listener.hear(topics.RECOMMENDATION)
+    ros.spin_until(
+        lambda: msg_to_values(messages[-1].status[0])['layer.thickness'] == 0.012, 'the latest'
+    )
+    values = msg_to_values(messages[-1].status[0])
+    assert values_to_rig(values) == rig == rig_of(twin.parameters.settings)
+    assert values['now.energy_transfer'] == recommend(rig).now.energy_transfer
+    assert values['thickness'] == recommend(rig).thickness
+
+
+def test_layer_picked_from_a_library_can_be_applied(ros, twin, listener, jelly) -> None:
+    client = ros.parameters(twin)
+    assert client.set_atomically(layer__library=jelly, recommendation__vary='library') == ''
+    best = settled(ros, twin).recommendation
+    response = trigger(ros, listener, twin, topics.APPLY_RECOMMENDATION)
+    assert response.success, response.message
+    assert response.message == 'layer.name jelly_40.0mm, from the next throw or ~/reset on'
+    assert client.get('layer.name') == best.layer == 'jelly_40.0mm'
+    assert client.get('layer.wave_speed') == 22.0
+    again = settled(ros, twin).recommendation
+    assert again.now_score == pytest.approx(best.score, rel=1e-9)
+    assert again.why.startswith('the layer as it is cannot be bettered')
+
+
+def test_material_that_is_cast_as_wanted_is_applied_with_its_thickness(
+    ros, twin, listener, jelly
+) -> None:
+    Path(jelly).write_text(JELLY.replace('  thicknesses: [20e-3, 40e-3]\n', ''))
+    client = ros.parameters(twin)
+    assert client.set_atomically(layer__library=jelly, recommendation__vary='library') == ''
+    best = settled(ros, twin).recommendation
+    assert trigger(ros, listener, twin, topics.APPLY_RECOMMENDATION).success
+    assert client.get('layer.name') == best.layer == 'jelly'
+    assert client.get('layer.thickness') == best.thickness
+
+
+def test_aim_can_be_applied_and_reaches_its_height(ros, twin, listener) -> None:
+    client = ros.parameters(twin)
+    values = {'objective': 'aim', 'vary': 'amplitude', 'target_height': 0.15}
+    named = {f'recommendation__{name}': value for name, value in values.items()}
+    assert client.set_atomically(**named) == ''
+    best = settled(ros, twin).recommendation
+    assert trigger(ros, listener, twin, topics.APPLY_RECOMMENDATION).success
+    assert client.get('engine.amplitude') == best.amplitude
+    assert client.get('layer.name') == 'gelatin_16.8mm'
+    trigger(ros, listener, twin, topics.THROW)
+    twin.go(500)
+    heights = [outputs.state.projectile_position for outputs in twin.outputs]
+    assert max(heights) - heights[0] == pytest.approx(0.15, rel=1e-4)
+
+
+def test_aim_out_of_reach_is_a_warning_that_says_what_would_do(ros, twin, listener) -> None:
+    listener.listen(topics.RECOMMENDATION)
+    client = ros.parameters(twin)
+    values = {
+        'objective': 'aim', 'vary': 'amplitude', 'target_height': 0.2, 'max_strain': 0.12,
+    }  # fmt: skip
+    named = {f'recommendation__{name}': value for name, value in values.items()}
+    assert client.set_atomically(**named) == ''
+    messages = listener.hear(topics.RECOMMENDATION)
+    ros.spin_until(lambda: messages[-1].status[0].level == DiagnosticStatus.WARN, 'the warning')
+    message = messages[-1].status[0].message
+    assert '0.2 m high is not reached: it takes a strain of 16' in message
+    assert 'would do it: amplitude' in message
+
+
 # log and diagnostics
+
+
+def test_result_says_how_far_it_may_be_off(ros, twin, listener) -> None:
+    listener.listen(topics.THROW_RESULT)
+    client = ros.parameters(twin)
+    assert client.set_atomically(uncertainty__wave_speed=0.6, uncertainty__mass=0.0) == ''
+    trigger(ros, listener, twin, topics.THROW)
+    twin.go(150)
+    values = msg_to_values(listener.hear(topics.THROW_RESULT)[0].status[0])
+    expected = prediction_uncertainty(Rig(), Uncertainties(wave_speed=0.6, mass=0.0))
+    assert {name: values[f'uncertainty.{name}'] for name in expected.values()} == expected.values()
+    assert expected.energy_transfer.low < values['energy_transfer'] < expected.energy_transfer.high
 
 
 def test_log_has_a_line_per_ejection_landing_and_change(ros, twin, listener) -> None:
@@ -445,6 +613,9 @@ def test_log_has_a_line_per_ejection_landing_and_change(ros, twin, listener) -> 
     ros.spin_until(lambda: any('projectile.mass' in line for line in lines), 'the last line')
     (thrown,) = (line for line in lines if ': left after' in line)
     assert thrown.startswith('throw 1: left after 7.647 ms at 1.3750 m/s, alpha 3.637')
+    assert (
+        f'(by the uncertainties of the rig {prediction_uncertainty(Rig()).sentence()})' in thrown
+    )
     assert 'the recommended layer of' in thrown
     (landed,) = (line for line in lines if ': landed after' in line)
     assert landed == 'throw 1: landed after 0.291 s at 1.400 m/s'
