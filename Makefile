@@ -5,6 +5,7 @@
 #   make throw            predict one throw;    ARGS='--json' and the like
 #   make identify         find out what rig it is; ARGS='my_throw.csv --output my_rig.yaml'
 #   make demo             run the twin in slow motion, record it, and show it in Rerun
+#   make loop             play a rig that the twin follows, and a calibrator that finds it out
 #   make inspect          show a bag in Rerun;  ARGS='BAG'
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
@@ -36,7 +37,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw identify demo inspect lint test test-jazzy test-kilted bench figures clean
+.PHONY: install twin throw identify demo loop inspect lint test test-jazzy test-kilted bench figures clean
 
 install: $(INSTALLED)
 
@@ -54,6 +55,14 @@ demo: $(SHOWABLE) $(KERNELS)
 	@trap : INT; \
 	$(BIN)/soft-throw recorder --ros-args --params-file config/demo.yaml & \
 	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS); \
+	wait
+
+loop: $(SHOWABLE) $(KERNELS)
+	@trap : INT; \
+	for node in recorder calibrator rig; do \
+		$(BIN)/soft-throw $$node --ros-args --params-file config/loop.yaml & \
+	done; \
+	$(BIN)/soft-throw twin --ros-args --params-file config/loop.yaml $(ARGS); \
 	wait
 
 inspect: $(SHOWABLE) $(KERNELS)

@@ -13,13 +13,15 @@ import sys
 # Name: module with a main(args), and what it is for. The only such list: setup.py reads it too,
 # so nothing may be imported here but the standard library.
 EXECUTABLES = {
+    'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin true to its rig'),
     'design': ('soft_throw_ros.commands.design', 'landscapes over any two parameters'),
     'figures': ('soft_throw_ros.commands.figures', "draw the paper's figures"),
-    'identify': ('soft_throw_ros.commands.identify', 'a rig from tracks of its throws'),
+    'identify': ('soft_throw_ros.commands.identify', 'a rig from tracks or videos of throws'),
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'look at a bag, or at a stream, in Rerun'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
     'recover': ('soft_throw_ros.commands.recover', 'repair a bag that a crash has cut off'),
     'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag, or check it'),
+    'rig': ('soft_throw_ros.nodes.rig', 'ROS 2 node: play a rig that is measured'),
     'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
 }

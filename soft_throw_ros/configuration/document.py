@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from soft_throw_ros.configuration.files import render
 from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.configuration.table import Table, Value
 from soft_throw_ros.configuration.twin import TWIN
 
-TABLES = {table.node: table for table in (TWIN, RECORDER)}
+TABLES = {table.node: table for table in (TWIN, RECORDER, CALIBRATOR, RIG)}
 """The tables that are shown, by their nodes."""
 
 

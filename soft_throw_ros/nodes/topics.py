@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -41,6 +41,10 @@ class Topic:
     def type_name(self) -> str:
         """Name of the type, as `std_msgs/msg/String`."""
         return f'{self.type.__module__.partition(".")[0]}/msg/{self.type.__name__}'
+
+    def at(self, node: str) -> Topic:
+        """Return the topic of another node, by its full name."""
+        return replace(self, name=self.name.replace('~', node, 1))
 
     def publisher(self, node: Node) -> Publisher:
         """Make the publisher of a node."""
@@ -98,7 +102,8 @@ THROW_RESULT = Topic(
     name='~/throw_result',
     type=DiagnosticArray,
     qos=_latched(SEVERAL),
-    content='What a throw gave, at its first release and when it is over',
+    content='What a throw gave, at its first release and when it is over; with a measured plate '
+    'also what it will give, as soon as that is known',
 )
 RECOMMENDATION = Topic(
     name='~/recommendation',

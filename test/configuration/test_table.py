@@ -169,7 +169,7 @@ def test_insert_markdown_replaces_what_is_between_the_marks() -> None:
     for table in TABLES:
         assert document.markdown(table) in new
     assert new.startswith('before\n<!-- twin parameters -->\n| parameter')
-    assert new.endswith('<!-- /recorder parameters -->\nafter\n')
+    assert new.endswith(f'<!-- /{[*document.TABLES][-1]} parameters -->\nafter\n')
     assert '\nold\n' not in new
     assert document.insert_markdown(new) == new
 

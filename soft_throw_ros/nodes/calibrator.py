@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The node `calibrator`: keeps a twin true to its rig.
+
+While the twin finds, throw after throw, that the projectile did something else than predicted,
+the tracks of these throws are collected; from enough of them the rig is identified, and the twin
+told. That takes seconds, and waits for the twin's answers, in a thread of its own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+import queue
+import threading
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+from numpy.typing import NDArray
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.client import Client
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.time import Time
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration.rig import CALIBRATOR, check_calibrator
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.problem import USUAL
+from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
+from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.nodes.parameters import NodeParameters
+from soft_throw_ros.nodes.process import Program, run
+from soft_throw_ros.nodes.taps import Tap
+from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
+from soft_throw_ros.recording.message import Channel
+from soft_throw_ros.twin.results import ThrowResult
+from std_srvs.srv import Trigger
+
+Floats = NDArray[np.float64]
+
+USAGE = 'usage: calibrator [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]'
+
+_DRAIN = 0.02  # between looks at what was measured [s]
+_KEPT_NS = 10_000_000_000  # of what was measured
+_BEFORE = 1.0  # plate periods of rest with which a track begins, ...
+_AFTER = 6.0  # and for which it goes on after the release
+_PATIENCE = 10.0  # with an answer [s]
+_PAUSE = 0.5  # before the recommendation is asked for again, ...
+_ASKED = 120  # so many times
+_STOP_TIME = 0.3  # for the thread to end [s]
+_LAYER = tuple(entry.name for entry in TWIN.entries if entry.group == 'layer' and entry.unit)
+
+
+class _Unanswered(Exception):
+    """Another node refused something, or did not answer; the message says which, and what."""
+
+
+class Calibrator(Program):
+    """
+    Identifies a rig anew when its twin is no longer true to it.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line, to say where a bad parameter stands.
+    **kwargs
+        As for `rclpy.node.Node`.
+
+    Raises
+    ------
+    ParameterError
+        In one line, if a parameter is refused.
+
+    """
+
+    def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__('calibrator', **kwargs)
+        try:
+            self.parameters = NodeParameters(
+                self, CALIBRATOR, _ignore, check=check_calibrator, arguments=arguments
+            )
+            twin, rig = (self.parameters.settings[name] for name in ('twin', 'rig'))
+            self._twin, self._rig = twin, rig
+            self._measured = _Measured(self, topics.MEASURED.at(twin))
+            result = topics.THROW_RESULT.at(twin)
+            self.create_subscription(result.type, result.name, self._on_results, result.qos)
+            self._get = self.create_client(GetParameters, f'{twin}/get_parameters')
+            self._set = {
+                node: self.create_client(
+                    SetParametersAtomically, f'{node}/set_parameters_atomically'
+                )
+                for node in (twin, rig)
+                if node
+            }
+            self._apply = self.create_client(
+                Trigger, topics.APPLY_RECOMMENDATION.replace('~', twin)
+            )
+            self.create_timer(_DRAIN, self._measured.take)
+        except BaseException:
+            super().destroy_node()
+            raise
+        self._released: dict[int, tuple[int, float]] = {}
+        self._doubtful: list[ThrowTracks] = []
+        self._is_busy = False
+        self._closing = threading.Event()
+        self._tasks: queue.SimpleQueue[tuple[list[ThrowTracks], Rig] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name='calibrator', daemon=True)
+
+    def start(self) -> None:
+        """Watch."""
+        self._thread.start()
+        self.get_logger().info('ready')
+
+    def destroy_node(self) -> None:
+        """Stop waiting, and let go of everything."""
+        self._closing.set()
+        self._tasks.put(None)
+        if self._thread.is_alive():
+            self._thread.join(_STOP_TIME)
+        self._measured.close()
+        super().destroy_node()
+
+    # in the executor's thread
+
+    def _on_results(self, msg: DiagnosticArray) -> None:
+        stamp_ns = Time.from_msg(msg.header.stamp).nanoseconds
+        for status in msg.status:
+            result = msg_to_throw_result(status)
+            if result.stage == 'release' and result.first is not None:
+                self._released = {result.throw: (stamp_ns, result.first.time)}
+            elif result.stage == 'final':
+                self._on_final(result)
+
+    def _on_final(self, result: ThrowResult) -> None:
+        """Collect a throw which the twin is not true to."""
+        released = self._released.pop(result.throw, None)
+        comparison = result.comparison
+        if released is None or comparison is None or not result.is_valid or self._is_busy:
+            return
+        if comparison.is_within_band:
+            self._doubtful.clear()
+            return
+        self._measured.take()
+        period_ns = 1e9 / result.rig.engine.frequency
+        stamp_ns, after = released
+        start_ns = stamp_ns - round(1e9 * after + _BEFORE * period_ns)
+        try:
+            tracks = self._measured.between(
+                start_ns, stamp_ns + round(_AFTER * period_ns), name=f'throw {result.throw}'
+            )
+        except TrackError as error:
+            self.get_logger().warning(f'throw {result.throw} is of no use: {error}')
+            return
+        self._doubtful.append(tracks)
+        if len(self._doubtful) >= self.parameters.settings['throws']:
+            self.get_logger().info(
+                f'the last {len(self._doubtful)} throws were not what the twin predicted, by '
+                f'{1e3 * comparison.position_rms:.3g} mm rms in the last one; identifying'
+            )
+            self._is_busy = True
+            self._tasks.put((self._doubtful, result.rig))
+            self._doubtful = []
+
+    # in the thread of the work
+
+    def _work(self) -> None:
+        """Identify, and tell the twin."""
+        while (task := self._tasks.get()) is not None:
+            try:
+                self._tell(fit_rig(task[0], task[1]))
+            except (_Unanswered, ValueError) as error:
+                if not self._closing.is_set():
+                    self.get_logger().warning(f'nothing has been changed: {error}')
+            finally:
+                self._is_busy = False
+
+    def _tell(self, found: RigFit) -> None:
+        """Give the twin what was found, and the rig the layer that it then recommends."""
+        for warning in found.fit.warnings():
+            self.get_logger().warning(warning)
+        if found.fit.is_misfit:
+            raise ValueError('no parameters of the model make it do what the projectile does')
+        values = {name: found.fit[name] for name in USUAL}
+        self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
+        words = (
+            f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
+        )
+        self.get_logger().info(f'identified: {", ".join(words)}')
+        if self._rig:
+            before = self._layer()
+            self.get_logger().info(f'recommended: {self._apply_recommendation()}')
+            after = self._layer()
+            changes = {name: after[name] for name in after if after[name] != before[name]}
+            if changes:
+                self._set_parameters(self._rig, changes)
+
+    def _layer(self) -> dict[str, Any]:
+        """Return the twin's layer, as it is to be."""
+        response = self._call(self._get, GetParameters.Request(names=_LAYER))
+        values = map(parameter_value_to_python, response.values)
+        return dict(zip(_LAYER, values, strict=True))
+
+    def _apply_recommendation(self) -> str:
+        """Have the twin take over the layer it recommends, and return what that is."""
+        for _ in range(_ASKED):
+            response = self._call(self._apply, Trigger.Request())
+            if response.success:
+                return str(response.message)
+            if self._closing.wait(_PAUSE):
+                break
+        raise _Unanswered(f'{self._apply.srv_name}: {response.message}')
+
+    def _set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+        request = SetParametersAtomically.Request(
+            parameters=[
+                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+            ]
+        )
+        result = self._call(self._set[node], request).result
+        if not result.successful:
+            raise _Unanswered(f'{node} refuses {values}: {result.reason}')
+
+    def _call(self, client: Client, request: Any) -> Any:
+        """Call a service, and wait for the answer, which the executor gets."""
+        if not client.wait_for_service(_PATIENCE):
+            raise _Unanswered(f'{client.srv_name} is not there')
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(_PATIENCE):
+            client.remove_pending_request(future)
+            raise _Unanswered(f'{client.srv_name} does not answer')
+        return future.result()
+
+
+class _Measured:
+    """What was measured lately."""
+
+    def __init__(self, node: Program, topic: topics.Topic) -> None:
+        channel = Channel(topic=topic.name, type=topic.type_name, schema='')
+        self._log = node.get_logger()
+        self._tap = Tap(node, channel, topic.qos)
+        self._parts: deque[tuple[NDArray[np.int64], Floats]] = deque()
+
+    def take(self) -> None:
+        """Take what has come; it is to be called often."""
+        datas = [message.data for message in self._tap.drain()]
+        if not datas:
+            return
+        try:
+            states = decode_joint_states(datas)
+            columns = [states.names.index(joint) for joint in topics.JOINTS]
+        except (MessageError, ValueError) as error:
+            self._log.warning(
+                f'{len(datas)} messages are no positions of plate and projectile: {error}',
+                throttle_duration_sec=1.0,
+            )
+            return
+        self._parts.append((states.stamps, states.position[:, columns]))
+        while self._parts[0][0][-1] < states.stamps[-1] - _KEPT_NS:
+            self._parts.popleft()
+
+    def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
+        """
+        Return the tracks of a throw, over the time since `start_ns`.
+
+        Raises
+        ------
+        TrackError
+            If there is too little of them.
+
+        """
+        if not self._parts:
+            raise TrackError('nothing has been measured of plate and projectile')
+        stamps = np.concatenate([part[0] for part in self._parts])
+        positions = np.concatenate([part[1] for part in self._parts])
+        stamps, order = np.unique(stamps, return_index=True)
+        inside = (stamps >= start_ns) & (stamps <= end_ns)
+        time = 1e-9 * (stamps[inside] - start_ns)
+        plate, projectile = positions[order][inside].T
+        return ThrowTracks(
+            name=name,
+            plate=Track(time=time, position=plate),
+            projectile=Track(time=time, position=projectile),
+        )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._tap.close()
+
+
+def _ignore(_changes: dict[str, Any]) -> None:
+    """Do nothing: parameters are looked up when they are needed."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """
+    Keep a twin true to its rig until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a signal, 2 if an argument or a parameter is refused.
+
+    """
+    return run('calibrator', lambda arguments: Calibrator(arguments=arguments), args, usage=USAGE)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop: a rig, a twin that follows its plate, and a calibrator, as processes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import signal
+import sys
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+import pytest
+from rclpy.node import Node
+from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.twin.results import ThrowResult
+
+HIDDEN = {
+    'engine.frequency': 61.8,
+    'engine.amplitude': 2.1e-3,
+    'engine.damping_ratio': 0.075,
+    'layer.thickness': 29.1e-3,
+    'layer.wave_speed': 7.3,
+}
+"""What the twin does not know of the rig."""
+
+NEW_LAYER = 'layer.thickness is now '
+
+
+def run(start: Any, name: str, **parameters: Any) -> Any:
+    options = [f'{key.replace("__", ".")}:={value}' for key, value in parameters.items()]
+    words = [word for option in options for word in ('-p', option)]
+    return start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *words)
+
+
+def listen(ros: Any) -> list[ThrowResult]:
+    heard: list[ThrowResult] = []
+    topic = topics.THROW_RESULT.at('/twin')
+
+    def take(msg: DiagnosticArray) -> None:
+        heard.extend(map(msg_to_throw_result, msg.status))
+
+    ros.node(Node, 'observer').create_subscription(topic.type, topic.name, take, topic.qos)
+    return heard
+
+
+def rig_with(**changes: float) -> Rig:
+    """Return the rig as it is."""
+    return rig_of(to_twin({**RIG.defaults(), **HIDDEN, **changes}))
+
+
+def with_thickness(rig: Rig, thickness: float) -> Rig:
+    return replace(rig, layer=replace(rig.layer, thickness=thickness))
+
+
+def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> None:
+    results = listen(ros)
+    twin = run(
+        start, 'twin',
+        engine__motion='measured', layer__name='gelatin_29.1mm', recommendation__vary='thickness',
+    )  # fmt: skip
+    calibrator = run(start, 'calibrator', rig='/rig', throws=2)
+    for process in (twin, calibrator):
+        process.wait_for('ready')
+    rig = run(
+        start, 'rig',
+        rate=2500.0, throw__period=1.0,
+        **{name.replace('.', '__'): value for name, value in HIDDEN.items()},
+    )  # fmt: skip
+    try:
+        rig.wait_for(NEW_LAYER)
+    except AssertionError:
+        pytest.fail('\n'.join(calibrator.lines + twin.lines + rig.lines))
+    (line,) = (line for line in rig.lines if NEW_LAYER in line)
+    thickness = float(line.rpartition(NEW_LAYER)[2])
+
+    def with_new_layer() -> list[ThrowResult]:
+        final = [item for item in results if item.stage == 'final' and item.comparison]
+        return [item for item in final if item.rig.layer.thickness == thickness]
+
+    ros.spin_until(lambda: len(with_new_layer()) > 2, 'throws with the new layer')
+    for process in (rig, calibrator, twin):
+        assert process.end(signal.SIGINT) == 0
+        assert not any('Traceback' in line for line in process.lines)
+
+    true = rig_with()
+    before = [item for item in results if item.rig.layer.thickness == 29.1e-3]
+    leads = [item.lead for item in before if item.stage == 'predicted' and item.lead is not None]
+    assert max(leads) > true.crossing_time / 4
+    assert any(
+        item.comparison and not item.comparison.is_within_band
+        for item in before
+        if item.stage == 'final'
+    )
+    new = with_thickness(true, thickness)
+    after = with_new_layer()[-1]
+    assert after.first is not None
+    assert after.first.speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
+    assert after.comparison is not None
+    assert after.comparison.is_within_band
+    best = recommend(true, vary='thickness')
+    assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
+    assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
+
+
+def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> None:
+    results = listen(ros)
+    twin = run(start, 'twin', engine__motion='measured')
+    calibrator = run(start, 'calibrator', rig='/rig', throws=1)
+    for process in (twin, calibrator):
+        process.wait_for('ready')
+    rig = run(start, 'rig', rate=2500.0, throw__period=0.6)
+    ros.spin_until(
+        lambda: sum(item.stage == 'final' and item.comparison is not None for item in results) > 3,
+        'throws',
+    )
+    for process in (rig, calibrator, twin):
+        assert process.end(signal.SIGINT) == 0
+    final = [item for item in results if item.stage == 'final' and item.comparison]
+    assert all(item.comparison.is_within_band for item in final)
+    assert not any('identifying' in line for line in calibrator.lines)
+
+
+@pytest.mark.parametrize(
+    ('name', 'parameter', 'words'),
+    [
+        ('rig', 'noise:=-1.0', 'noise must be a number from 0 to 0.01 m, got -1.0'),
+        ('rig', 'layer.name:=gelatin_2.0mm', 'layer.name'),
+        ('calibrator', 'throws:=0', 'throws must be a whole number from 1 to 100, got 0'),
+        ('calibrator', 'twin:=twin', "got 'twin'"),
+    ],
+)
+def test_bad_parameter_is_one_line_and_exit_code_2(start, name, parameter, words) -> None:
+    process = start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', '-p', parameter)
+    assert process.wait() == 2
+    (line,) = process.lines
+    assert line.startswith(f'{name}: ')
+    assert words in line
