@@ -6,10 +6,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 import contextlib
+import errno
 import importlib.util
+import math
+import os
 from pathlib import Path
 import sys
-from typing import Any, get_args
+from typing import Any, get_args, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +34,20 @@ from soft_throw_ros.design.landscape import (
     survey,
 )
 from soft_throw_ros.design.sweep import Checkpoint, whole_file
+from soft_throw_ros.recording.viewer import has_display, HOST, listens, Viewer, ViewerError
 from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from soft_throw_ros.recording import rerun_scene
 
 _EXACT, _EXACT_WITH_LOSS = 'travelling_wave', 'normal_modes'
 
 _POINTS = 256
+
+PORT = 9876
+"""Where a viewer of Rerun is, or will be."""
+
+_SHOW_TIME = 20.0  # for a viewer to take a map [s]
 
 _RANGES = {
     'x': '0.005:0.995',
@@ -51,6 +63,24 @@ _RANGES = {
 _SHOWN = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
 """Units of axes that pictures have in another size."""
 
+_PLAIN = {
+    'mu': '\N{GREEK SMALL LETTER MU}',
+    'kappa': 'κ',
+    'engine.frequency': 'f',
+    'engine.amplitude': 'A',
+    'engine.damping_ratio': 'ζ',
+    'layer.thickness': 'Lₛ',
+    'layer.wave_speed': 'cₛ',
+    'layer.density': '\N{GREEK SMALL LETTER RHO}ₛ',
+    'layer.diameter': 'D',
+    'layer.loss_tangent': 'tan δ',
+    'projectile.mass': 'm',
+    'gravity': 'g',
+    'ejection_phase': 'tₑ f',
+    'energy_transfer': '\N{GREEK SMALL LETTER ALPHA}',
+}
+"""Symbols of axes and results where there is no TeX, if they are not their names."""
+
 Floats = NDArray[np.float64]
 
 
@@ -62,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the task."""
     parser.usage = (
         '%(prog)s [-h] [AXIS AXIS] [--model NAME] [--release first|last] [--output FILE ...] '
-        '[--workers N | --dask ADDRESS] [--config FILE] [--thickness M ...]'
+        '[--rerun] [--workers N | --dask ADDRESS] [--config FILE] [--thickness M ...]'
     )
     parser.epilog = (
         'An axis is NAME or NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
@@ -93,7 +123,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         type=Path,
         default=[],
-        help='.npz (NumPy), .nc (NetCDF) or .png (picture)',
+        help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
+    )
+    parser.add_argument(
+        '--rerun',
+        action='store_true',
+        help=f'show it in a viewer of Rerun, that at {HOST}:{PORT} if there is one',
     )
     add_executor_options(parser)
     add_rig_options(parser)
@@ -123,6 +158,8 @@ def run(arguments: argparse.Namespace) -> int:
     axes = _read_axes(arguments.axes or ['x', 'C'])
     for path in arguments.output:
         _check_output(path)
+    if arguments.rerun:
+        _check_viewer()
     has_loss = rig.layer.loss_tangent > 0.0 or 'layer.loss_tangent' in axes
     checkpoint = Checkpoint(arguments.output[0]) if arguments.output else None
     total = int(np.prod([values.size for values in axes.values()]))
@@ -144,6 +181,8 @@ def run(arguments: argparse.Namespace) -> int:
             )
             for path in arguments.output:
                 _WRITERS[path.suffix](landscape, path)
+            if arguments.rerun:
+                _view(landscape)
     except OSError as error:
         raise OutputError(f'{error.filename}: {error.strerror}; {_kept(checkpoint)}') from None
     except KeyboardInterrupt:
@@ -199,8 +238,25 @@ def _check_output(path: Path) -> None:
         raise OutputError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
     if not path.parent.is_dir():
         raise OutputError(f'{path}: there is no folder {path.parent}')
-    if path.suffix == '.png' and importlib.util.find_spec('matplotlib') is None:
-        raise OutputError(f"{path}: pictures need what pip installs with 'soft_throw_ros[plot]'")
+    for suffix, needed, what, extra in (
+        ('.png', 'matplotlib', 'pictures', 'plot'),
+        ('.rrd', 'rerun', 'recordings of Rerun', 'rerun'),
+    ):
+        if path.suffix == suffix and importlib.util.find_spec(needed) is None:
+            raise OutputError(
+                f"{path}: {what} need what pip installs with 'soft_throw_ros[{extra}]'"
+            )
+
+
+def _check_viewer() -> None:
+    """Refuse before the work what could not be shown after it."""
+    if importlib.util.find_spec('rerun') is None:
+        raise OutputError("--rerun needs what pip installs with 'soft_throw_ros[rerun]'")
+    if not listens(PORT) and not has_display():
+        raise OutputError(
+            '--rerun: there is no screen for a window; take --output FILE.rrd, or start a viewer '
+            f'that listens at {HOST}:{PORT}'
+        )
 
 
 def _kept(checkpoint: Checkpoint | None) -> str:
@@ -266,9 +322,7 @@ def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
         panels, RESULTS.items(), ('magma', 'viridis'), strict=True
     ):
         values = getattr(landscape, name)
-        highest = None
-        if name == 'ejection_phase' and landscape.summit is not None:
-            highest = np.nanpercentile(values, 95.0)  # some are so late that all others look alike
+        highest = _highest(landscape, name)
         image = panel.pcolormesh(
             x, y, values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
         )
@@ -292,6 +346,97 @@ def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
     )
     with whole_file(path) as unfinished:
         figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
+
+
+def record(landscape: Landscape, path: Path) -> None:
+    """
+    Write a landscape as a recording of Rerun.
+
+    Parameters
+    ----------
+    landscape : Landscape
+        With two or more values along each axis.
+    path : Path
+        Of an .rrd file.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If Rerun is not installed.
+    OSError
+        If the file cannot be written.
+
+    """
+    from soft_throw_ros.recording import rerun_scene
+
+    with whole_file(path) as unfinished:
+        stream = rerun_scene.new_stream()
+        rerun_scene.save_to(stream, unfinished, is_live=False)
+        _send(landscape, stream)
+        is_written = rerun_scene.flush(stream, math.inf)
+        stream.disconnect()
+        if not is_written:
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+
+def _view(landscape: Landscape) -> None:
+    """Show a landscape in the viewer that is there, or in one that stays."""
+    from soft_throw_ros.recording import rerun_scene
+
+    try:
+        if not listens(PORT):
+            Viewer(PORT, '--hide-welcome-screen', '--expect-data-soon')
+        stream = rerun_scene.new_stream()
+        rerun_scene.connect_to(stream, PORT)
+        _send(landscape, stream)
+        is_shown = rerun_scene.flush(stream, _SHOW_TIME)
+        stream.disconnect()
+    except ViewerError as error:
+        raise OutputError(f'--rerun: {error}') from None
+    if not is_shown:
+        raise OutputError(f'--rerun: the viewer at {HOST}:{PORT} does not take it')
+
+
+def _send(landscape: Landscape, stream: Any) -> None:
+    """Draw a landscape into a recording of Rerun."""
+    from soft_throw_ros.recording import rerun_scene
+
+    rerun_scene.draw_landscape(
+        stream,
+        name=str(landscape.attributes['title']),
+        axes=(_map_axis(landscape.axes[0]), _map_axis(landscape.axes[1])),
+        panels=[
+            rerun_scene.MapPanel(
+                name=name,
+                title=RESULTS[name].meaning,
+                symbol=_PLAIN[name],
+                values=getattr(landscape, name),
+                highest=_highest(landscape, name),
+            )
+            for name in RESULTS
+        ],
+        marks=[
+            (place[0], place[1], label.replace(r'$\alpha$', _PLAIN['energy_transfer']))
+            for label, _, place in _marks(landscape, landscape.rig)
+        ],
+    )
+
+
+def _map_axis(axis: Axis) -> rerun_scene.MapAxis:
+    from soft_throw_ros.recording import rerun_scene
+
+    unit, factor = _SHOWN.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
+    symbol = _PLAIN.get(axis.name, axis.name)
+    title = f'{symbol} ({unit})' if unit else symbol
+    return rerun_scene.MapAxis(title=title, values=factor * axis.values)
+
+
+def _highest(landscape: Landscape, name: str) -> float | None:
+    """Say where the colours of a result end; None is at its largest value."""
+    if name == 'ejection_phase' and landscape.summit is not None:
+        # some are so late that all others look alike
+        return float(np.nanpercentile(landscape.ejection_phase, 95.0))
+    return None
 
 
 def _title(landscape: Landscape) -> str:
@@ -345,4 +490,9 @@ def _ridge(landscape: Landscape, y: Floats) -> Floats:
     return ridge
 
 
-_WRITERS: dict[str, Any] = {'.npz': Landscape.save, '.nc': Landscape.save, '.png': draw}
+_WRITERS: dict[str, Any] = {
+    '.npz': Landscape.save,
+    '.nc': Landscape.save,
+    '.png': draw,
+    '.rrd': record,
+}

@@ -715,14 +715,7 @@ class _TwinScene:
         )
         phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
         charts = [
-            rrb.Spatial2DView(
-                origin=self._path(name),
-                name=title,
-                visual_bounds=rrb.VisualBounds2D(
-                    x_range=[-0.1 * _WIDTH, 1.13 * _WIDTH],
-                    y_range=[-2.5 * _LINE, height + 4.5 * _LINE],
-                ),
-            )
+            _chart_view(self._path(name), title, height)
             for name, title, height in (
                 ('strain', 'Strain ε(y, t) in the throw', _STRAIN_HEIGHT),
                 ('landscape', f'Energy transfer {_ALPHA}(Lₛ, cₛ)', _LANDSCAPE_HEIGHT),
@@ -745,6 +738,18 @@ class _TwinScene:
             column_shares=[2.5, 4.2, 4.2],
             name=self._prefix or '/',
         )
+
+
+def _chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
+    """Make the view of a `_Chart`."""
+    return rrb.Spatial2DView(
+        origin=origin,
+        name=title,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-0.1 * _WIDTH, 1.13 * _WIDTH],
+            y_range=[-2.5 * _LINE, height + 4.5 * _LINE],
+        ),
+    )
 
 
 def _are_layer(thickness: float, wave_speed: float) -> bool:
@@ -826,6 +831,16 @@ class _Axis:
     def over(cls, values: Floats) -> _Axis:
         """Make the axis of values that grow by the same factor each."""
         return cls(float(values[0]), float(values[-1]), is_log=True)
+
+    @classmethod
+    def around(cls, values: Floats) -> _Axis:
+        """Make the axis of pixels around values that grow by the same step or factor each."""
+        if values.size > 2 and values[0] > 0.0 and not np.allclose(np.diff(values, 2), 0.0):
+            half = 0.5 * math.log(values[1] / values[0])
+            low, high = math.exp(-half) * values[0], math.exp(half) * values[-1]
+            return cls(float(low), float(high), is_log=True)
+        half = 0.5 * (values[1] - values[0])
+        return cls(float(values[0] - half), float(values[-1] + half))
 
     def part(self, value: float) -> float:
         """Return where a value is, from 0 to 1."""
@@ -1039,6 +1054,9 @@ def _recommendation_text(report: Report) -> str:
     choices = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
     heads = ['now', *(f'**{head}**' if key == vary else head for key, head in choices.items())]
     prefixes = ['now.', *(f'by_{key}.' for key in choices)]
+    if vary == 'library':
+        heads.append(f'**{report.values.get("layer")}**')
+        prefixes.append('')
     return _table(report.values, _LAYER_ROWS, heads, prefixes)
 
 
@@ -1061,6 +1079,109 @@ def _cell(value: Any, factor: float) -> str:
     if not isinstance(value, float):
         return ''
     return f'{factor * value:.{_DIGITS}g}'
+
+
+# maps
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapAxis:
+    """
+    An axis of a map.
+
+    Parameters
+    ----------
+    title : str
+        What it is, with its unit.
+    values : ndarray, shape (n,)
+        In that unit; from each to the next by the same step, or by the same factor.
+
+    """
+
+    title: str
+    values: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapPanel:
+    """
+    What a map shows.
+
+    Parameters
+    ----------
+    name : str
+        Of the entity.
+    title, symbol : str
+        What it is, and how that is written.
+    values : ndarray, shape (n, m)
+        Along the first and the second axis, from 0 on; NaN where there is none.
+    highest : float or None
+        Where the colours end; at the largest value if not given.
+
+    """
+
+    name: str
+    title: str
+    symbol: str
+    values: Floats
+    highest: float | None = None
+
+
+def draw_landscape(
+    stream: rr.RecordingStream,
+    *,
+    name: str,
+    axes: tuple[MapAxis, MapAxis],
+    panels: Sequence[MapPanel],
+    marks: Sequence[tuple[float, float, str]] = (),
+) -> None:
+    """
+    Draw maps over two axes side by side. The values are beside them, as tensors.
+
+    Parameters
+    ----------
+    stream : RecordingStream
+        Where to; it has no time.
+    name : str
+        Of the recording, for the viewer.
+    axes : tuple of MapAxis
+        To the right, and upwards.
+    panels : sequence of MapPanel
+        The maps.
+    marks : sequence of tuple
+        Up to two places to be marked in each: values on the axes, and a text.
+
+    """
+    stream.send_recording_name(name)
+    canvas = _Canvas()
+    canvas.connect(stream)
+    x, y = axes
+    for panel in panels:
+        chart = _Chart(
+            canvas,
+            f'/{panel.name}',
+            0,
+            height=_LANDSCAPE_HEIGHT,
+            x=_Axis.around(x.values),
+            y=_Axis.around(y.values),
+        )
+        highest = panel.highest or _highest(panel.values)
+        pixels = _colours(panel.values.T[::-1], 0.0, highest, _UNSIGNED)
+        chart.draw(pixels, titles=(x.title, y.title))
+        chart.draw_bar(_Axis(0.0, highest), _UNSIGNED, title=panel.symbol)
+        if marks:
+            chart.draw_marks(marks)
+        tensor = rr.Tensor(panel.values, dim_names=[x.title, y.title])
+        stream.log(f'/values/{panel.name}', tensor, static=True)
+    views = [_chart_view(f'/{each.name}', each.title, _LANDSCAPE_HEIGHT) for each in panels]
+    canvas.layout(
+        rrb.Blueprint(
+            rrb.Vertical(*views),
+            rrb.BlueprintPanel(state='hidden'),
+            rrb.SelectionPanel(state='hidden'),
+            rrb.TimePanel(state='hidden', timeline=TIMELINE),
+        )
+    )
 
 
 # where it goes

@@ -10,12 +10,14 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
 from soft_throw_ros.commands import design, design_map
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import survey
+from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
 
 ROOT = Path(__file__).parents[2]
 
@@ -186,6 +188,78 @@ def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
     assert re.fullmatch(r'design map: stopped; what is done is in \S+\.part, .*\n', said)
 
 
+def rows(path, entity, component):
+    """Return what Rerun reads of a component."""
+    chunk = pytest.importorskip('rerun.chunk', reason='comes with the extra [rerun]')
+    batches = [
+        each.to_record_batch()
+        for each in chunk.RrdReader(path).stream()
+        if each.entity_path == entity
+    ]
+    return [
+        value
+        for batch in batches
+        if component in batch.schema.names
+        for value in batch.column(component).to_pylist()
+    ]
+
+
+def test_recording_has_the_values_and_the_marks(capsys, tmp_path):
+    path = tmp_path / 'map.rrd'
+    axes = 'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30'
+    run(capsys, *axes, '--output', path)
+    landscape = survey(
+        Rig(),
+        {
+            'layer.thickness': np.geomspace(2e-3, 0.05, 40),
+            'projectile.mass': np.linspace(1e-3, 5e-3, 30),
+        },
+    )
+    for name in ('ejection_phase', 'energy_transfer'):
+        ((tensor,),) = rows(path, f'/values/{name}', 'Tensor:data')
+        assert tensor['names'] == ['Lₛ (mm)', 'm (g)']
+        np.testing.assert_array_equal(
+            np.reshape(tensor['buffer'], tensor['shape']), getattr(landscape, name)
+        )
+        ((first, second),) = rows(path, f'/{name}/mark_texts', 'Points2D:labels')
+        assert first == 'this rig'
+        assert second.endswith(f', {landscape.summit.energy_transfer:.3f}')
+
+
+def test_map_is_sent_to_the_viewer_that_is_there(capsys, monkeypatch):
+    experimental = pytest.importorskip('rerun.experimental', reason='comes with [rerun]')
+    port = free_port()
+    monkeypatch.setattr(design_map, 'PORT', port)
+    try:
+        viewer = Viewer(port, '--headless')
+    except ViewerError as error:
+        pytest.skip(str(error))
+    with viewer:
+        assert 'largest alpha' in run(capsys, *SMALL, '--rerun')
+        client = experimental.ViewerClient.connect(f'rerun+http://127.0.0.1:{port}/proxy')
+        deadline = time.monotonic() + 30.0
+        while not client.get_state().recordings:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+
+def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(capsys, monkeypatch):
+    monkeypatch.setattr(design_map, 'PORT', free_port())
+    monkeypatch.setattr(design_map, 'has_display', lambda: False)
+    monkeypatch.setattr(design_map, 'survey', None)
+    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: True)
+    said = refused(capsys, '--rerun')
+    assert said.startswith('--rerun: there is no screen for a window; take --output FILE.rrd, or ')
+
+
+def test_missing_rerun_is_said_before_the_work(capsys, monkeypatch):
+    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
+    monkeypatch.setattr(design_map, 'survey', None)
+    needs = "what pip installs with 'soft_throw_ros[rerun]'"
+    assert refused(capsys, '--rerun') == f'--rerun needs {needs}'
+    assert refused(capsys, '--output', 'map.rrd') == f'map.rrd: recordings of Rerun need {needs}'
+
+
 @pytest.fixture
 def picture(tmp_path, monkeypatch):
     """Draw a map with a rig marked; give the figure and the landscape."""
@@ -277,7 +351,7 @@ def test_picture_marks_ridge_summit_and_rig(picture):
         (['--model', 'spring_mass', '--release', 'last'], 'the last release is known to'),
         (['--density-ratio', '0'], r'density_ratio must be .* got 0\.0'),
         (['--thickness', '16.8'], 'argument --thickness: layer.thickness must be .* got 16.8'),
-        (['--output', 'map.h5'], r"--output must end on \.npz, \.nc, \.png, got 'map.h5'"),
+        (['--output', 'map.h5'], r"--output must end on \.npz, \.nc, \.png, \.rrd, got 'map.h5'"),
         (['--output', 'no_such/map.nc'], 'no_such/map.nc: there is no folder no_such'),
     ],
 )

@@ -15,9 +15,12 @@ import numpy as np
 import pytest
 from soft_throw_ros.commands.inspect_bag import energy_transfer
 from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.recording.digest import RECOMMENDATION, Report
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.viewer import find_viewer, ViewerError
 from soft_throw_ros.twin import journal
@@ -395,6 +398,63 @@ def test_picture_shows_the_throw(twin, path) -> None:
     # equal to scale: 16.8 mm of layer, some of it hardly strained, below 8.2 mm of projectile
     assert 0.3 < is_projectile.sum() / is_compressed.sum() < 1.0
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 500
+
+
+def test_layer_picked_from_a_library_stands_beside_that_of_now() -> None:
+    materials = {'sylgard_184': library().materials['sylgard_184']}
+    best = recommend(Rig(), vary='library', materials=materials)
+    report = Report(kind=RECOMMENDATION, stamp=0, message=best.why, values=best.values())
+    heads, _, thickness, *_ = rerun_scene._recommendation_text(report).splitlines()
+    assert heads.split('|')[2:-1:4] == [' now ', ' **sylgard_184** ']
+    cells = [float(cell) for cell in thickness.split('|')[2:-1:4]]
+    assert cells == pytest.approx([16.8, 1e3 * best.thickness], rel=1e-3)
+
+
+def test_map_is_read_back_with_values_colours_and_marks(tmp_path) -> None:
+    x, y = np.linspace(10.0, 30.0, 5), np.geomspace(1.0, 100.0, 3)
+    values = np.arange(15.0).reshape(5, 3)
+    values[1, 0] = np.nan
+    path = tmp_path / 'map.rrd'
+    stream = rerun_scene.new_stream()
+    rerun_scene.save_to(stream, path, is_live=False)
+    rerun_scene.draw_landscape(
+        stream,
+        name='a map',
+        axes=(
+            rerun_scene.MapAxis(title='x (mm)', values=x),
+            rerun_scene.MapAxis(title='y', values=y),
+        ),
+        panels=[
+            rerun_scene.MapPanel(name='a', title='First', symbol='s', values=values),
+            rerun_scene.MapPanel(name='b', title='Second', symbol='t', values=values, highest=7.0),
+        ],
+        marks=[(10.0, 1.0, 'low'), (30.0, 100.0, 'high')],
+    )
+    assert rerun_scene.flush(stream, 10.0)
+    stream.disconnect()
+    recording = Recording(path)
+    (batch,) = recording.entities['/values/a']
+    (tensor,) = batch.column('Tensor:data').to_pylist()[0]
+    assert [tensor['shape'], tensor['names']] == [[5, 3], ['x (mm)', 'y']]
+    np.testing.assert_array_equal(np.reshape(tensor['buffer'], (5, 3)), values)
+    ramp = rerun_scene._UNSIGNED
+    for name, highest in (('a', 14.0), ('b', 7.0)):
+        buffer = recording.last(f'/{name}/picture', 'Image:buffer')[0]
+        pixels = np.reshape(buffer, (3, 5, 3))  # rows downwards
+        assert pixels[0, 4].tolist() == ramp[-1].tolist()
+        assert pixels[2, 1].tolist() == [0xB0, 0xB0, 0xB0]
+        expected = ramp[round(255.0 * values[2, 1] / highest)]
+        assert pixels[1, 2].tolist() == expected.tolist()
+        texts = recording.last(f'/{name}/texts', 'Points2D:labels')
+        assert {'x (mm)', 'y', '10', '30', '1', '100'} <= set(texts)
+        assert recording.last(f'/{name}/mark_texts', 'Points2D:labels') == ['low', 'high']
+        # values are in the middle of their pixels
+        low, high = recording.last(f'/{name}/marks', 'Points2D:positions')
+        width, height = 200.0, 84.0
+        assert low == pytest.approx([0.1 * width, height - height / 6.0], rel=1e-5)
+        assert high == pytest.approx([0.9 * width, height / 6.0], rel=1e-5)
+    assert {title for _, title in recording.views} == {'First', 'Second'}
+    subprocess.run([find_viewer(), 'rrd', 'verify', path], check=True, timeout=60)
 
 
 def test_measured_throw_is_drawn_with_prediction_and_residual(tmp_path) -> None:
