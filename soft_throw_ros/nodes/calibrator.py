@@ -103,6 +103,7 @@ class Calibrator(Program):
             raise
         self._released: dict[int, tuple[int, float]] = {}
         self._doubtful: list[ThrowTracks] = []
+        self._rig_of_doubtful: Rig | None = None
         self._is_busy = False
         self._closing = threading.Event()
         self._tasks: queue.SimpleQueue[tuple[list[ThrowTracks], Rig] | None] = queue.SimpleQueue()
@@ -139,8 +140,10 @@ class Calibrator(Program):
         comparison = result.comparison
         if released is None or comparison is None or not result.is_valid or self._is_busy:
             return
+        if comparison.is_within_band or result.rig != self._rig_of_doubtful:
+            self._doubtful.clear()  # what is identified together has to be of one rig
+            self._rig_of_doubtful = result.rig
         if comparison.is_within_band:
-            self._doubtful.clear()
             return
         self._measured.take()
         period_ns = 1e9 / result.rig.engine.frequency
@@ -272,8 +275,8 @@ class _Measured:
             If there is too little of them.
 
         """
-        if not self._parts:
-            raise TrackError('nothing has been measured of plate and projectile')
+        if not self._parts or self._parts[0][0][0] > start_ns:
+            raise TrackError('not all of it was measured, or not heard of')
         stamps = np.concatenate([part[0] for part in self._parts])
         positions = np.concatenate([part[1] for part in self._parts])
         stamps, order = np.unique(stamps, return_index=True)
