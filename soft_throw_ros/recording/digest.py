@@ -513,12 +513,15 @@ class TwinDigest:
         force = np.concatenate([before.force[-1:, 0], states.force[:, 0]])
         gained = -np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(height))
         work = gained - gained[0] if before is states else before.plate_work[-1] + gained
-        rows = np.where(states.velocity[:, 0] == 0.0, np.arange(work.size), -1)
+        # a measured plate is never quite at rest; what moves with it has not been thrown
+        is_carried = states.velocity[:, 0] == states.velocity[:, 1]
+        is_still = is_carried | (states.velocity[:, 0] == 0.0)
+        rows = np.where(is_still, np.arange(work.size), -1)
         last_rest = np.maximum.accumulate(rows)
         states.plate_work = work - np.where(last_rest < 0, 0.0, work[last_rest])
         if self.rig is not None:
             energy = self._carried(states.position[:, 1], states.velocity[:, 1])
-            energy[(states.velocity == 0.0).all(axis=1)] = 0.0  # at rest, with whatever layer
+            energy[is_carried] = 0.0  # at rest, with whatever layer
             states.projectile_energy = np.where(states.is_put_back, math.nan, energy)
 
     # the layer

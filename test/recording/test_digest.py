@@ -380,6 +380,16 @@ def test_measured_throw_starts_with_the_plate(measured) -> None:
     assert stamps['predicted'] == stamps['release'] == picture.start
 
 
+def test_work_of_a_measured_plate_begins_with_its_throw(measured) -> None:
+    motion = parts(measured.messages, Motion)
+    work, velocity = joined(motion, 'plate_work'), joined(motion, 'velocity')
+    begin = int(np.flatnonzero(velocity[:, 0] != velocity[:, 1])[0])
+    assert begin > 20
+    assert (velocity[1:begin, 0] != 0.0).any()  # it is never quite at rest
+    assert (work[:begin] == 0.0).all()
+    assert work[begin + 10] > 1e-4
+
+
 def test_positions_of_other_joints_are_no_damage() -> None:
     twin = one_throw(20)
     data = JointStateEncoder('arm', ('elbow', 'wrist')).encode(0, [0.0] * 6)
