@@ -46,6 +46,7 @@ from soft_throw_ros.core import (
     spring_mass,
     travelling_wave,
 )
+from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Stepper
@@ -106,6 +107,7 @@ RESULTS: Mapping[str, Quantity] = {
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
 _BESIDE_RATIOS = ('engine.amplitude', 'engine.damping_ratio', 'layer.loss_tangent', 'gravity')
+_LAST_CELLS = 128  # of the layer, at least, where throws are followed to the last release
 _LOOKS = 64  # at the top of the layer per window
 _MAX_WINDOWS = 50  # of two periods of the plate and more, in which the projectile may be gone
 _DECIDES = {
@@ -390,8 +392,9 @@ def survey(
                               no gravity
     ========================= ============================================= =======
 
-    Last releases are followed by `soft_throw_ros.core.stepper` to 1e-6, but a projectile that
-    chatters on the layer is beyond any model: neighbouring points may then differ at random.
+    Last releases are followed in steps: by the travelling wave to 1e-6, by finite differences to
+    some 1e-3. But a projectile that chatters on the layer is beyond any model: neighbouring points
+    may then differ at random.
 
     Examples
     --------
@@ -524,8 +527,19 @@ def _first_by_travelling_wave(case: dict[str, Any], threads: int | None) -> Floa
     return _of(travelling_wave.first_releases(**case, unresolved='nan', threads=threads))
 
 
-def _first_by_normal_modes(case: dict[str, Any], _threads: int | None) -> Floats:
-    return _of(normal_modes.first_releases(**case, unresolved='nan'))
+def _first_by_normal_modes(case: dict[str, Any], threads: int | None) -> Floats:
+    """Without loss modes converge slowly, and the travelling wave is the same model."""
+    found = np.empty((len(RESULTS), case['loss_tangent'].size))
+    for lossy in (False, True):
+        chosen = (case['loss_tangent'] > 0.0) == lossy
+        part = {name: ratios[chosen] for name, ratios in case.items()}
+        if lossy:
+            releases = normal_modes.first_releases(**part, unresolved='nan')
+            found[:, chosen] = _of(releases)
+        else:
+            del part['loss_tangent']
+            found[:, chosen] = _first_by_travelling_wave(part, threads)
+    return found
 
 
 def _first_by_finite_difference(case: dict[str, Any], threads: int | None) -> Floats:
@@ -533,30 +547,62 @@ def _first_by_finite_difference(case: dict[str, Any], threads: int | None) -> Fl
 
 
 def _last_by_travelling_wave(case: dict[str, Any], _threads: int | None) -> Floats:
-    rows = [_last_release(*ratios) for ratios in zip(*case.values(), strict=True)]
+    return _last(functools.partial(Stepper, field_points=2), case)
+
+
+def _last_by_finite_difference(case: dict[str, Any], _threads: int | None) -> Floats:
+    model = 'finite_difference_elastic' if 'crossing_ratio' in case else 'finite_difference'
+
+    def make(rig: Rig) -> GridStepper:
+        cells = max(_LAST_CELLS, cells_per_layer(rig, model))
+        return GridStepper(rig, model=model, cells=cells, field_points=2)
+
+    return _last(make, case)
+
+
+def _last(make: Callable[[Rig], ThrowStepper], case: dict[str, Any]) -> Floats:
+    rows = [
+        _last_release(make, **dict(zip(case, ratios, strict=True)))
+        for ratios in zip(*case.values(), strict=True)
+    ]
     return np.asarray([*zip(*rows, strict=True)], dtype=np.float64)
 
 
-def _last_release(mu: float, kappa: float, zeta: float, gravity: float) -> tuple[float, float]:
+def _last_release(
+    make: Callable[[Rig], ThrowStepper],
+    *,
+    mass_ratio: float,
+    speed_ratio: float,
+    damping_ratio: float,
+    gravity_ratio: float,
+    loss_tangent: float = 0.0,
+    crossing_ratio: float = 1.0,
+) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    engine = Engine(frequency=1.0 / kappa, amplitude=1.0, damping_ratio=zeta)
+    engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
     omega = engine.angular_frequency
     rig = Rig(
         engine=engine,
-        layer=Layer(thickness=1.0, wave_speed=1.0, density=1.0, diameter=2.0 / math.sqrt(math.pi)),
-        projectile=Projectile(mass=mu),
-        gravity=gravity * omega * omega,
+        layer=Layer(
+            thickness=1.0,
+            wave_speed=1.0,
+            density=1.0,
+            diameter=2.0 / math.sqrt(math.pi),
+            loss_tangent=loss_tangent,
+        ),
+        projectile=Projectile(
+            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / crossing_ratio**2
+        ),
+        gravity=gravity_ratio * omega * omega,
     )
     try:
-        released = _follow(
-            Stepper(rig, field_points=2), gravity=rig.gravity, window=8.0 + 2.0 * kappa
-        )
+        released = _follow(make(rig), gravity=rig.gravity, window=8.0 + 2.0 * speed_ratio)
     except (ValueError, EventLimitError):  # the projectile is too light, or chatters for ever
         released = []
     if not released:
         return math.nan, math.nan
-    peak = engine.speed_scale * peak_velocity_ratio(zeta)
-    return released[-1].time / kappa, (released[-1].velocity / peak) ** 2
+    peak = engine.speed_scale * peak_velocity_ratio(damping_ratio)
+    return released[-1].time / speed_ratio, (released[-1].velocity / peak) ** 2
 
 
 def _follow(stepper: ThrowStepper, *, gravity: float, window: float) -> list[Event]:
@@ -601,6 +647,7 @@ def _of(found: travelling_wave.FirstRelease) -> Floats:
 _RATIOS = ('mass_ratio', 'speed_ratio')
 _DAMPED = (*_RATIOS, 'damping_ratio', 'gravity_ratio')
 _LOSSY = (*_DAMPED, 'loss_tangent')
+_ELASTIC = (*_LOSSY, 'crossing_ratio')
 
 MODELS: Mapping[str, Mapping[str, _Method]] = {
     'travelling_wave': {
@@ -608,9 +655,13 @@ MODELS: Mapping[str, Mapping[str, _Method]] = {
         'last': _Method(_last_by_travelling_wave, _DAMPED, 32),
     },
     'normal_modes': {'first': _Method(_first_by_normal_modes, _LOSSY, 4096)},
-    'finite_difference': {'first': _Method(_first_by_finite_difference, _LOSSY, 256)},
+    'finite_difference': {
+        'first': _Method(_first_by_finite_difference, _LOSSY, 256),
+        'last': _Method(_last_by_finite_difference, _LOSSY, 8),
+    },
     'finite_difference_elastic': {
-        'first': _Method(_first_by_finite_difference, (*_LOSSY, 'crossing_ratio'), 256)
+        'first': _Method(_first_by_finite_difference, _ELASTIC, 256),
+        'last': _Method(_last_by_finite_difference, _ELASTIC, 8),
     },
     'spring_mass': {'first': _Method(_first_by_spring_mass, _RATIOS, 1 << 16)},
 }
