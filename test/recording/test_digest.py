@@ -380,8 +380,10 @@ def test_measured_throw_starts_with_the_plate(measured) -> None:
     assert stamps['predicted'] == stamps['release'] == picture.start
 
 
-def test_work_of_a_measured_plate_begins_with_its_throw(measured) -> None:
-    motion = parts(measured.messages, Motion)
+def test_work_of_a_measured_plate_begins_with_its_throw() -> None:
+    twin = TwinMessages(engine__motion='measured')
+    noisy = rigs['measured_throw'](Rig(), begin_ns=twin.now, duration=0.1, noise=5e-6)
+    motion = parts(twin.measure(noisy).messages, Motion)
     work, velocity = joined(motion, 'plate_work'), joined(motion, 'velocity')
     begin = int(np.flatnonzero(velocity[:, 0] != velocity[:, 1])[0])
     assert begin > 20
