@@ -22,8 +22,7 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.time import Time
-from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.configuration.rig import CALIBRATOR, check_calibrator
+from soft_throw_ros.configuration.rig import CALIBRATOR, check_calibrator, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.problem import USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
@@ -50,7 +49,7 @@ _PATIENCE = 10.0  # with an answer [s]
 _PAUSE = 0.5  # before the recommendation is asked for again, ...
 _ASKED = 120  # so many times
 _STOP_TIME = 0.3  # for the thread to end [s]
-_LAYER = tuple(entry.name for entry in TWIN.entries if entry.group == 'layer' and entry.unit)
+_LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
 class _Unanswered(Exception):

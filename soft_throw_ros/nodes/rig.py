@@ -128,7 +128,9 @@ class Rig(Program):
     # in the executor's thread
 
     def _on_look(self) -> None:
-        """Let the layer age when it is time to."""
+        """Let the layer age when it is time to, and follow the time of day."""
+        if isinstance(self._system_clock, SystemClock):
+            self._system_clock.adjust()
         settings = self.parameters.settings
         if not self._is_worn and 0 < settings['wear.throws'] <= self._throws:
             self._is_worn = True
