@@ -313,6 +313,7 @@ def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
 
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     (x, x_scale, x_label), (y, y_scale, y_label) = map(_shown, landscape.axes)
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
@@ -333,6 +334,11 @@ def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
         )
         panel.set(xscale=x_scale, yscale=y_scale, xlabel=x_label, ylabel=y_label)
         panel.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), facecolor='0.75')
+        for axis, scale in ((panel.xaxis, x_scale), (panel.yaxis, y_scale)):
+            if scale == 'log':
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axis.set_major_formatter(StrMethodFormatter('{x:g}'))
+                axis.set_minor_formatter(NullFormatter())
         panel.plot(x, _ridge(landscape, y), color='white', lw=1.0, ls=(0, (4, 2)), label='ridge')
         for label, marker, place in _marks(landscape, mark or landscape.rig):
             panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=label)

@@ -307,6 +307,8 @@ def test_picture_has_symbols_and_units_on_its_axes(picture):
         r'energy transfer factor $\alpha$',
     ]
     assert 'first release' in figure.get_suptitle()
+    shown = [tick.get_text() for tick in phase.get_xticklabels()]
+    assert {'2', '5', '10', '20', '50'} <= set(shown)
 
 
 def test_picture_marks_ridge_summit_and_rig(picture):
