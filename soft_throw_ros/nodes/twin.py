@@ -297,6 +297,8 @@ class Twin(Program):
             return
         self._advice = advice
         self.parameters.set_results(advice.results())
+        if advice.recommendation is None:
+            self.get_logger().warning(advice.sentence())
         status = advice.to_status(
             name=f'{self.get_name()}: recommendation',
             hardware_id=self.get_fully_qualified_name(),

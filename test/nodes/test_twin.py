@@ -380,6 +380,15 @@ def settled(ros: Any, twin: Driven) -> Any:
     return twin._advice
 
 
+def log_of(ros: Any, twin: Node, listener: Node) -> list[str]:
+    """Listen to what is said from now on."""
+    lines: list[str] = []
+    qos = QoSProfile(depth=1000)
+    listener.create_subscription(Log, '/rosout', lambda message: lines.append(message.msg), qos)
+    ros.spin_until(lambda: twin.count_subscribers('/rosout') > 0, '/rosout')
+    return lines
+
+
 def test_recommendation_follows_every_change(ros, twin, listener) -> None:
     listener.listen(topics.RECOMMENDATION)
     client = ros.parameters(twin)
@@ -399,6 +408,7 @@ def test_recommendation_follows_every_change(ros, twin, listener) -> None:
 
 def test_recommendation_without_an_answer_says_why(ros, twin, listener) -> None:
     listener.listen(topics.RECOMMENDATION)
+    lines = log_of(ros, twin, listener)
     client = ros.parameters(twin)
     assert client.set(recommendation__thickness_min=0.05) == ['']
     assert client.set(recommendation__thickness_max=0.01) == ['']
@@ -411,6 +421,8 @@ def test_recommendation_without_an_answer_says_why(ros, twin, listener) -> None:
     refused = trigger(ros, listener, twin, topics.APPLY_RECOMMENDATION)
     assert not refused.success
     assert '0.05' in refused.message
+    said = 'there is no recommendation: thickness_min must be below thickness_max, got 0.05 and'
+    ros.spin_until(lambda: any(line.startswith(said) for line in lines), 'the warning')
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
@@ -601,10 +613,7 @@ def test_result_says_how_far_it_may_be_off(ros, twin, listener) -> None:
 
 
 def test_log_has_a_line_per_ejection_landing_and_change(ros, twin, listener) -> None:
-    lines: list[str] = []
-    qos = QoSProfile(depth=1000)
-    listener.create_subscription(Log, '/rosout', lambda message: lines.append(message.msg), qos)
-    ros.spin_until(lambda: twin.count_subscribers('/rosout') > 0, '/rosout')
+    lines = log_of(ros, twin, listener)
     settled(ros, twin)
     client = ros.parameters(twin)
     trigger(ros, listener, twin, topics.THROW)
