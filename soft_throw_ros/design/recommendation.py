@@ -38,7 +38,14 @@ Span: TypeAlias = tuple[float, float]
 
 _EQUAL = 1e-9  # relative, in the energy transfer
 _NEAR = 1e-3  # likewise; how near to what was found a layer must come ...
-_BESIDE = (0.0, 1e-4, -1e-4, 5e-4, -5e-4, 2e-3, -2e-3)  # with its wave speed changed by this
+_BESIDE = (  # with thickness or wave speed, of which one may be at its limit, changed by this
+    (0.0, 0.0),
+    *(
+        change
+        for part in (1e-4, -1e-4, 5e-4, -5e-4, 2e-3, -2e-3)
+        for change in ((0.0, part), (part, 0.0))
+    ),
+)
 _LARGE_GRAVITY = 0.2  # of the plate's largest acceleration
 _SLIGHT = 1e-4  # change of a parameter for its elasticity
 _SMALL = 1e-3  # change of a parameter that ...
@@ -600,13 +607,16 @@ def _best(
     if math.isnan(summit.score):
         return now
     found: list[_Choice] = []
-    for change in _BESIDE:
+    for thicker, faster in _BESIDE:
         # the edge of a cliff, which a search by steps sees in a slightly other place
-        speed = given.wave_speed * summit.wave_speed_factor * (1.0 + change)
         place = replace(
             given,
-            thickness=_within(thickness, given.thickness * summit.thickness_factor),
-            wave_speed=_within(wave_speed, speed),
+            thickness=_within(
+                thickness, given.thickness * summit.thickness_factor * (1.0 + thicker)
+            ),
+            wave_speed=_within(
+                wave_speed, given.wave_speed * summit.wave_speed_factor * (1.0 + faster)
+            ),
         )
         choice = _choice(replace(rig, layer=place), objective, limits, layer=layer)
         if choice is not None:

@@ -14,7 +14,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core import normal_modes
 from soft_throw_ros.core.graded_layer import GradedLayer
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
 from soft_throw_ros.design.objective import Limits, Peak, problem_of, Robust, Versatile
@@ -273,6 +273,23 @@ def test_recommendation_under_strong_gravity_is_the_best_of_a_grid(frequency):
     scores = [score(problem_of(other, Peak(), limits)) for other in grid_of(rig, limits)]
     assert best.score >= max(scores) ** 2 * (1.0 - 1e-3)
     assert 'later swings throw as well' in best.note
+
+
+@pytest.mark.parametrize(
+    ('gravity_ratio', 'damping_ratio', 'mass'),
+    [(2.663, 0.064, 6.88e-4), (1.404, 0.064, 3.96e-3), (0.57, 0.3, 4.5e-4)],
+)
+def test_recommendation_beside_a_cliff_is_on_top_of_it(gravity_ratio, damping_ratio, mass):
+    """Of a layer that gravity holds longest; the first one is at the slowest wave allowed."""
+    omega = math.sqrt(STANDARD_GRAVITY / (2e-3 * gravity_ratio))
+    engine = Engine(frequency=omega / (2.0 * math.pi), damping_ratio=damping_ratio)
+    rig = Rig(engine=engine, projectile=Projectile(mass=mass))
+    limits = Limits(
+        thickness_min=2e-3, thickness_max=50e-3, wave_speed_min=1.0, wave_speed_max=30.0
+    )
+    best = recommend(rig, limits=limits)
+    scores = [score(problem_of(other, Peak(), limits)) for other in grid_of(rig, limits)]
+    assert best.score >= max(scores) ** 2 * (1.0 - 1e-3)
 
 
 # layers of the library
