@@ -497,8 +497,10 @@ def recommend(
     Notes
     -----
     The score is not lower than the highest of a scan of 10^4 layers by more than 1e-3, in 10^3
-    random rigs and limits, except as said in `soft_throw_ros.design.search`. All numbers returned
-    but those of `Optimum` are with gravity and loss.
+    random rigs and limits, except as said in `soft_throw_ros.design.search`. The same holds under
+    strong gravity, of 0.1 to 3.5 times the plate's largest acceleration: seen against scans of
+    3600 to 6400 layers in 115 random rigs, and of 400 to 900 for all objectives, and with a loss
+    tangent of 0.08, in 60. All numbers returned but those of `Optimum` are with gravity and loss.
 
     Examples
     --------
