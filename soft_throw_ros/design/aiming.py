@@ -241,8 +241,8 @@ def aim(
     Raises
     ------
     ValueError
-        If a choice is unknown, `max_amplitude` is not positive, or a height is aimed at without
-        gravity.
+        If a choice is unknown, `max_amplitude` is not positive, the layer is graded, or a height is
+        aimed at without gravity.
     ThrowUnresolvedError
         If nothing is thrown at all within the limits.
 
@@ -264,6 +264,8 @@ def aim(
     checks.positive('max_amplitude', max_amplitude)
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
+    if type(rig.layer) is not Layer:  # a graded one is a kind of it
+        raise ValueError(f'only layers of one material are aimed with, got {rig.layer!r}')
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     task = _Task(rig, target, limits, max_amplitude)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.graded_layer import GradedLayer
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
@@ -207,9 +208,11 @@ def test_bad_targets_are_refused_with_the_value(arguments, message):
         (Rig(), {'vary': 'mass'}, "vary must be one of amplitude, .*library, got 'mass'"),
         (Rig(), {'max_amplitude': 0.0}, r'max_amplitude must be finite and positive, got 0\.0'),
         (Rig(gravity=0.0), {}, 'a height needs gravity, got gravity 0'),
+        (Rig(layer=GradedLayer.stack(Layer(), Layer(wave_speed=20.0))), {},
+         r'only layers of one material are aimed with, got GradedLayer\('),
         (Rig(), {'vary': 'library'}, r'nothing is thrown within the limits, let alone 1 m high'),
     ],
-)
+)  # fmt: skip
 def test_bad_requests_are_refused_with_the_value(rig, arguments, message):
     with pytest.raises(ValueError, match=message):
         aim(rig, Target(height=1.0), **arguments)
