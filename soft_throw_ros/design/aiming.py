@@ -241,8 +241,8 @@ def aim(
     Raises
     ------
     ValueError
-        If a choice is unknown, `max_amplitude` is not positive, the layer is graded, or a height is
-        aimed at without gravity.
+        If a choice is unknown, `max_amplitude` is not positive, the layer is graded, or a height
+        is aimed at without gravity.
     ThrowUnresolvedError
         If nothing is thrown at all within the limits.
 
