@@ -50,18 +50,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cells import (
-    ACCELERATION,
     add_cells,
     BURDEN,
-    COUPLING,
     cut,
     cut_massless,
     DISPLACEMENT,
     factorise,
+    FORCE,
     INVERSE,
     LARGEST,
-    LOAD,
     MASS,
+    MEAN_VELOCITY,
     POSITION,
     REST,
     ROWS,
@@ -71,7 +70,7 @@ from soft_throw_ros.core.cells import (
     STATIC,
     STIFF,
     STIFFNESS,
-    TENSION,
+    STRESS,
     VELOCITY,
     VISCOSITY,
 )
@@ -153,7 +152,7 @@ _CORE = np.dtype(
         ('joint', 'i8'),
         ('is_lossy', '?'),
         ('is_massless', '?'),
-        ('creep', 'f8'),  # of a free end without mass: what a step leaves of its way to rest
+        ('creep', 'f8'),  # stiffness over viscosity, with which a free end without mass creeps
         ('mass', 'f8'),  # of the projectile
         ('face_mass', 'f8'),  # its part of the mass of its lowest node
         ('thrown', 'f8'),  # mass above the joint
@@ -166,8 +165,9 @@ _CORE = np.dtype(
         *SOLVER,
         # how the plate moves, and where it has got to
         *PLATE,
-        ('block', 'i8'),
+        ('slope', 'f8'),  # growth over turn
         ('phasor', 'f8', (2,)),  # at the start of the block
+        ('plate_acceleration', 'f8'),
         # where the grid has got to
         ('time', 'f8'),
         ('index', 'i8'),  # of the step
@@ -306,14 +306,15 @@ def _prepare(s, nodes):
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
     s.contact = True
     s.event_time = math.inf
-    s.block = -1
+    s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
     s.is_lossy = False
     nodes[VISCOSITY + 1] = nodes[VISCOSITY]
     for j in range(last):
         s.is_lossy = s.is_lossy or nodes[VISCOSITY, j] > 0.0
+    s.creep = math.inf
     if s.is_massless and s.is_lossy:
-        s.creep = math.exp(-nodes[STIFFNESS, 0] / nodes[VISCOSITY, 0] * s.step)
+        s.creep = nodes[STIFFNESS, 0] / nodes[VISCOSITY, 0]
     # What takes half of the momentum of a free end in half a step ends its alternation at once
     if joint > 0:
         nodes[VISCOSITY, joint - 1] += 2.0 / s.step * nodes[MASS, joint]
@@ -351,56 +352,60 @@ def _prepare(s, nodes):
 
 @_jit
 def _accelerate(s, nodes):
-    """Compute the stress in all links, and the accelerations of all nodes but the plate."""
-    last, joint, now, case = nodes.shape[1] - 1, s.joint, s.index & 1, 1 if s.contact else 0
-    u, v, a, load = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[ACCELERATION + now], nodes[LOAD + now]
-    stiffness, viscosity, coupling = nodes[STIFFNESS], nodes[VISCOSITY + case], nodes[COUPLING + case]
-    first, end = max(s.first[case], 1) - 1, s.end[case]
-    # The material: tension from stretch and rate, of which the rest of the rate is implicit
-    for j in range(last):
-        load[j] = stiffness[j] * (u[j + 1] - u[j])
-    for j in range(first, end):
-        load[j] += viscosity[j] * (v[j + 1] - v[j])
-    for j in range(1, last):
-        a[j] = load[j] - load[j - 1]
-    a[last] = -load[last - 1]
-    if not s.contact:
-        a[joint + 1] -= s.thrown * s.gravity
-        if joint > 0:
-            a[joint] += s.thrown * s.gravity
-    solve(s, nodes, a, case)
-    for j in range(first, end):
-        load[j] += coupling[j] * (a[j + 1] - a[j])
+    """Compute the stress in all links, and the velocities of all nodes at the whole step."""
+    now, joint = s.index & 1, s.joint
+    stress, stiffness = nodes[STRESS + now], nodes[STIFFNESS]
+    below = nodes[DISPLACEMENT]
+    above = below[1:]
+    for j in range(above.size):  # the material: elastic tension from stretch
+        stress[j] = stiffness[j] * (above[j] - below[j])
+    stress[joint] = 0.0 if s.contact else s.thrown * s.gravity  # which both sides are free of
+    solve(s, nodes, 0.5 * s.step, now, 1 if s.contact else 0)
+
+
+@_jit
+def _tension(s, nodes, j):
+    """Compute the tension of a link with its viscous part, and that of a stiff cell."""
+    now, case = s.index & 1, 1 if s.contact else 0
+    w, v = nodes[MEAN_VELOCITY + now], nodes[VELOCITY]
+    rate = w[j + 1] - w[j]
+    viscous = nodes[VISCOSITY + case, j] * rate
+    stiff = nodes[STIFF, j] * (rate - v[j + 1] + v[j]) * 2.0 / s.step
+    return nodes[STRESS + now, j] + viscous + stiff
 
 
 @_jit
 def _drive(s, nodes, path):
     """Move the plate, and what goes with it; return its velocity."""
-    u, v, a = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[ACCELERATION + (s.index & 1)]
+    u, v, w = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + (s.index & 1)]
     stretch = s.joint_before[0] - u[0]
     if s.plate_kind == DAMPED:
         # Rotations of a phasor that is evaluated anew for every block
-        k = s.index % _BLOCK
-        if s.index // _BLOCK != s.block:
-            s.block = s.index // _BLOCK
-            time = s.block * _BLOCK * s.step
+        k = s.index & (_BLOCK - 1)
+        if k == 0:
+            time = s.index * s.step
             fading = s.growth * time
             size = 0.0 if fading < -600.0 else math.exp(fading)
-            s.phasor[0], s.phasor[1] = size * math.cos(s.turn * time), size * math.sin(s.turn * time)
+            s.phasor[0], s.phasor[1] = (
+                size * math.cos(s.turn * time),
+                size * math.sin(s.turn * time),
+            )
         real = s.phasor[0] * path[0, k] - s.phasor[1] * path[1, k]
         imaginary = s.phasor[0] * path[1, k] + s.phasor[1] * path[0, k]
-        u[0] = s.amplitude * (1.0 - real + s.growth / s.turn * imaginary)  # Eq. (D2)
+        u[0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
         speed = s.factor * imaginary
-        a[0] = s.factor * (s.turn * real + s.growth * imaginary)
+        s.plate_acceleration = s.factor * (s.turn * real + s.growth * imaginary)
     else:
-        u[0], speed, a[0] = motion_at(s, path, s.index * s.step)
-    v[0] = speed - 0.5 * s.step * a[0]
+        u[0], speed, s.plate_acceleration = motion_at(s, path, s.index * s.step)
+    w[0], v[0] = speed, speed - 0.5 * s.step * s.plate_acceleration
     if s.joint == 0 and s.contact:
-        u[1], v[1], a[1] = u[0], v[0], a[0]
+        u[1], v[1], w[1] = u[0], v[0], w[0]
     elif s.is_massless and not s.contact:  # the free end creeps to where it has no load
         free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
-        u[1] = u[0] + free + (stretch - free) * s.creep
-        v[1], a[1] = (u[1] - s.joint_before[0]) / s.step, a[0]
+        stretch = (stretch - free) * math.exp(-s.creep * s.step)
+        u[1] = u[0] + free + stretch
+        v[1] = (u[1] - s.joint_before[0]) / s.step
+        w[1] = w[0] - (s.creep * stretch if s.is_lossy else 0.0)
     return speed
 
 
@@ -457,9 +462,9 @@ def _leave(s, nodes, events):
 def _land(s, nodes, events):
     """Close the gap, now that it is negative."""
     j = s.joint
-    u, v, before = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[ACCELERATION + 1 - (s.index & 1)]
+    u, v, before = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + 1 - (s.index & 1)]
     gap, closed = s.joint_before[1] - s.joint_before[0], u[j + 1] - u[j]
-    bend = 0.5 * s.step**2 * (before[j + 1] - before[j])
+    bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     low, high = 0.0, 1.0
     while True:  # bisect until no number is between
         part = 0.5 * (low + high)
@@ -470,7 +475,7 @@ def _land(s, nodes, events):
         else:
             low = part
     face = s.cells + 1
-    height = u[face] - s.step * (1.0 - part) * (v[face] + 0.5 * s.step * part * before[face])
+    height = u[face] - s.step * (1.0 - part) * (v[face] + part * (v[face] - before[face]))
     velocity = _speed_of_thrown(s, nodes) - s.gravity * s.step * (part - 0.5)
     overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
     part_above = 1.0
@@ -493,31 +498,36 @@ def _land(s, nodes, events):
 @_jit
 def _weigh(s, nodes):
     """Compute the forces of the layer on plate and projectile, and that in the contact."""
-    now, j, last = s.index & 1, s.joint + 1, nodes.shape[1] - 1
-    a, load = nodes[ACCELERATION + now], nodes[LOAD + now]
+    now, j, face, last = s.index & 1, s.joint + 1, s.cells + 1, nodes.shape[1] - 1
+    w, v, rate = nodes[MEAN_VELOCITY + now], nodes[VELOCITY], 2.0 / s.step
     weight = s.mass * s.gravity
-    force = s.thrown * s.gravity + nodes[MASS, j] * a[j] - (load[j] if j < last else 0.0)
+    force = s.thrown * s.gravity + nodes[MASS, j] * rate * (w[j] - v[j])
+    if j < last:
+        force -= _tension(s, nodes, j)
     if s.contact:
         s.forces[3], s.forces[2], s.forces[1] = s.forces[2], s.forces[1], s.forces[0]
         s.forces[0] = force
         s.known_forces += 1
-    face = s.cells + 1
-    pushed = s.face_mass * a[face] - (load[face] if face < last else 0.0)
-    s.on_projectile[2] = pushed + weight if s.contact or s.joint == 0 else 0.0
+    pushed = 0.0
+    if s.contact or s.joint == 0:
+        pushed = weight + s.face_mass * rate * (w[face] - v[face])
+        if face < last:
+            pushed -= _tension(s, nodes, face)
+    s.on_projectile[2] = pushed
     if s.joint == 0:
         s.on_plate[2] = -force if s.contact else 0.0
     else:
-        s.on_plate[2] = load[0] - nodes[MASS, 0] * a[0] - weight
+        s.on_plate[2] = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
 
 
 @_jit
 def _march(s, nodes, path, events):
     """Advance by one step."""
     step, joint = s.step, s.joint
-    u, v, a = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[ACCELERATION + (s.index & 1)]
+    u, v, w = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + (s.index & 1)]
     s.joint_before[0], s.joint_before[1] = u[joint], u[joint + 1]
-    for j in range(1, u.size):
-        v[j] += step * a[j]
+    for j in range(u.size):
+        v[j] = 2.0 * w[j] - v[j]
         u[j] += step * v[j]
     s.index += 1
     s.event_time = math.inf
@@ -539,7 +549,7 @@ def _march(s, nodes, path, events):
     s.work[1] += 0.5 * step * (s.power + power)
     s.power = power
     if s.is_lossy:
-        heating = _heating(nodes, 0.5 * step, s.index & 1)
+        heating = _heating(nodes, s.index & 1)
         s.heat[1] += 0.5 * step * (s.heating + heating)
         s.heating = heating
     if s.events == 0:
@@ -547,12 +557,13 @@ def _march(s, nodes, path, events):
 
 
 @nb.njit(**_options, fastmath={'contract', 'reassoc'})
-def _heating(nodes, half_step, now):
+def _heating(nodes, now):
     """Compute the power that turns to heat in the layer."""
-    v, a, viscosity = nodes[VELOCITY], nodes[ACCELERATION + now], nodes[VISCOSITY + 1]
+    below, viscosity = nodes[MEAN_VELOCITY + now], nodes[VISCOSITY + 1]
+    above = below[1:]
     total = 0.0
-    for j in range(v.size - 1):
-        rate = v[j + 1] - v[j] + half_step * (a[j + 1] - a[j])
+    for j in range(above.size):
+        rate = above[j] - below[j]
         total += viscosity[j] * rate * rate
     return total
 
@@ -561,10 +572,10 @@ def _heating(nodes, half_step, now):
 def _compare_loads(s, nodes):
     """Look whether anything is larger than it has been."""
     u, inverse = nodes[DISPLACEMENT, s.bottom :], nodes[INVERSE]
-    static, largest = nodes[STATIC], nodes[LARGEST]
-    for i in range(s.cells):
-        strain = abs((u[i + 1] - u[i]) * inverse[i] - static[i])
-        largest[i] = strain if strain > largest[i] else largest[i]
+    static, largest, above = nodes[STATIC], nodes[LARGEST, : s.cells], u[1:]
+    for i in range(largest.size):
+        strain = abs((above[i] - u[i]) * inverse[i] - static[i])
+        largest[i] = max(largest[i], strain)
     last = s.cells - 1
     for end in range(2):
         i, beside = (0, min(1, last)) if end == 0 else (last, max(last - 1, 0))
@@ -584,14 +595,15 @@ def _motion(s, nodes, j, part):
     if s.index == 0:
         return u, v
     now = s.index & 1
-    old, new = nodes[ACCELERATION + 1 - now, j], nodes[ACCELERATION + now, j]
+    # Changes of velocity in half a step, of an acceleration that is linear in time
+    old, new = v - nodes[MEAN_VELOCITY + 1 - now, j], nodes[MEAN_VELOCITY + now, j] - v
     before = u - step * v
     if j == s.joint or j == s.joint + 1:  # which a landing may have moved
         before = s.joint_before[j - s.joint]
     bend = old * (2.0 - part) + new * (1.0 + part)
-    height = before + part * (u - before) - step * step * part * (1.0 - part) * bend / 6.0
-    turn = old * (part - 0.5 * part * part - 1.0 / 3.0) + new * (0.5 * part * part - 1.0 / 6.0)
-    return height, v + step * turn
+    height = before + part * (u - before) - step * part * (1.0 - part) * bend / 3.0
+    turn = old * (2.0 * part - part * part - 2.0 / 3.0) + new * (part * part - 1.0 / 3.0)
+    return height, v + turn
 
 
 @_jit
@@ -646,20 +658,37 @@ def _move_nodes(s, nodes):
     """Bring all nodes and links to the time asked for."""
     now, step, part = s.index & 1, s.step, s.part if s.index > 0 else 1.0
     u, v, position = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[POSITION]
-    old, new, speed = nodes[ACCELERATION + 1 - now], nodes[ACCELERATION + now], nodes[SPEED]
+    earlier, later, speed = (
+        nodes[MEAN_VELOCITY + 1 - now],
+        nodes[MEAN_VELOCITY + now],
+        nodes[SPEED],
+    )
     back = (part - 1.0) * step
-    bend = step * back * part / 6.0
-    from_old = step * (part - 0.5 * part * part - 1.0 / 3.0)
-    from_new = step * (0.5 * part * part - 1.0 / 6.0)
-    for j in range(u.size):
-        position[j] = u[j] + back * v[j] + bend * (old[j] * (2.0 - part) + new[j] * (1.0 + part))
-        speed[j] = v[j] + from_old * old[j] + from_new * new[j]
+    bend = back * part / 3.0
+    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
+    for j in range(u.size):  # as `_motion`
+        old, new = v[j] - earlier[j], later[j] - v[j]
+        position[j] = u[j] + back * v[j] + bend * (old * (2.0 - part) + new * (1.0 + part))
+        speed[j] = v[j] + from_old * old + from_new * new
     for j in range(s.joint, s.joint + 2):
         position[j], speed[j] = _motion(s, nodes, j, part)
     position[0], speed[0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
-    earlier, load, tension = nodes[LOAD + 1 - now], nodes[LOAD + now], nodes[TENSION]
-    for j in range(u.size):
-        tension[j] = earlier[j] + part * (load[j] - earlier[j])
+
+
+@_jit
+def _find_forces(s, nodes):
+    """Compute the force through each cell of the layer, between the last two steps."""
+    now, part = s.index & 1, s.part if s.index > 0 else 1.0
+    v, stiff = nodes[VELOCITY, s.bottom :], nodes[STIFF, s.bottom :]
+    viscosity = nodes[VISCOSITY + (1 if s.contact else 0), s.bottom :]
+    old, new = nodes[MEAN_VELOCITY + 1 - now, s.bottom :], nodes[MEAN_VELOCITY + now, s.bottom :]
+    earlier, later = nodes[STRESS + 1 - now, s.bottom :], nodes[STRESS + now, s.bottom :]
+    force, burden = nodes[FORCE, : s.cells], nodes[BURDEN]
+    for i in range(force.size):  # as `_tension`
+        first, last, between = old[i + 1] - old[i], new[i + 1] - new[i], v[i + 1] - v[i]
+        before = earlier[i] + viscosity[i] * first + stiff[i] * (between - first) * 2.0 / s.step
+        after = later[i] + viscosity[i] * last + stiff[i] * (last - between) * 2.0 / s.step
+        force[i] = burden[i] - before - part * (after - before)
 
 
 @_jit
@@ -668,15 +697,16 @@ def _read_layer(core, nodes, places, height, velocity, force):
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[POSITION, s.bottom :], nodes[SPEED, s.bottom :]
-    tension, rest, burden = nodes[TENSION, s.bottom :], nodes[REST], nodes[BURDEN]
+    rest, force_in_cell = nodes[REST], nodes[FORCE]
+    _find_forces(s, nodes)
     for n in range(places.size):
         place = places[n]
         i, k, part = place.cell, place.beside, place.part
         below, above = rest[i] + position[i], rest[i + 1] + position[i + 1]
         height[n] = below + part * (above - below)
         velocity[n] = speed[i] + part * (speed[i + 1] - speed[i])
-        here, there = burden[i] - tension[i], burden[k] - tension[k]
-        force[n] = here + place.weight * (there - here)
+        here = force_in_cell[i]
+        force[n] = here + place.weight * (force_in_cell[k] - here)
 
 
 @_jit
@@ -712,7 +742,7 @@ def _reset(core, nodes, path):
     """Put everything back to rest."""
     core[0] = core[2]
     s = core[0]
-    nodes[DISPLACEMENT : LOAD + 2] = 0.0
+    nodes[DISPLACEMENT : STRESS + 2] = 0.0
     nodes[LARGEST] = nodes[STATIC]
     speed = _drive(s, nodes, path)
     _accelerate(s, nodes)
@@ -878,7 +908,9 @@ def first_throws(
         crossing_ratio,
     )
     rows = np.stack([case.ravel() for case in cases], axis=1)
-    found = _throw_in_threads(rows, cells, glued_to == 'projectile', threads or os.cpu_count() or 1)
+    found = _throw_in_threads(
+        rows, cells, glued_to == 'projectile', threads or os.cpu_count() or 1
+    )
     failed = np.flatnonzero(np.isnan(found[:, 0]))
     if failed.size and unresolved == 'raise':
         names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')

@@ -40,21 +40,21 @@ MAX_PROJECTILE_CELLS = 1 << 15
 (
     DISPLACEMENT,
     VELOCITY,  # half a step earlier
-    ACCELERATION,  # at even steps, and at odd ones
-    _ACCELERATION_ODD,
-    LOAD,  # tension of a link, at even steps, and at odd ones
-    _LOAD_ODD,
+    MEAN_VELOCITY,  # of that and half a step later; at even steps, and at odd ones
+    _MEAN_VELOCITY_ODD,
+    STRESS,  # elastic tension of a link; at even steps, and at odd ones
+    _STRESS_ODD,
     MASS,
     STIFFNESS,
     VISCOSITY,
     _VISCOSITY_IN_CONTACT,
     COUPLING,  # what a link adds to the matrix of masses
     _COUPLING_IN_CONTACT,
-    SHARE,  # of a node's load that its neighbour gets as it is eliminated, by link
+    SHARE,  # of a node's momentum that its neighbour gets as it is eliminated, by link
     _SHARE_IN_CONTACT,
-    GAIN,  # acceleration over what is left of the load
+    GAIN,  # velocity over what is left of the momentum; over the force, of a node by itself
     _GAIN_IN_CONTACT,
-    RESPONSE,  # acceleration over that of the separator
+    RESPONSE,  # velocity over that of the separator
     _RESPONSE_IN_CONTACT,
     INVERSE,  # one over the height of a cell of the layer
     REST,  # height of the layer's nodes at rest
@@ -62,9 +62,9 @@ MAX_PROJECTILE_CELLS = 1 << 15
     STATIC,  # and its compression
     LARGEST,  # magnitude of its strain
     STIFF,  # what makes a cell that is too fast for the step stable, in the matrix of masses
-    POSITION,  # at the time asked for: displacement and velocity of nodes, tension of links
+    POSITION,  # at the time asked for: displacement and velocity of nodes, force through cells
     SPEED,
-    TENSION,
+    FORCE,
     ROWS,
 ) = range(28)
 
@@ -73,6 +73,7 @@ SOLVER = [
     ('first', 'i8', (2,)),  # of the nodes that are coupled
     ('end', 'i8', (2,)),
     ('quarter', 'i8', (2,)),  # length of the four chains, 0 for one chain from the top down
+    ('stiff', 'i8', (2,)),  # first and last link that is too fast for the step
 ]
 """Fields of a record for `solve`, each in flight and in contact."""
 
@@ -254,7 +255,10 @@ def factorise(s, nodes, step, joint, case):
     mass, coupling = nodes[MASS], nodes[COUPLING + case]
     gain, response = nodes[GAIN + case], nodes[RESPONSE + case]
     low, high = last, -1
+    s.stiff[0], s.stiff[1] = last, -1
     for j in range(last):
+        if nodes[STIFF, j] > 0.0:
+            s.stiff[0], s.stiff[1] = min(s.stiff[0], j), j
         coupling[j] = nodes[STIFF, j] + 0.5 * step * nodes[VISCOSITY + case, j]
         if coupling[j] > 0.0 or j == rigid:
             low, high = min(low, j), max(high, j)
@@ -265,7 +269,7 @@ def factorise(s, nodes, step, joint, case):
         first, end = last + 1, last
     s.first[case], s.end[case] = first, end
     for j in range(known + 1, last + 1):
-        gain[j] = 1.0 / mass[j] if mass[j] > 0.0 else 0.0
+        gain[j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
     count = end - first + 1
     quarter = (count - 3) // 4 if count >= _SHORTEST else 0
     separator = first + 2 * quarter + 1
@@ -313,7 +317,7 @@ def _eliminate(nodes, case, first, merge, end, rigid):
 
 @_jit
 def _substitute(nodes, x, case, first, end, quarter):
-    """Solve the two parts beside the separator for accelerations, in four chains."""
+    """Solve the two parts beside the separator, in four chains side by side."""
     share, gain = nodes[SHARE + case], nodes[GAIN + case]
     separator = first + 2 * quarter + 1
     low, high = first + quarter, separator + 1 + quarter
@@ -342,32 +346,48 @@ def _substitute(nodes, x, case, first, end, quarter):
 
 
 @_jit
-def solve(s, nodes, x, case):
-    """Turn loads of the nodes into accelerations, but of those that are known."""
-    coupling, share = nodes[COUPLING + case], nodes[SHARE + case]
-    gain, response = nodes[GAIN + case], nodes[RESPONSE + case]
-    first, end, quarter = s.first[case], s.end[case], s.quarter[case]
-    for j in range(s.known[case] + 1, first):
-        x[j] *= gain[j]
-    for j in range(end + 1, nodes.shape[1]):
-        x[j] *= gain[j]
+def solve(s, nodes, half_step, now, case):
+    """
+    Compute the mean velocities w of all nodes but those that are known.
+
+    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the stresses, with the
+    matrix B of stiff cells.
+    """
+    mean, stress = nodes[MEAN_VELOCITY + now], nodes[STRESS + now]
+    coupling, share, gain = nodes[COUPLING + case], nodes[SHARE + case], nodes[GAIN + case]
+    known, first, end, quarter = s.known[case], s.first[case], s.end[case], s.quarter[case]
+    for low, high in ((known + 1, first), (end + 1, mean.size)):
+        w, v, own = mean[low:high], nodes[VELOCITY, low:high], gain[low:high]
+        above, below = stress[low:high], stress[low - 1 : high - 1]
+        for j in range(w.size):
+            w[j] = v[j] + own[j] * (above[j] - below[j])
     if end < first:
         return
-    x[first] += coupling[first - 1] * x[first - 1]
+    x, v, mass = mean[first : end + 1], nodes[VELOCITY, first : end + 1], nodes[MASS, first:]
+    above, below = stress[first : end + 1], stress[first - 1 : end]
+    for j in range(x.size):
+        x[j] = mass[j] * v[j] + half_step * (above[j] - below[j])
+    for j in range(s.stiff[0], s.stiff[1] + 1):
+        part = nodes[STIFF, j] * (nodes[VELOCITY, j + 1] - nodes[VELOCITY, j])
+        mean[j + 1] += part
+        if j > known:
+            mean[j] -= part
+    x[0] += coupling[first - 1] * mean[first - 1]
     if quarter == 0:
         a = 0.0
         for j in range(end, first - 1, -1):
-            a = x[j] + share[j] * a
-            x[j] = a
+            a = mean[j] + share[j] * a
+            mean[j] = a
         a = 0.0
         for j in range(first, end + 1):
-            a = gain[j] * x[j] + share[j - 1] * a
-            x[j] = a
+            a = gain[j] * mean[j] + share[j - 1] * a
+            mean[j] = a
         return
     separator = first + 2 * quarter + 1
-    load, x[separator] = x[separator], 0.0
-    _substitute(nodes, x, case, first, end, quarter)
-    load += coupling[separator - 1] * x[separator - 1] + coupling[separator] * x[separator + 1]
-    load *= gain[separator]
-    for j in range(first, end + 1):
+    load, mean[separator] = mean[separator], 0.0
+    _substitute(nodes, mean, case, first, end, quarter)
+    load += coupling[separator - 1] * mean[separator - 1]
+    load = gain[separator] * (load + coupling[separator] * mean[separator + 1])
+    response = nodes[RESPONSE + case, first : end + 1]
+    for j in range(x.size):
         x[j] += load * response[j]
