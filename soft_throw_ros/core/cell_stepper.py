@@ -147,6 +147,7 @@ _CORE = np.dtype(
     [
         # what stays
         ('step', 'f8'),
+        ('rate', 'f8'),  # 2 / step
         ('cells', 'i8'),  # of the layer
         ('bottom', 'i8'),  # its lowest node
         ('joint', 'i8'),
@@ -159,7 +160,12 @@ _CORE = np.dtype(
         ('gravity', 'f8'),
         ('release_threshold', 'f8'),  # contact force at which the projectile leaves: 0, less noise
         ('rest_height', 'f8'),  # of the projectile's lower face
-        ('edges', 'f8', (2,)),  # weights to extrapolate the strain to plate and top
+        (
+            'edge_cells',
+            'i8',
+            (2, 2),
+        ),  # to extrapolate the strain to plate and top, as `Cells.place`
+        ('edge_weights', 'f8', (2,)),
         ('bodies', 'i8', (2,)),  # outermost nodes that meet as one in a collision
         ('body_masses', 'f8', (2,)),
         *SOLVER,
@@ -304,6 +310,7 @@ def _spring_step(rig: Rig) -> float:
 def _prepare(s, nodes):
     """Complete a record at rest from step, cells, masses, gravity and the cells' properties."""
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
+    s.rate = 2.0 / s.step
     s.contact = True
     s.event_time = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
@@ -336,49 +343,46 @@ def _prepare(s, nodes):
     s.thrown = nodes[MASS, joint + 1 :].sum()
     # At rest every cell carries the projectile, and what of the layer is thrown along
     carried = s.mass * s.gravity
-    for i in range(s.cells - 1, -1, -1):
-        j = s.bottom + i
+    for j in range(top - 1, s.bottom - 1, -1):
         if s.bottom > 0:
             own = nodes[MASS, j + 1] - (s.face_mass if j + 1 == top else 0.0)
             carried += own * s.gravity
-        nodes[BURDEN, i] = carried
-        nodes[STATIC, i] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, i]
-    for i in range(s.cells):
-        nodes[REST, i + 1] = nodes[REST, i] + (1.0 - nodes[STATIC, i]) / nodes[INVERSE, i]
-    s.rest_height = nodes[REST, s.cells]
-    s.edge_strains[0], s.edge_strains[1] = nodes[STATIC, 0], nodes[STATIC, s.cells - 1]
+        nodes[BURDEN, j] = carried
+        nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
+    for j in range(s.bottom, top):
+        nodes[REST, j + 1] = nodes[REST, j] + (1.0 - nodes[STATIC, j]) / nodes[INVERSE, j]
+    s.rest_height = nodes[REST, top]
+    s.edge_strains[0], s.edge_strains[1] = nodes[STATIC, s.bottom], nodes[STATIC, top - 1]
     s.plate_force = s.thrown * s.gravity
 
 
 @_jit
 def _accelerate(s, nodes):
     """Compute the stress in all links, and the velocities of all nodes at the whole step."""
-    now, joint = s.index & 1, s.joint
-    stress, stiffness = nodes[STRESS + now], nodes[STIFFNESS]
-    below = nodes[DISPLACEMENT]
-    above = below[1:]
-    for j in range(above.size):  # the material: elastic tension from stretch
-        stress[j] = stiffness[j] * (above[j] - below[j])
-    stress[joint] = 0.0 if s.contact else s.thrown * s.gravity  # which both sides are free of
-    solve(s, nodes, 0.5 * s.step, now, 1 if s.contact else 0)
+    now = s.index & 1
+    for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        nodes[STRESS + now, j] = nodes[STIFFNESS, j] * stretch
+    # In flight both sides of the joint are free of the weight
+    nodes[STRESS + now, s.joint] = 0.0 if s.contact else s.thrown * s.gravity
+    solve(s, nodes, now, 1 if s.contact else 0)
 
 
 @_jit
 def _tension(s, nodes, j):
     """Compute the tension of a link with its viscous part, and that of a stiff cell."""
-    now, case = s.index & 1, 1 if s.contact else 0
-    w, v = nodes[MEAN_VELOCITY + now], nodes[VELOCITY]
-    rate = w[j + 1] - w[j]
-    viscous = nodes[VISCOSITY + case, j] * rate
-    stiff = nodes[STIFF, j] * (rate - v[j + 1] + v[j]) * 2.0 / s.step
-    return nodes[STRESS + now, j] + viscous + stiff
+    w, case = MEAN_VELOCITY + (s.index & 1), 1 if s.contact else 0
+    rate = nodes[w, j + 1] - nodes[w, j]
+    change = rate - nodes[VELOCITY, j + 1] + nodes[VELOCITY, j]
+    viscous = nodes[VISCOSITY + case, j] * rate + nodes[STIFF, j] * change * s.rate
+    return nodes[STRESS + (s.index & 1), j] + viscous
 
 
 @_jit
 def _drive(s, nodes, path):
     """Move the plate, and what goes with it; return its velocity."""
-    u, v, w = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + (s.index & 1)]
-    stretch = s.joint_before[0] - u[0]
+    w = MEAN_VELOCITY + (s.index & 1)
+    stretch = s.joint_before[0] - nodes[DISPLACEMENT, 0]
     if s.plate_kind == DAMPED:
         # Rotations of a phasor that is evaluated anew for every block
         k = s.index & (_BLOCK - 1)
@@ -392,20 +396,24 @@ def _drive(s, nodes, path):
             )
         real = s.phasor[0] * path[0, k] - s.phasor[1] * path[1, k]
         imaginary = s.phasor[0] * path[1, k] + s.phasor[1] * path[0, k]
-        u[0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+        nodes[DISPLACEMENT, 0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
         speed = s.factor * imaginary
         s.plate_acceleration = s.factor * (s.turn * real + s.growth * imaginary)
     else:
-        u[0], speed, s.plate_acceleration = motion_at(s, path, s.index * s.step)
-    w[0], v[0] = speed, speed - 0.5 * s.step * s.plate_acceleration
+        nodes[DISPLACEMENT, 0], speed, s.plate_acceleration = motion_at(s, path, s.index * s.step)
+    nodes[w, 0], nodes[VELOCITY, 0] = speed, speed - 0.5 * s.step * s.plate_acceleration
     if s.joint == 0 and s.contact:
-        u[1], v[1], w[1] = u[0], v[0], w[0]
+        nodes[DISPLACEMENT, 1], nodes[VELOCITY, 1], nodes[w, 1] = (
+            nodes[DISPLACEMENT, 0],
+            nodes[VELOCITY, 0],
+            nodes[w, 0],
+        )
     elif s.is_massless and not s.contact:  # the free end creeps to where it has no load
         free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
         stretch = (stretch - free) * math.exp(-s.creep * s.step)
-        u[1] = u[0] + free + stretch
-        v[1] = (u[1] - s.joint_before[0]) / s.step
-        w[1] = w[0] - (s.creep * stretch if s.is_lossy else 0.0)
+        nodes[DISPLACEMENT, 1] = nodes[DISPLACEMENT, 0] + free + stretch
+        nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.joint_before[0]) / s.step
+        nodes[w, 1] = nodes[w, 0] - (s.creep * stretch if s.is_lossy else 0.0)
     return speed
 
 
@@ -498,10 +506,10 @@ def _land(s, nodes, events):
 @_jit
 def _weigh(s, nodes):
     """Compute the forces of the layer on plate and projectile, and that in the contact."""
-    now, j, face, last = s.index & 1, s.joint + 1, s.cells + 1, nodes.shape[1] - 1
-    w, v, rate = nodes[MEAN_VELOCITY + now], nodes[VELOCITY], 2.0 / s.step
+    w, j, face, last = MEAN_VELOCITY + (s.index & 1), s.joint + 1, s.cells + 1, nodes.shape[1] - 1
     weight = s.mass * s.gravity
-    force = s.thrown * s.gravity + nodes[MASS, j] * rate * (w[j] - v[j])
+    change = nodes[w, j] - nodes[VELOCITY, j]
+    force = s.thrown * s.gravity + nodes[MASS, j] * s.rate * change
     if j < last:
         force -= _tension(s, nodes, j)
     if s.contact:
@@ -510,7 +518,8 @@ def _weigh(s, nodes):
         s.known_forces += 1
     pushed = 0.0
     if s.contact or s.joint == 0:
-        pushed = weight + s.face_mass * rate * (w[face] - v[face])
+        change = nodes[w, face] - nodes[VELOCITY, face]
+        pushed = weight + s.face_mass * s.rate * change
         if face < last:
             pushed -= _tension(s, nodes, face)
     s.on_projectile[2] = pushed
@@ -524,17 +533,21 @@ def _weigh(s, nodes):
 def _march(s, nodes, path, events):
     """Advance by one step."""
     step, joint = s.step, s.joint
-    u, v, w = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + (s.index & 1)]
-    s.joint_before[0], s.joint_before[1] = u[joint], u[joint + 1]
-    for j in range(u.size):
-        v[j] = 2.0 * w[j] - v[j]
-        u[j] += step * v[j]
+    w = MEAN_VELOCITY + (s.index & 1)
+    s.joint_before[0], s.joint_before[1] = (
+        nodes[DISPLACEMENT, joint],
+        nodes[DISPLACEMENT, joint + 1],
+    )
+    for j in range(nodes.shape[1]):
+        nodes[VELOCITY, j] = 2.0 * nodes[w, j] - nodes[VELOCITY, j]
+        nodes[DISPLACEMENT, j] += step * nodes[VELOCITY, j]
     s.index += 1
     s.event_time = math.inf
     s.on_plate[0], s.on_projectile[0] = s.on_plate[2], s.on_projectile[2]
     s.work[0], s.heat[0] = s.work[1], s.heat[1]
     speed = _drive(s, nodes, path)
-    lands = not s.contact and u[joint + 1] < u[joint]
+    gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
+    lands = not s.contact and gap < 0.0
     if lands:
         _land(s, nodes, events)
     _accelerate(s, nodes)
@@ -559,29 +572,31 @@ def _march(s, nodes, path, events):
 @nb.njit(**_options, fastmath={'contract', 'reassoc'})
 def _heating(nodes, now):
     """Compute the power that turns to heat in the layer."""
-    below, viscosity = nodes[MEAN_VELOCITY + now], nodes[VISCOSITY + 1]
-    above = below[1:]
     total = 0.0
-    for j in range(above.size):
-        rate = above[j] - below[j]
-        total += viscosity[j] * rate * rate
+    for j in range(nodes.shape[1] - 1):
+        rate = nodes[MEAN_VELOCITY + now, j + 1] - nodes[MEAN_VELOCITY + now, j]
+        total += nodes[VISCOSITY + 1, j] * rate * rate
     return total
+
+
+@_jit
+def _strain(nodes, row, j):
+    """Compute the strain of a cell from displacements or positions."""
+    stretch = nodes[row, j + 1] - nodes[row, j]
+    return stretch * nodes[INVERSE, j] - nodes[STATIC, j]
 
 
 @_jit
 def _compare_loads(s, nodes):
     """Look whether anything is larger than it has been."""
-    u, inverse = nodes[DISPLACEMENT, s.bottom :], nodes[INVERSE]
-    static, largest, above = nodes[STATIC], nodes[LARGEST, : s.cells], u[1:]
-    for i in range(largest.size):
-        strain = abs((above[i] - u[i]) * inverse[i] - static[i])
-        largest[i] = max(largest[i], strain)
-    last = s.cells - 1
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        strain = abs(stretch * nodes[INVERSE, j] - nodes[STATIC, j])
+        nodes[LARGEST, j] = strain if strain > nodes[LARGEST, j] else nodes[LARGEST, j]
     for end in range(2):
-        i, beside = (0, min(1, last)) if end == 0 else (last, max(last - 1, 0))
-        strain = (u[i + 1] - u[i]) * inverse[i] - static[i]
-        other = (u[beside + 1] - u[beside]) * inverse[beside] - static[beside]
-        strain += s.edges[end] * (other - strain)
+        strain = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 0])
+        other = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 1])
+        strain += s.edge_weights[end] * (other - strain)
         s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
     acceleration = s.on_projectile[2] / s.mass - s.gravity
     s.acceleration = max(s.acceleration, abs(acceleration))
@@ -655,40 +670,33 @@ def _advance(time, core, nodes, path, events):
 
 @_jit
 def _move_nodes(s, nodes):
-    """Bring all nodes and links to the time asked for."""
-    now, step, part = s.index & 1, s.step, s.part if s.index > 0 else 1.0
-    u, v, position = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[POSITION]
-    earlier, later, speed = (
-        nodes[MEAN_VELOCITY + 1 - now],
-        nodes[MEAN_VELOCITY + now],
-        nodes[SPEED],
-    )
-    back = (part - 1.0) * step
-    bend = back * part / 3.0
-    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
-    for j in range(u.size):  # as `_motion`
-        old, new = v[j] - earlier[j], later[j] - v[j]
-        position[j] = u[j] + back * v[j] + bend * (old * (2.0 - part) + new * (1.0 + part))
-        speed[j] = v[j] + from_old * old + from_new * new
-    for j in range(s.joint, s.joint + 2):
-        position[j], speed[j] = _motion(s, nodes, j, part)
-    position[0], speed[0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
-
-
-@_jit
-def _find_forces(s, nodes):
-    """Compute the force through each cell of the layer, between the last two steps."""
+    """Bring all nodes and the forces through all cells to the time asked for."""
     now, part = s.index & 1, s.part if s.index > 0 else 1.0
-    v, stiff = nodes[VELOCITY, s.bottom :], nodes[STIFF, s.bottom :]
-    viscosity = nodes[VISCOSITY + (1 if s.contact else 0), s.bottom :]
-    old, new = nodes[MEAN_VELOCITY + 1 - now, s.bottom :], nodes[MEAN_VELOCITY + now, s.bottom :]
-    earlier, later = nodes[STRESS + 1 - now, s.bottom :], nodes[STRESS + now, s.bottom :]
-    force, burden = nodes[FORCE, : s.cells], nodes[BURDEN]
-    for i in range(force.size):  # as `_tension`
-        first, last, between = old[i + 1] - old[i], new[i + 1] - new[i], v[i + 1] - v[i]
-        before = earlier[i] + viscosity[i] * first + stiff[i] * (between - first) * 2.0 / s.step
-        after = later[i] + viscosity[i] * last + stiff[i] * (last - between) * 2.0 / s.step
-        force[i] = burden[i] - before - part * (after - before)
+    old, new, before, after = (
+        MEAN_VELOCITY + 1 - now,
+        MEAN_VELOCITY + now,
+        STRESS + 1 - now,
+        STRESS + now,
+    )
+    back, bend = (part - 1.0) * s.step, (part - 1.0) * s.step * part / 3.0
+    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
+    for j in range(nodes.shape[1]):  # as `_motion`
+        u, v = nodes[DISPLACEMENT, j], nodes[VELOCITY, j]
+        first, second = v - nodes[old, j], nodes[new, j] - v
+        turn = first * (2.0 - part) + second * (1.0 + part)
+        nodes[POSITION, j] = u + back * v + bend * turn
+        nodes[SPEED, j] = v + from_old * first + from_new * second
+    for j in range(s.joint, s.joint + 2):
+        nodes[POSITION, j], nodes[SPEED, j] = _motion(s, nodes, j, part)
+    nodes[POSITION, 0], nodes[SPEED, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
+    viscosity = VISCOSITY + (1 if s.contact else 0)
+    for j in range(nodes.shape[1] - 1):  # as `_tension`
+        middle = nodes[VELOCITY, j + 1] - nodes[VELOCITY, j]
+        first, second = nodes[old, j + 1] - nodes[old, j], nodes[new, j + 1] - nodes[new, j]
+        earlier = nodes[viscosity, j] * first + nodes[STIFF, j] * (middle - first) * s.rate
+        later = nodes[viscosity, j] * second + nodes[STIFF, j] * (second - middle) * s.rate
+        earlier, later = nodes[before, j] + earlier, nodes[after, j] + later
+        nodes[FORCE, j] = nodes[BURDEN, j] - earlier - part * (later - earlier)
 
 
 @_jit
@@ -696,29 +704,24 @@ def _read_layer(core, nodes, places, height, velocity, force):
     """Read height, velocity and force of the layer from plate to top."""
     s = core[1]
     _move_nodes(s, nodes)
-    position, speed = nodes[POSITION, s.bottom :], nodes[SPEED, s.bottom :]
-    rest, force_in_cell = nodes[REST], nodes[FORCE]
-    _find_forces(s, nodes)
     for n in range(places.size):
-        place = places[n]
-        i, k, part = place.cell, place.beside, place.part
-        below, above = rest[i] + position[i], rest[i + 1] + position[i + 1]
+        j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
+        below, above = (
+            nodes[REST, j] + nodes[POSITION, j],
+            nodes[REST, j + 1] + nodes[POSITION, j + 1],
+        )
         height[n] = below + part * (above - below)
-        velocity[n] = speed[i] + part * (speed[i + 1] - speed[i])
-        here = force_in_cell[i]
-        force[n] = here + place.weight * (force_in_cell[k] - here)
+        velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
+        force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
 
 
 @_jit
 def _read_strain(core, nodes, places, strain):
     """Read the strain of the layer from plate to top."""
-    s = core[1]
-    _move_nodes(s, nodes)
-    position, inverse, static = nodes[POSITION, s.bottom :], nodes[INVERSE], nodes[STATIC]
+    _move_nodes(core[1], nodes)
     for n in range(places.size):
-        i, k = places[n].cell, places[n].beside
-        here = (position[i + 1] - position[i]) * inverse[i] - static[i]
-        there = (position[k + 1] - position[k]) * inverse[k] - static[k]
+        here = _strain(nodes, POSITION, places[n].cell)
+        there = _strain(nodes, POSITION, places[n].beside)
         strain[n] = here + places[n].weight * (there - here)
 
 
@@ -774,8 +777,9 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         s.mass = s.face_mass = mu
         s.gravity = gravity * omega * omega
         s.release_threshold = -_NOISE * omega
-        edge = -0.5 if cells > 1 else 0.0
-        s.edges[0] = s.edges[1] = edge
+        s.edge_weights[:] = -0.5
+        s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
+        s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
         s.horizon = math.inf
         s.amplitude, s.growth, s.turn = 1.0, -zeta * omega, root * omega
         s.factor = omega / root
@@ -784,7 +788,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
             path[0, k] = size * math.cos(s.turn * s.step * k)
             path[1, k] = size * math.sin(s.turn * s.step * k)
         nodes[:] = 0.0
-        nodes[INVERSE] = cells
+        nodes[INVERSE, s.bottom : s.bottom + cells] = cells
         add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
         if bars > 0:
             s.face_mass = 0.5 * mu / bars
@@ -802,8 +806,8 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         row[:] = math.nan
         if grid.events > 0:
             strain = max(grid.edge_strains[0], grid.edge_strains[1])
-            for i in range(cells):
-                strain = max(strain, nodes[LARGEST, i])
+            for j in range(nodes.shape[1]):
+                strain = max(strain, nodes[LARGEST, j])
             row[0], row[1] = grid.event_time / kappa, grid.event_velocity / omega
             row[2], row[3] = strain / omega, grid.acceleration / omega**2
             row[4], row[5] = grid.plate_force / omega, grid.first_work / (mu * omega**2)
@@ -1033,6 +1037,8 @@ class CellStepper(Stepper):
         self._nodes = grid.nodes
         points = np.linspace(0.0, grid.heights[-1], field_points).tolist()
         self._places = np.array([grid.place(height) for height in points], _PLACE)
+        for name in ('cell', 'beside'):
+            self._places[name] += grid.bottom
         self._core = np.zeros(3, _CORE)
         start = self._core[2]
         self._path = write_motion(start, motion, rig.engine)
@@ -1046,7 +1052,9 @@ class CellStepper(Stepper):
         start['mass'], start['face_mass'] = rig.projectile.mass, grid.face_mass
         start['gravity'] = rig.gravity
         start['release_threshold'] = -_NOISE * rig.engine.speed_scale * rig.layer.impedance
-        start['edges'] = self._places['weight'][[0, -1]]
+        edges = self._places[[0, -1]]
+        start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
+        start['edge_weights'] = edges['weight']
         _prepare(start, self._nodes)
         self._memory = (self._core, self._nodes, self._path, self._events)
         self.state = self._core['state'][1]
@@ -1080,7 +1088,7 @@ class CellStepper(Stepper):
         """Largest loads up to the first release, or so far if that is to come."""
         now = self._core[1]
         plate, contact = now['edge_strains'].tolist()
-        inside = float(self._nodes[LARGEST, : self.cells].max())
+        inside = float(self._nodes[LARGEST].max())
         acceleration, force = float(now['acceleration']), float(now['plate_force'])
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
 

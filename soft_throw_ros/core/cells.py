@@ -52,13 +52,17 @@ MAX_PROJECTILE_CELLS = 1 << 15
     _COUPLING_IN_CONTACT,
     SHARE,  # of a node's momentum that its neighbour gets as it is eliminated, by link
     _SHARE_IN_CONTACT,
-    GAIN,  # velocity over what is left of the momentum; over the force, of a node by itself
+    GAIN,  # velocity over what is left of the momentum
     _GAIN_IN_CONTACT,
+    MOMENTUM,  # what a node starts from: over its velocity, and over the force on it; of a node
+    _MOMENTUM_IN_CONTACT,  # that is coupled to none the velocity itself
+    IMPULSE,
+    _IMPULSE_IN_CONTACT,
     RESPONSE,  # velocity over that of the separator
     _RESPONSE_IN_CONTACT,
-    INVERSE,  # one over the height of a cell of the layer
+    INVERSE,  # one over the height of a cell of the layer, 0 for other links
     REST,  # height of the layer's nodes at rest
-    BURDEN,  # what a cell carries at rest, ...
+    BURDEN,  # what a cell of the layer carries at rest, ...
     STATIC,  # and its compression
     LARGEST,  # magnitude of its strain
     STIFF,  # what makes a cell that is too fast for the step stable, in the matrix of masses
@@ -66,7 +70,7 @@ MAX_PROJECTILE_CELLS = 1 << 15
     SPEED,
     FORCE,
     ROWS,
-) = range(28)
+) = range(32)
 
 SOLVER = [
     ('known', 'i8', (2,)),  # highest node whose motion is given
@@ -183,7 +187,7 @@ def cut(
     for sheet, own in zip(layer.sheets, counts, strict=True):
         lag = sheet.loss_tangent / rig.engine.angular_frequency
         add_cells(nodes, first, own, sheet.mass, sheet.stiffness, lag, step)
-        nodes[INVERSE, first - bottom : first - bottom + own] = own / sheet.thickness
+        nodes[INVERSE, first : first + own] = own / sheet.thickness
         first += own
     face = count + 1
     if bar:
@@ -193,7 +197,7 @@ def cut(
         nodes[MASS, face] += projectile.mass
     return Cells(
         step=step,
-        heights=np.append(0.0, np.cumsum(1.0 / nodes[INVERSE, :count])),
+        heights=np.append(0.0, np.cumsum(1.0 / nodes[INVERSE, bottom : bottom + count])),
         sheets=np.repeat(np.arange(len(counts)), counts),
         bottom=bottom,
         joint=0 if is_on_projectile else count,
@@ -268,8 +272,12 @@ def factorise(s, nodes, step, joint, case):
     if end < first:  # nothing is coupled
         first, end = last + 1, last
     s.first[case], s.end[case] = first, end
-    for j in range(known + 1, last + 1):
-        gain[j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
+    for j in range(1, last + 1):
+        is_coupled = first <= j <= end
+        nodes[MOMENTUM + case, j] = mass[j] if is_coupled else 1.0
+        nodes[IMPULSE + case, j] = 0.5 * step
+        if not is_coupled:
+            nodes[IMPULSE + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
     count = end - first + 1
     quarter = (count - 3) // 4 if count >= _SHORTEST else 0
     separator = first + 2 * quarter + 1
@@ -286,7 +294,7 @@ def factorise(s, nodes, step, joint, case):
     # The separator's own equation, after what its acceleration does to both parts
     response[:] = 0.0
     response[below], response[above] = coupling[below], coupling[separator]
-    _substitute(nodes, response, case, first, end, quarter)
+    _substitute(nodes, RESPONSE + case, case, first, end, quarter)
     pivot = mass[separator] + coupling[below] * (1.0 - response[below])
     gain[separator] = 1.0 / (pivot + coupling[separator] * (1.0 - response[above]))
     response[separator] = 1.0
@@ -317,77 +325,81 @@ def _eliminate(nodes, case, first, merge, end, rigid):
 
 @_jit
 def _substitute(nodes, x, case, first, end, quarter):
-    """Solve the two parts beside the separator, in four chains side by side."""
-    share, gain = nodes[SHARE + case], nodes[GAIN + case]
+    """Solve the two parts beside the separator for row x, in four chains side by side."""
+    share, gain = SHARE + case, GAIN + case
     separator = first + 2 * quarter + 1
     low, high = first + quarter, separator + 1 + quarter
     rest = high + quarter
     for j in range(end, rest, -1):
-        x[j - 1] += share[j - 1] * x[j]
+        nodes[x, j - 1] += nodes[share, j - 1] * nodes[x, j]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for i in range(quarter):
-        a = x[first + i] + share[first + i - 1] * a
-        b = x[separator - 1 - i] + share[separator - 1 - i] * b
-        c = x[separator + 1 + i] + share[separator + i] * c
-        d = x[rest - i] + share[rest - i] * d
-        x[first + i], x[separator - 1 - i] = a, b
-        x[separator + 1 + i], x[rest - i] = c, d
-    a = b = gain[low] * (x[low] + share[low - 1] * a + share[low] * b)
-    c = d = gain[high] * (x[high] + share[high - 1] * c + share[high] * d)
-    x[low], x[high] = a, c
+        j, k, m, n = first + i, separator - 1 - i, separator + 1 + i, rest - i
+        a = nodes[x, j] + nodes[share, j - 1] * a
+        b = nodes[x, k] + nodes[share, k] * b
+        c = nodes[x, m] + nodes[share, m - 1] * c
+        d = nodes[x, n] + nodes[share, n] * d
+        nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
+    a = nodes[x, low] + nodes[share, low - 1] * a + nodes[share, low] * b
+    c = nodes[x, high] + nodes[share, high - 1] * c + nodes[share, high] * d
+    a *= nodes[gain, low]
+    c *= nodes[gain, high]
+    nodes[x, low], nodes[x, high] = a, c
+    b, d = a, c
     for i in range(1, quarter + 1):
-        a = gain[low - i] * x[low - i] + share[low - i] * a
-        b = gain[low + i] * x[low + i] + share[low + i - 1] * b
-        c = gain[high - i] * x[high - i] + share[high - i] * c
-        d = gain[high + i] * x[high + i] + share[high + i - 1] * d
-        x[low - i], x[low + i], x[high - i], x[high + i] = a, b, c, d
+        j, k, m, n = low - i, low + i, high - i, high + i
+        a = nodes[gain, j] * nodes[x, j] + nodes[share, j] * a
+        b = nodes[gain, k] * nodes[x, k] + nodes[share, k - 1] * b
+        c = nodes[gain, m] * nodes[x, m] + nodes[share, m] * c
+        d = nodes[gain, n] * nodes[x, n] + nodes[share, n - 1] * d
+        nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
     for j in range(rest + 1, end + 1):
-        x[j] = gain[j] * x[j] + share[j - 1] * x[j - 1]
+        nodes[x, j] = nodes[gain, j] * nodes[x, j] + nodes[share, j - 1] * nodes[x, j - 1]
 
 
 @_jit
-def solve(s, nodes, half_step, now, case):
+def solve(s, nodes, now, case):
     """
     Compute the mean velocities w of all nodes but those that are known.
 
     They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the stresses, with the
-    matrix B of stiff cells.
+    matrix B of stiff cells. Rows are indexed as a table, since views of it would be counted.
     """
-    mean, stress = nodes[MEAN_VELOCITY + now], nodes[STRESS + now]
-    coupling, share, gain = nodes[COUPLING + case], nodes[SHARE + case], nodes[GAIN + case]
+    w, stress, momentum, impulse = (
+        MEAN_VELOCITY + now,
+        STRESS + now,
+        MOMENTUM + case,
+        IMPULSE + case,
+    )
     known, first, end, quarter = s.known[case], s.first[case], s.end[case], s.quarter[case]
-    for low, high in ((known + 1, first), (end + 1, mean.size)):
-        w, v, own = mean[low:high], nodes[VELOCITY, low:high], gain[low:high]
-        above, below = stress[low:high], stress[low - 1 : high - 1]
-        for j in range(w.size):
-            w[j] = v[j] + own[j] * (above[j] - below[j])
+    given = nodes[w, known]
+    for j in range(1, nodes.shape[1]):
+        force = nodes[stress, j] - nodes[stress, j - 1]
+        nodes[w, j] = nodes[momentum, j] * nodes[VELOCITY, j] + nodes[impulse, j] * force
+    nodes[w, known] = given
     if end < first:
         return
-    x, v, mass = mean[first : end + 1], nodes[VELOCITY, first : end + 1], nodes[MASS, first:]
-    above, below = stress[first : end + 1], stress[first - 1 : end]
-    for j in range(x.size):
-        x[j] = mass[j] * v[j] + half_step * (above[j] - below[j])
     for j in range(s.stiff[0], s.stiff[1] + 1):
         part = nodes[STIFF, j] * (nodes[VELOCITY, j + 1] - nodes[VELOCITY, j])
-        mean[j + 1] += part
+        nodes[w, j + 1] += part
         if j > known:
-            mean[j] -= part
-    x[0] += coupling[first - 1] * mean[first - 1]
+            nodes[w, j] -= part
+    nodes[w, first] += nodes[COUPLING + case, first - 1] * nodes[w, first - 1]
     if quarter == 0:
         a = 0.0
         for j in range(end, first - 1, -1):
-            a = mean[j] + share[j] * a
-            mean[j] = a
+            a = nodes[w, j] + nodes[SHARE + case, j] * a
+            nodes[w, j] = a
         a = 0.0
         for j in range(first, end + 1):
-            a = gain[j] * mean[j] + share[j - 1] * a
-            mean[j] = a
+            a = nodes[GAIN + case, j] * nodes[w, j] + nodes[SHARE + case, j - 1] * a
+            nodes[w, j] = a
         return
     separator = first + 2 * quarter + 1
-    load, mean[separator] = mean[separator], 0.0
-    _substitute(nodes, mean, case, first, end, quarter)
-    load += coupling[separator - 1] * mean[separator - 1]
-    load = gain[separator] * (load + coupling[separator] * mean[separator + 1])
-    response = nodes[RESPONSE + case, first : end + 1]
-    for j in range(x.size):
-        x[j] += load * response[j]
+    load, nodes[w, separator] = nodes[w, separator], 0.0
+    _substitute(nodes, w, case, first, end, quarter)
+    load += nodes[COUPLING + case, separator - 1] * nodes[w, separator - 1]
+    load += nodes[COUPLING + case, separator] * nodes[w, separator + 1]
+    load *= nodes[GAIN + case, separator]
+    for j in range(1, nodes.shape[1]):
+        nodes[w, j] += load * nodes[RESPONSE + case, j]
