@@ -3,7 +3,7 @@ r"""
 When and how fast a rigid projectile first leaves the layer, exactly (Sec. IV of the paper).
 
 In closed form and for any number of crossings of the wave. What happens later, peak strains,
-fields and measured plates are `soft_throw_ros.core.method_of_steps`.
+fields and measured plates are for `soft_throw_ros.core.wave_stepper`.
 
 Notes
 -----
@@ -32,18 +32,11 @@ one more interval costs :math:`O(k)` and no transcendental function. The contact
 falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. (14) is
 :math:`k = 1`, where it stops.
 
-Many throws at once go through the same functions, side by side in the lanes of a vector. Numba
-vectorises a loop over lanes if what it calls is inlined and has no branch, calls no C library,
-and if it knows when it is compiled how far apart is what it reads and writes; hence `_inline`,
-`_decay`, `_phasor` and `_copy_coefficients`.
-
 """
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 import math
-import os
 from typing import Literal, NamedTuple
 
 import numba as nb
@@ -51,6 +44,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.threads import in_threads
 
 MAX_INTERVALS = 2048
 """Wave intervals (two crossings each) that are followed before a named error is raised."""
@@ -62,12 +56,7 @@ _INACCURATE = 2
 _GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 within the box
 _SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
 _THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
-_LANES = 32
-_LANES_K = 15  # releases in later intervals are polished one at a time, ...
-_FEW = 8  # and so are fewer than these in one interval
-
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
-_HALVES = 2.0 ** -np.arange(1100.0)
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 _inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
@@ -140,8 +129,7 @@ def first_release(
     Notes
     -----
     See the module. The interval of release is found from G at the ends of intervals; within it the
-    root is bracketed and polished by Householder's iteration of fourth order, whose error is
-    bounded by how far Halley's, of third order, is from it.
+    root is bracketed and polished by Newton's iteration.
 
     In interval 0 the bracket is certain: G rises at most until the plate is fastest, falls through
     0 before the plate stops, and with gravity falls at least until the plate brakes hardest.
@@ -168,7 +156,7 @@ def first_release(
         checks.below_one('damping_ratio', damping_ratio),
         checks.not_negative('gravity_ratio', gravity_ratio),
     )
-    phase, speed, status = _one_release(*case)
+    phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
     if status != _RELEASED:
         raise _unresolved(status, phase, *case)
     return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
@@ -219,8 +207,6 @@ def first_releases(
     """
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    if threads is not None and not (type(threads) is int and threads > 0):
-        raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
     damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
     cases = np.broadcast_arrays(
         checks.positive_array('mass_ratio', mass_ratio),
@@ -229,28 +215,20 @@ def first_releases(
         checks.not_negative_array('gravity_ratio', gravity_ratio),
     )
     shape = cases[0].shape
-    mu, kappa, zeta, gravity = (case.flatten() for case in cases)
-    phase, speed = np.empty((2, mu.size))
-    status = np.empty(mu.size, dtype=np.int8)
-    parts = max(1, min(threads or os.cpu_count() or 1, mu.size // _THROWS_PER_THREAD))
-
-    def run(part: int) -> None:
-        _release_lanes(mu, kappa, zeta, gravity, phase, speed, status, part, parts)
-
-    if parts == 1:
-        run(0)
-    else:
-        # Threads of our own, because numba's may not be entered from two threads at a time.
-        with ThreadPoolExecutor(parts - 1) as pool:
-            others = pool.map(run, range(1, parts))
-            run(0)
-            list(others)  # raises what they raised
+    ratios = np.stack([case.ravel() for case in cases])
+    phase, speed = np.empty((2, ratios.shape[1]))
+    status = np.empty(ratios.shape[1], dtype=np.int64)
+    in_threads(
+        lambda part, parts: _release_part(ratios, phase, speed, status, part, parts),
+        count=ratios.shape[1],
+        per_thread=_THROWS_PER_THREAD,
+        threads=threads,
+    )
     failed = np.flatnonzero(status != _RELEASED)
     if failed.size:
         if unresolved == 'raise':
             first = int(failed[0])
-            case = mu[first], kappa[first], zeta[first], gravity[first]
-            raise _unresolved(status[first], phase[first], *case)
+            raise _unresolved(status[first], phase[first], *ratios[:, first])
         phase[failed] = np.nan
     phase = phase.reshape(shape)
     speed = speed.reshape(shape)
@@ -296,15 +274,18 @@ def first_release_kernel(
     speed = math.nan
     status = found.status
     if status == _RELEASED:
-        guess = _guess(found.k, wave, found)
-        phase, speed, status = _polish(found.k, guess, wave, found, c, 0, 1)
+        phase, speed, status = _polish(_guess(wave, found), wave, found, c)
     return phase, speed, status
 
 
 @_jit
-def _one_release(mu, kappa, zeta, gravity):
-    """Run the kernel on memory of its own."""
-    return first_release_kernel(mu, kappa, zeta, gravity, np.empty((2, MAX_INTERVALS)))
+def _release_part(ratios, phase, speed, status, part, parts):
+    """Compute every throw of `parts`, from number `part` on; `ratios` has a row for each ratio."""
+    work = np.empty((2, MAX_INTERVALS))
+    for n in range(part, phase.size, parts):
+        phase[n], speed[n], status[n] = first_release_kernel(
+            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
+        )
 
 
 class _Wave(NamedTuple):
@@ -323,21 +304,6 @@ class _Wave(NamedTuple):
     fade: float  # e^{-2 / mu}
 
 
-class _Sums(NamedTuple):
-    """What fades within an interval: sums up to a phi_j, and what the next one is made of."""
-
-    before: float  # phi_{j-1}
-    phi: float  # phi_j and its derivatives
-    dphi: float
-    ddphi: float
-    dddphi: float
-    g: float  # of G and its derivatives
-    dg: float
-    ddg: float
-    dddg: float
-    upward: float  # of v_+
-
-
 class _Interval(NamedTuple):
     """The interval of release, and where in it G + weight falls through 0."""
 
@@ -353,43 +319,10 @@ class _Interval(NamedTuple):
 
 
 @_inline
-def _decay(u):
-    """Compute e^{-u} for u >= 0 without a branch."""
-    u = min(760.0, u)  # in this order NaN becomes 760 too, for n is an index
-    n = math.floor(u * 1.4426950408889634 + 0.5)
-    r = (n * 6.93147180369123816e-1 - u) + n * 1.90821492927058770e-10  # ln 2 in two parts
-    r2 = r * r
-    r4 = r2 * r2
-    low = (1.0 + r) + r2 * (1 / 2 + r * (1 / 6))
-    middle = (1 / 24 + r * (1 / 120)) + r2 * (1 / 720 + r * (1 / 5040))
-    high = (1 / 40320 + r * (1 / 362880)) + r2 * (1 / 3628800 + r * (1 / 39916800))
-    return (low + r4 * (middle + r4 * (high + r4 * (1 / 479001600)))) * _HALVES[n]
-
-
-@_inline
 def _phasor(lam, sigma):
-    """Compute e^{lambda sigma} without a branch, for angles up to 10^6."""
-    size = _decay(-lam.real * sigma)
-    angle = lam.imag * sigma
-    n = math.floor(angle * 0.63661977236758138 + 0.5)
-    r = (angle - n * 1.57079632673412561) - n * 6.07710050650619225e-11  # pi/2 in two parts
-    # the polynomials of fdlibm's k_sin.c and k_cos.c
-    z = r * r
-    z2 = z * z
-    z4 = z2 * z2
-    s = -1.66666666666666324e-1 + z * 8.33333333332248946e-3
-    s += z2 * (-1.98412698298579493e-4 + z * 2.75573137070700677e-6)
-    s += z4 * (-2.50507602534068634e-8 + z * 1.58969099521155010e-10)
-    s = r + r * z * s
-    c = 4.16666666666666019e-2 - z * 1.38888888888741096e-3
-    c += z2 * (2.48015872894767294e-5 - z * 2.75573143513906633e-7)
-    c += z4 * (2.08757232129817483e-9 - z * 1.13596475577881948e-11)
-    c = 1.0 - 0.5 * z + z2 * c
-    sine = c if n & 1 else s
-    cosine = s if n & 1 else c
-    sine = -sine if n & 2 else sine
-    cosine = -cosine if (n + 1) & 2 else cosine
-    return complex(cosine * size, sine * size)
+    """Compute e^{lambda sigma}."""
+    size, angle = math.exp(lam.real * sigma), lam.imag * sigma
+    return complex(size * math.cos(angle), size * math.sin(angle))
 
 
 @_inline
@@ -412,7 +345,7 @@ def _wave(mu, kappa, zeta, gravity):
         (lam * mu - 1.0) * inverse,
         2.0 * (lam * mu) * inverse,
         _phasor(lam, 2.0),
-        _decay(2.0 * rate),
+        math.exp(-2.0 * rate),
     )
 
 
@@ -528,9 +461,9 @@ def _end_slopes(k, wave, pull, c, b):
 
 
 @_inline
-def _guess(k, wave, found):
+def _guess(wave, found):
     """Guess where in the bracket G + weight is 0, to a few percent as a rule."""
-    if k == 0:
+    if found.k == 0:
         x = wave.lam.imag * wave.mu
         # pi/2 + atan(w tau), were the start forgotten
         angle = x / (1.0 + 0.28 * x * x) if x < 1.0 else 0.5 * math.pi - x / (x * x + 0.28)
@@ -555,120 +488,55 @@ def _hermite_root(start, end, start_slope, end_slope):
     return 2.0 * t
 
 
-@_inline
-def _steady_part(sigma, wave, steady):
-    """Compute what does not fade of G and three derivatives, and of v_+."""
-    phasor = _phasor(wave.lam, sigma)
-    value = wave.to_force * steady * phasor
-    slope = wave.lam * value
-    curve = wave.lam * slope
-    jerk = wave.lam * curve
-    return value.imag, slope.imag, curve.imag, jerk.imag, (steady * phasor).imag
-
-
-@_inline
-def _first_term(sigma, wave, newer, older):
-    """Begin the sums over phi_j with j = 0, whose coefficients are c_k and c_{k-1}."""
-    weight = newer + older
-    phi = _decay(sigma * wave.rate)
-    fading = weight * phi
-    return _Sums(0.0, phi, -phi, phi, -phi, fading, -fading, fading, -fading, older * phi)
-
-
-@_inline
-def _next_term(j, sigma, wave, newer, older, s):
-    """Add phi_j, whose coefficients are c_{k-j} and c_{k-j-1}."""
-    weight = newer + older
+@_jit
+def _attached(k, sigma, wave, steady, c):
+    """Compute G, its derivative, and v_+ in interval k, while the projectile is attached."""
+    phasor = steady * _phasor(wave.lam, sigma)
+    pull = wave.to_force * phasor
+    newer = c[k]
+    older = c[k - 1] if k > 0 else 0.0
     x = 2.0 * sigma * wave.rate
-    phi = ((2 * j - 1 - x) * s.phi - (j - 1) * s.before) * _INVERSE[j]
-    dphi = s.dphi - s.phi - phi
-    ddphi = s.ddphi - s.dphi - dphi
-    dddphi = s.dddphi - (s.ddphi + ddphi)
-    return _Sums(
-        s.phi,
-        phi,
-        dphi,
-        ddphi,
-        dddphi,
-        s.g + weight * phi,
-        s.dg + weight * dphi,
-        s.ddg + weight * ddphi,
-        s.dddg + weight * dddphi,
-        s.upward + older * phi,
-    )
-
-
-@_inline
-def _total(wave, steady_part, s):
-    """Put together G, three derivatives, and v_+."""
-    rate = wave.rate
-    g, dg, ddg, dddg, upward = steady_part
-    return (
-        g - s.g,
-        dg - s.dg * rate,
-        ddg - s.ddg * (rate * rate),
-        dddg - s.dddg * (rate * rate * rate),
-        upward - s.upward,
-    )
-
-
-@_inline
-def _attached(k, sigma, wave, steady, c, first, stride):
-    """Compute G, three derivatives, and v_+ in interval k; c_j is c[first + j * stride]."""
-    newer = c[first + k * stride]
-    older = c[first + (k - 1) * stride] if k > 0 else 0.0
-    sums = _first_term(sigma, wave, newer, older)
+    before, phi = 0.0, math.exp(-sigma * wave.rate)  # phi_{j-1}, phi_j
+    dphi = -phi
+    force, slope, upward = (newer + older) * phi, (newer + older) * dphi, older * phi
     for j in range(1, k + 1):
         newer = older
-        older = c[first + (k - j - 1) * stride] if j < k else 0.0
-        sums = _next_term(j, sigma, wave, newer, older, sums)
-    return _total(wave, _steady_part(sigma, wave, steady), sums)
-
-
-@_inline
-def _improve(sigma, low, high, wave, attached):
-    """Take a step of fourth order within the bracket: (sigma, low, high, V_m there, error)."""
-    g, dg, ddg, dddg, upward = attached
-    excess = g + wave.weight
-    low = sigma if excess > 0.0 else low
-    high = high if excess > 0.0 else sigma
-    halley = 2.0 * dg * dg - excess * ddg
-    change = -3.0 * excess * halley
-    change /= 6.0 * dg * (dg * dg - excess * ddg) + excess * excess * dddg
-    following = sigma + change
-    # The error of Halley's step, which is of third order, bounds that of this one.
-    error = abs(change + 2.0 * excess * dg / halley)
-    trusted = (low <= following <= high) & (error <= 0.5 * abs(change))
-    error = error if trusted else 1.0
-    following = following if trusted else 0.5 * (low + high)
-    change = following - sigma
-    # tau V' = G carries the speed over the step
-    gained = g + change * (1 / 2 * dg + change * (1 / 6 * ddg + change * (1 / 24 * dddg)))
-    return following, low, high, 2.0 * upward - g + change * wave.rate * gained, error
-
-
-@_inline
-def _tolerance(wave):
-    """Error of Halley's step at which that of the next order is far below 1e-13."""
-    return max(1e-11 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
+        older = c[k - j - 1] if j < k else 0.0
+        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
+        dphi -= phi + following
+        before, phi = phi, following
+        force += (newer + older) * phi
+        slope += (newer + older) * dphi
+        upward += older * phi
+    return (
+        pull.imag - force,
+        (wave.lam * pull).imag - slope * wave.rate,
+        phasor.imag - upward,
+    )
 
 
 @_jit
-def _polish(k, sigma, wave, found, c, first, stride):
-    """Find the root in a bracket: (t_e f, V_e / (A w), status)."""
-    low, high = found.low, found.high
-    speed = 0.0
-    tolerance = _tolerance(wave)
+def _polish(sigma, wave, found, c):
+    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
+    k, low, high = found.k, found.low, found.high
+    tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
+    change = high - low
     for i in range(160):
-        if i > 40:  # it goes round in circles
-            sigma = 0.5 * (low + high)
-        attached = _attached(k, sigma, wave, found.steady, c, first, stride)
-        sigma, low, high, speed, error = _improve(sigma, low, high, wave, attached)
-        if error <= tolerance:
+        force, slope, _ = _attached(k, sigma, wave, found.steady, c)
+        force += wave.weight
+        low = sigma if force > 0.0 else low
+        high = high if force > 0.0 else sigma
+        following = sigma - force / slope if slope != 0.0 else low
+        if not low <= following <= high or i > 40:  # it left the bracket, or goes round in circles
+            following = 0.5 * (low + high)
+        change = abs(following - sigma)
+        sigma = following
+        if change <= tolerance:  # the next error is of second order in this one
             break
     phase = (2 * k + 1 + sigma) / wave.kappa
-    speed /= wave.root
-    if not (min(error, high - low) <= 1e-9 * wave.kappa and math.isfinite(phase * speed)):
+    force, _, upward = _attached(k, sigma, wave, found.steady, c)
+    speed = (2.0 * upward - force) / wave.root
+    if not (min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)):
         return 2.0 * k + 1.0, math.nan, _INACCURATE
     return phase, speed, _RELEASED
 
@@ -676,8 +544,8 @@ def _polish(k, sigma, wave, found, c, first, stride):
 @_jit
 def _force(k, sigma, wave, steady, c):
     """Compute G + weight and G' in interval k."""
-    g, dg, _, _, _ = _attached(k, sigma, wave, steady, c, 0, 1)
-    return g + wave.weight, dg
+    force, slope, _ = _attached(k, sigma, wave, steady, c)
+    return force + wave.weight, slope
 
 
 @_jit
@@ -715,255 +583,3 @@ def _search(k, start, stop, wave, steady, c):
         low_force = force
         low_slope = slope
     return 0.0, -1.0
-
-
-# Rows of the flat arrays of lanes: what `_Wave` holds, what of `_Interval` differs, the iteration
-# and its sums, c_j.
-_LOW = 16 * _LANES
-_HIGH = 17 * _LANES
-_SIGMA = 24 * _LANES
-_SPEED = 25 * _LANES
-_ERROR = 26 * _LANES
-_STEADY = 27 * _LANES
-_SUMS = 32 * _LANES
-_NEWER = 42 * _LANES
-_OLDER = 43 * _LANES
-_C = 44 * _LANES
-_QUEUE = _C + (_LANES_K + 1) * _LANES
-
-
-@_inline
-def _pair(rows, i):
-    return complex(rows[i], rows[i + _LANES])
-
-
-@_inline
-def _set_pair(rows, i, value):
-    rows[i] = value.real
-    rows[i + _LANES] = value.imag
-
-
-@_inline
-def _set_wave(rows, i, wave):
-    rows[i] = wave.mu
-    rows[i + _LANES] = wave.rate
-    rows[i + 2 * _LANES] = wave.kappa
-    rows[i + 3 * _LANES] = wave.root
-    rows[i + 4 * _LANES] = wave.weight
-    rows[i + 5 * _LANES] = wave.fade
-    _set_pair(rows, i + 6 * _LANES, wave.lam)
-    _set_pair(rows, i + 8 * _LANES, wave.inverse)
-    _set_pair(rows, i + 10 * _LANES, wave.reflection)
-    _set_pair(rows, i + 12 * _LANES, wave.to_force)
-    _set_pair(rows, i + 14 * _LANES, wave.step)
-
-
-@_inline
-def _get_wave(rows, i):
-    return _Wave(
-        rows[i],
-        rows[i + _LANES],
-        rows[i + 2 * _LANES],
-        rows[i + 3 * _LANES],
-        rows[i + 4 * _LANES],
-        _pair(rows, i + 6 * _LANES),
-        _pair(rows, i + 8 * _LANES),
-        _pair(rows, i + 10 * _LANES),
-        _pair(rows, i + 12 * _LANES),
-        _pair(rows, i + 14 * _LANES),
-        rows[i + 5 * _LANES],
-    )
-
-
-@_inline
-def _set_interval(rows, i, found):
-    rows[i + _LOW] = found.low
-    rows[i + _HIGH] = found.high
-    _set_pair(rows, i + 18 * _LANES, found.steady)
-    rows[i + 20 * _LANES] = found.start
-    rows[i + 21 * _LANES] = found.end
-    rows[i + 22 * _LANES] = found.start_slope
-    rows[i + 23 * _LANES] = found.end_slope
-
-
-@_inline
-def _get_interval(k, rows, i):
-    return _Interval(
-        _RELEASED,
-        k,
-        rows[i + _LOW],
-        rows[i + _HIGH],
-        _pair(rows, i + 18 * _LANES),
-        rows[i + 20 * _LANES],
-        rows[i + 21 * _LANES],
-        rows[i + 22 * _LANES],
-        rows[i + 23 * _LANES],
-    )
-
-
-@_inline
-def _set_sums(rows, i, s):
-    rows[i + _SUMS] = s.before
-    rows[i + _SUMS + _LANES] = s.phi
-    rows[i + _SUMS + 2 * _LANES] = s.dphi
-    rows[i + _SUMS + 3 * _LANES] = s.ddphi
-    rows[i + _SUMS + 4 * _LANES] = s.dddphi
-    rows[i + _SUMS + 5 * _LANES] = s.g
-    rows[i + _SUMS + 6 * _LANES] = s.dg
-    rows[i + _SUMS + 7 * _LANES] = s.ddg
-    rows[i + _SUMS + 8 * _LANES] = s.dddg
-    rows[i + _SUMS + 9 * _LANES] = s.upward
-
-
-@_inline
-def _get_sums(rows, i):
-    return _Sums(
-        rows[i + _SUMS],
-        rows[i + _SUMS + _LANES],
-        rows[i + _SUMS + 2 * _LANES],
-        rows[i + _SUMS + 3 * _LANES],
-        rows[i + _SUMS + 4 * _LANES],
-        rows[i + _SUMS + 5 * _LANES],
-        rows[i + _SUMS + 6 * _LANES],
-        rows[i + _SUMS + 7 * _LANES],
-        rows[i + _SUMS + 8 * _LANES],
-        rows[i + _SUMS + 9 * _LANES],
-    )
-
-
-@_inline
-def _copy_coefficients(k, j, rows):
-    """Bring those of phi_j to rows that do not depend on j, so that what follows vectorises."""
-    for i in range(_LANES):
-        rows[i + _NEWER] = rows[i + _C + (k - j) * _LANES]
-    if j < k:
-        for i in range(_LANES):
-            rows[i + _OLDER] = rows[i + _C + (k - j - 1) * _LANES]
-    else:
-        for i in range(_LANES):
-            rows[i + _OLDER] = 0.0
-
-
-@_jit
-def _polish_lanes(k, rows):
-    """Find the roots of a queue; an error above the tolerance tells which are not there yet."""
-    for _ in range(6):
-        _copy_coefficients(k, 0, rows)
-        for i in range(_LANES):
-            wave, sigma = _get_wave(rows, i), rows[i + _SIGMA]
-            g, dg, ddg, dddg, upward = _steady_part(sigma, wave, _get_interval(k, rows, i).steady)
-            rows[i + _STEADY] = g
-            rows[i + _STEADY + _LANES] = dg
-            rows[i + _STEADY + 2 * _LANES] = ddg
-            rows[i + _STEADY + 3 * _LANES] = dddg
-            rows[i + _STEADY + 4 * _LANES] = upward
-            newer, older = rows[i + _NEWER], rows[i + _OLDER]
-            _set_sums(rows, i, _first_term(sigma, wave, newer, older))
-        for j in range(1, k + 1):
-            _copy_coefficients(k, j, rows)
-            for i in range(_LANES):
-                wave, sigma = _get_wave(rows, i), rows[i + _SIGMA]
-                newer, older = rows[i + _NEWER], rows[i + _OLDER]
-                sums = _next_term(j, sigma, wave, newer, older, _get_sums(rows, i))
-                _set_sums(rows, i, sums)
-        for i in range(_LANES):
-            wave, before = _get_wave(rows, i), rows[i + _SIGMA]
-            steady_part = (
-                rows[i + _STEADY],
-                rows[i + _STEADY + _LANES],
-                rows[i + _STEADY + 2 * _LANES],
-                rows[i + _STEADY + 3 * _LANES],
-                rows[i + _STEADY + 4 * _LANES],
-            )
-            attached = _total(wave, steady_part, _get_sums(rows, i))
-            sigma, low, high, speed, error = _improve(
-                before, rows[i + _LOW], rows[i + _HIGH], wave, attached
-            )
-            # once there, a lane stands still, so that nothing depends on its neighbours
-            going = rows[i + _ERROR] > _tolerance(wave)
-            rows[i + _SIGMA] = sigma if going else before
-            rows[i + _LOW] = low
-            rows[i + _HIGH] = high
-            rows[i + _SPEED] = speed if going else rows[i + _SPEED]
-            rows[i + _ERROR] = error if going else rows[i + _ERROR]
-        count = 0
-        for i in range(_LANES):
-            count += rows[i + _ERROR] > _tolerance(_get_wave(rows, i))
-        if count == 0:
-            break
-
-
-@_jit
-def _flush(k, queues, indices, count, phase, speed, status):
-    """Polish the throws queued for interval k and hand them over."""
-    rows = queues[k * _QUEUE : (k + 1) * _QUEUE]
-    for i in range(_LANES):
-        rows[i + _SIGMA] = _guess(k, _get_wave(rows, i), _get_interval(k, rows, i))
-        rows[i + _ERROR] = 1.0
-    if count >= _FEW:
-        _polish_lanes(k, rows)
-    for i in range(count):
-        at = indices[k * _LANES + i]
-        wave = _get_wave(rows, i)
-        phase[at] = (2 * k + 1 + rows[i + _SIGMA]) / wave.kappa
-        speed[at] = rows[i + _SPEED] / wave.root
-        status[at] = _RELEASED
-        if rows[i + _ERROR] > _tolerance(wave):
-            found = _get_interval(k, rows, i)
-            phase[at], speed[at], status[at] = _polish(
-                k, rows[i + _SIGMA], wave, found, rows, i + _C, _LANES
-            )
-
-
-@_jit
-def _release_lanes(
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, phase, speed, status, part, parts
-):
-    """Compute one block of releases in every `parts`."""
-    work = np.empty((2, MAX_INTERVALS))
-    c = work[0]
-    inputs = np.ones(4 * _LANES)
-    waves = np.empty(16 * _LANES)
-    queues = np.ones((_LANES_K + 1) * _QUEUE)
-    indices = np.zeros((_LANES_K + 1) * _LANES, dtype=np.int64)
-    counts = np.zeros(_LANES_K + 1, dtype=np.int64)
-    for row in range(-(-phase.size // (parts * _LANES))):
-        # which one changes without a period, lest one part have the slow columns of a landscape
-        start = (row * parts + (part + (row * 40503 >> 8)) % parts) * _LANES
-        size = min(_LANES, phase.size - start)  # none, if the last row is not full
-        for i in range(size):
-            inputs[i] = mass_ratio[start + i]
-            inputs[i + _LANES] = speed_ratio[start + i]
-            inputs[i + 2 * _LANES] = damping_ratio[start + i]
-            inputs[i + 3 * _LANES] = gravity_ratio[start + i]
-        for i in range(_LANES):
-            mu, kappa = inputs[i], inputs[i + _LANES]
-            zeta, gravity = inputs[i + 2 * _LANES], inputs[i + 3 * _LANES]
-            _set_wave(waves, i, _wave(mu, kappa, zeta, gravity))
-        for i in range(size):
-            at = start + i
-            wave = _get_wave(waves, i)
-            found = _find(wave, c, work[1])
-            k = found.k
-            status[at] = found.status
-            if found.status != _RELEASED:
-                phase[at] = 2.0 * k + 1.0
-                speed[at] = math.nan
-            elif k > _LANES_K:
-                phase[at], speed[at], status[at] = _polish(
-                    k, _guess(k, wave, found), wave, found, c, 0, 1
-                )
-            else:
-                lane = counts[k]
-                indices[k * _LANES + lane] = at
-                place = k * _QUEUE + lane
-                _set_wave(queues, place, wave)
-                _set_interval(queues, place, found)
-                for j in range(k + 1):
-                    queues[place + _C + j * _LANES] = c[j]
-                counts[k] = lane + 1
-                if lane + 1 == _LANES:
-                    _flush(k, queues, indices, _LANES, phase, speed, status)
-                    counts[k] = 0
-    for k in range(_LANES_K + 1):
-        _flush(k, queues, indices, counts[k], phase, speed, status)

@@ -420,6 +420,11 @@ class Stepper(ABC):
 
     @property
     @abstractmethod
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
+
+    @property
+    @abstractmethod
     def loads(self) -> Loads:
         """Largest loads up to the first release, or so far if that is to come."""
 

@@ -42,9 +42,7 @@ References
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 import math
-import os
 from typing import Literal
 
 import numba as nb
@@ -82,6 +80,7 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
+from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -93,8 +92,9 @@ MAX_STEP_RATE = 4e7
 
 _STEPS = 512  # per crossing, which later events need: see the tests of re-contacts
 _FEWEST_STEPS = 64
-_STEPS_PER_RELAXATION = 8.0
 _STEPS_PER_PERIOD = 160.0
+_STEPS_PER_RELAXATION = 8.0  # where first releases alone are wanted
+_STEP_COST = 3e-9  # of a processor [s]
 
 _PAD = 8  # steps that are kept beyond the crossing time, for the cubics
 _ROOM = 1024  # steps by which the memory of waves is longer than it must be, to be moved seldom
@@ -103,6 +103,10 @@ _NOISE = 1e-12  # of the plate's speed: a force below it is rounding, and no pul
 _FRONTS = 6  # row of the waves' memory: arrival, offset and size of each front
 _MAX_FRONTS = 64
 _EVENTS_PER_STEP = 8  # a mass that chatters faster stays as it is until the next step
+
+_MAX_PERIODS = 8.0  # of plate and of projectile on layer, for which a first release is waited
+_MAX_CROSSINGS = 4096.0
+_THROWS_PER_THREAD = 64
 
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
@@ -186,8 +190,9 @@ def steps_per_crossing(rig: Rig) -> int:
     Returns
     -------
     int
-        512, or more where the relaxation time :math:`\tau` or the plate's period is short, or
-        less where steps would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
+        512, or more where the plate's period is short, or less where steps would be more than
+        `MAX_STEP_RATE` in a second; a relaxation time :math:`\tau` that is shorter than a step
+        does no harm, since the mass is solved for exactly. Errors in :math:`t f` and
         :math:`V / (A \omega)`: 1e-6 at the first release, 1e-4 up to the fifth event, 1e-3 later.
 
     Raises
@@ -222,8 +227,7 @@ def steps_per_crossing(rig: Rig) -> int:
             f'{crossing:.4g} s needs {for_plate} steps per crossing of the wave, the limit is '
             f'{limit}; feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
         )
-    for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, MAX_STEPS))
-    return min(max(_STEPS, for_mass, for_plate), limit)
+    return min(max(_STEPS, for_plate), limit)
 
 
 @_jit
@@ -907,6 +911,11 @@ class WaveStepper(Stepper):
         np.divide(self._scratch[2], -stiffness, out=strain)
 
     @property
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
+        return _STEP_COST * self.steps / self.rig.crossing_time
+
+    @property
     def loads(self) -> Loads:
         """Largest loads up to the first release, or so far if that is to come."""
         layer, now = self.rig.layer, self._core[1]
@@ -954,3 +963,121 @@ class WaveStepper(Stepper):
 def _strain_at_now(core, waves):
     """Find the largest strain up to the last grid point."""
     return _strain_so_far(core[1], waves)
+
+
+def first_throws(
+    *,
+    mass_ratio: ArrayLike,
+    speed_ratio: ArrayLike,
+    damping_ratio: ArrayLike = 0.0,
+    gravity_ratio: ArrayLike = 0.0,
+    unresolved: Literal['raise', 'nan'] = 'raise',
+    threads: int | None = None,
+) -> FirstThrows:
+    r"""
+    Follow many throws to their first releases: when, how fast, and what they ask of the rig.
+
+    Projectiles are rigid, layers lossless, and the plate moves as `plate.Underdamped`. Where loads
+    do not matter, `closed_form.first_releases` is exact and faster.
+
+    Parameters
+    ----------
+    mass_ratio : array_like
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : array_like
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    damping_ratio : array_like
+        Of the plate, :math:`\zeta`. [-]
+    gravity_ratio : array_like
+        :math:`g / (A \omega^2)`. [-]
+    unresolved : {'raise', 'nan'}
+        What becomes of throws without a release: the first is raised, or all are NaN.
+    threads : int, optional
+        Largest number of threads, all cores if not given. Results do not depend on it.
+
+    Returns
+    -------
+    FirstThrows
+        Of arrays with the common shape. Errors: 1e-5 in the release, 5e-4 in loads.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative), the
+        shapes do not fit, or an option is not one of its values.
+    ThrowUnresolvedError
+        If a projectile does not leave within 8 periods of the plate and 8 of its own on the
+        layer, or 4096 crossings, unless `unresolved` is 'nan'.
+
+    Examples
+    --------
+    >>> throws = first_throws(mass_ratio=[0.1, 0.234231], speed_ratio=8.24221)
+    >>> throws.energy_transfer.round(3), throws.peak_strain.round(3)
+    (array([3.79 , 4.123]), array([1.046, 1.107]))
+
+    """
+    if unresolved not in ('raise', 'nan'):
+        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
+    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
+    cases = np.broadcast_arrays(
+        checks.positive_array('mass_ratio', mass_ratio),
+        checks.positive_array('speed_ratio', speed_ratio),
+        damping_ratio,
+        checks.not_negative_array('gravity_ratio', gravity_ratio),
+    )
+    shape = cases[0].shape
+    ratios = np.stack([case.ravel() for case in cases])
+    steps = np.maximum(_STEPS_PER_RELAXATION / ratios[0], _STEPS_PER_PERIOD / ratios[1])
+    steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
+    found = np.full((6, ratios.shape[1]), math.nan)
+
+    def run(part: int, parts: int) -> None:
+        core = np.zeros(2, _CORE)
+        waves = np.zeros((7, 4 * int(steps.max(initial=0)) + _ROOM))
+        _first_throws(ratios, steps, core, waves, found, part, parts)
+
+    in_threads(run, count=ratios.shape[1], per_thread=_THROWS_PER_THREAD, threads=threads)
+    failed = np.flatnonzero(np.isnan(found[0]))
+    if failed.size and unresolved == 'raise':
+        mu, kappa, zeta, gravity = ratios[:, failed[0]]
+        raise ThrowUnresolvedError(
+            f'no release within {_MAX_PERIODS:g} periods for mass_ratio {mu:g}, speed_ratio '
+            f'{kappa:g}, damping_ratio {zeta:g}, gravity_ratio {gravity:g}'
+        )
+    phase, speed, strain, acceleration, force, work = found.reshape(6, *shape)
+    peak_speed = np.vectorize(peak_velocity_ratio, otypes=[float])(damping_ratio)
+    transfer = (speed / peak_speed) ** 2
+    return FirstThrows(phase, speed, transfer, strain, acceleration, force, work)
+
+
+@_jit
+def _first_throws(ratios, steps, core, waves, found, part, parts):
+    """Follow every throw of `parts`, from number `part` on, in units of 1 / f and A omega."""
+    event = np.empty((1, 4))
+    path = np.empty((2, _BLOCK))
+    for n in range(part, steps.size, parts):
+        mu, kappa, zeta, gravity = ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n]
+        core[0] = core[1]
+        s = core[0]
+        root = math.sqrt(1.0 - zeta * zeta)
+        s.plate_kind, s.horizon = DAMPED, math.inf
+        s.growth, s.turn, s.factor = -2.0 * math.pi * zeta, 2.0 * math.pi * root, 1.0 / root
+        _prepare(s, steps[n], 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, _NOISE)
+        size = math.exp(s.growth * s.step)
+        cosine, sine = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
+        path[0, 0], path[1, 0] = 1.0, 0.0
+        for k in range(1, _BLOCK):
+            path[0, k] = path[0, k - 1] * cosine - path[1, k - 1] * sine
+            path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
+        waves[:, : s.steps + _PAD + 1] = 0.0
+        natural = 2.0 * math.pi * math.sqrt(mu) / kappa  # period of the mass on a massless layer
+        latest = min(_MAX_PERIODS * (1.0 + natural) * kappa, _MAX_CROSSINGS) + 1.0
+        _march(s, waves, path, event, int(latest) * s.steps)
+        if s.events == 0:
+            continue
+        found[0, n], found[1, n] = event[0, 1], event[0, 3]
+        contact_stress = s.peak_push + s.gravity_offset
+        found[2, n] = max(s.peak_strain, max(s.peak_stress, contact_stress))
+        found[3, n] = s.peak_push / (2.0 * math.pi * s.relaxation)
+        found[4, n] = s.peak_stress
+        found[5, n] = s.first_work * s.step / s.relaxation
