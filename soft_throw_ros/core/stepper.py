@@ -49,16 +49,6 @@ MAX_EVENTS = 4096
 BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
 """What a kernel returns instead of the number of events."""
 
-LOADS = [
-    ('strain', 'f8'),
-    ('plate_strain', 'f8'),
-    ('contact_strain', 'f8'),
-    ('acceleration', 'f8'),
-    ('plate_force', 'f8'),
-    ('plate_work', 'f8'),  # from the start to the first release, or so far
-]
-"""Fields of a record that holds loads, for `numpy.dtype`."""
-
 
 class HorizonError(ValueError):
     """The plate is not known that far ahead (yet)."""
@@ -172,8 +162,8 @@ class Stepper(ABC):
     kernel runs.
 
     A subclass has two records in `_core`: the first stands at a step of its grid, the second at
-    the time asked for. Its fields include `plate_kernels.PLATE`, those named below, `loads` and
-    `first_loads` of `LOADS`.
+    the time asked for. Their fields include `plate_kernels.PLATE`, and contact, events, state,
+    surface (height of the top against rest) and rest_height (of the projectile's lower face).
 
     """
 
@@ -198,7 +188,7 @@ class Stepper(ABC):
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
         self._is_measured = False
-        self._readable: tuple[Floats, ...] = ()
+        self._readable: Floats | None = None
 
     @abstractmethod
     def reset(self) -> None:
@@ -312,7 +302,7 @@ class Stepper(ABC):
         for name in self._changing:
             setattr(other, name, replaced[id(getattr(self, name))])
         other._memory = tuple(replaced.get(id(part), part) for part in self._memory)
-        other._readable = ()
+        other._readable = None
         other.state = other._core['state'][1]
         other.state.flags.writeable = False
         other._is_measured = False
@@ -342,31 +332,29 @@ class Stepper(ABC):
         for name in self._changing:
             getattr(self, name).view(np.uint8)[:] = getattr(origin, name).view(np.uint8)
 
-    def read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
+    def read_layer(self, out: Floats) -> None:
         """
         Write what the layer does at the present time, from plate to top.
 
         Parameters
         ----------
-        height, velocity, force : ndarray, shape (field_points,)
-            Of float64, written to: height above the plate's rest position [m], velocity [m/s],
-            and force of what is below on what is above, so positive where compressed [N].
+        out : ndarray, shape (3, field_points)
+            Of float64, written to: heights above the plate's rest position [m], velocities [m/s],
+            and forces of what is below on what is above, so positive where compressed [N].
 
         Raises
         ------
         ValueError
-            If an array does not fit.
+            If the array does not fit.
 
         """
-        targets = (height, velocity, force)
-        if not _are_same(self._readable, targets):
-            for name, array in zip(('height', 'velocity', 'force'), targets, strict=True):
-                require_target(name, array, (self.field_points,))
-            self._readable = targets
-        self._read_layer(height, velocity, force)
+        if out is not self._readable:
+            require_target('out', out, (3, self.field_points))
+            self._readable = out
+        self._read_layer(out)
 
     @abstractmethod
-    def _read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
+    def _read_layer(self, out: Floats) -> None:
         """Have the kernel write the layer."""
 
     @abstractmethod
@@ -429,6 +417,11 @@ class Stepper(ABC):
     def surface_position(self) -> float:
         """Height of the top of the layer; in contact that of the projectile's lower face. [m]"""
         return float(self._core['rest_height'][1] + self._core['surface'][1])
+
+    @property
+    @abstractmethod
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
 
     @property
     @abstractmethod
@@ -505,7 +498,3 @@ def require_target(name: str, array: object, shape: tuple[int, ...]) -> None:
         )
         raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')
 
-
-def _are_same(one: tuple[Floats, ...], other: tuple[Floats, ...]) -> bool:
-    """Tell whether two tuples hold the very same arrays."""
-    return len(one) == len(other) and all(a is b for a, b in zip(one, other, strict=True))
