@@ -40,9 +40,7 @@ References
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 import math
-import os
 from typing import Literal
 
 import numba as nb
@@ -74,6 +72,7 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
 from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
 from soft_throw_ros.core.rig import Rig
@@ -97,7 +96,7 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -113,7 +112,7 @@ MAX_CELLS = 4096
 """Most cells of a layer."""
 
 MAX_UPDATE_RATE = 4e7
-"""Most cells times steps in a second of rig time, of which a processor takes 3e8 and more. [1/s]"""
+"""Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
 
 MAX_PERIODS = 16.0
 """Plate periods, and periods of the projectile on the layer, in which `first_throws` waits."""
@@ -130,9 +129,10 @@ _FEWEST_PER_RELAXATION = 4.0  # and for 1e-3
 _STEPS_PER_PERIOD = 120.0
 _FEWEST_PER_PERIOD = 80.0
 _SLOWEST = 8.0  # projectile in real time, whose waves take so many times longer than the layer's
+_UPDATE_COST = 4e-9  # of a cell in a step, of a processor [s]
 _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projectile
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
-_THROWS_PER_TASK = 16
+_THROWS_PER_THREAD = 16
 
 _BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
@@ -718,9 +718,10 @@ def _move_nodes(s, nodes):
 
 
 @_jit
-def _read_layer(core, nodes, places, height, velocity, force):
-    """Read height, velocity and force of the layer from plate to top."""
+def _read_layer(core, nodes, places, out):
+    """Read heights, velocities and forces of the layer from plate to top."""
     s = core[1]
+    height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
     for n in range(places.size):
         j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
@@ -913,8 +914,6 @@ def first_throws(
         raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    if threads is not None:
-        require_count('threads', threads, low=1, high=1 << 16)
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
     damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
@@ -932,9 +931,7 @@ def first_throws(
         crossing_ratio,
     )
     rows = np.stack([case.ravel() for case in cases], axis=1)
-    found = _throw_in_threads(
-        rows, cells, glued_to == 'projectile', threads or os.cpu_count() or 1
-    )
+    found = _throw_all(rows, cells, glued_to == 'projectile', threads)
     failed = np.flatnonzero(np.isnan(found[:, 0]))
     if failed.size and unresolved == 'raise':
         names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')
@@ -948,10 +945,10 @@ def first_throws(
     return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
 
 
-def _throw_in_threads(
-    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int
+def _throw_all(
+    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int | None
 ) -> Floats:
-    """Compute all rows, those with the same number of cells by one call."""
+    """Compute all rows, those with the same number of cells by one call in each thread."""
     found = np.empty((rows.shape[0], 6))
     counts = np.full(rows.shape[0], cells or _CELLS)
     if cells is None:
@@ -959,26 +956,20 @@ def _throw_in_threads(
         while (too_few := (counts < wanted) & (counts < _MOST_FOR_BATCH)).any():
             counts[too_few] *= 2
     bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (counts * rows[:, 5]).astype(np.int64)), 0)
+    groups = [
+        (count, bar, np.flatnonzero((counts == count) & (bars == bar)))
+        for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True)))
+    ]
 
-    def run(members: NDArray[np.int64]) -> None:
-        count, bar = int(counts[members[0]]), int(bars[members[0]])
-        rows_found = np.empty((members.size, 6))
-        core, nodes = np.zeros(4, _CORE), np.empty((ROWS, count + bar + 2))
-        path = np.empty((2, _BLOCK))
-        _throw_first(rows[members], count, bar, is_on_projectile, core, nodes, path, rows_found)
-        found[members] = rows_found
+    def run(part: int, parts: int) -> None:
+        core, path = np.zeros(4, _CORE), np.empty((2, _BLOCK))
+        for count, bar, members in groups:
+            own = members[part::parts]
+            nodes, results = np.empty((ROWS, count + bar + 2)), np.empty((own.size, 6))
+            _throw_first(rows[own], count, bar, is_on_projectile, core, nodes, path, results)
+            found[own] = results
 
-    tasks = []
-    for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True))):
-        members = np.flatnonzero((counts == count) & (bars == bar))
-        parts = min(threads, max(1, members.size // _THROWS_PER_TASK))
-        tasks += [members[part::parts] for part in range(parts)]
-    if threads == 1 or len(tasks) == 1:
-        for task in tasks:
-            run(task)
-    else:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, tasks))
+    in_threads(run, count=rows.shape[0], per_thread=_THROWS_PER_THREAD, threads=threads)
     return found
 
 
@@ -1086,8 +1077,8 @@ class CellStepper(Stepper):
         _reset(self._core, self._nodes, self._path)
         self._advance(0.0, *self._memory)
 
-    def _read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
-        _read_layer(self._core, self._nodes, self._places, height, velocity, force)
+    def _read_layer(self, out: Floats) -> None:
+        _read_layer(self._core, self._nodes, self._places, out)
 
     def _read_strain(self, strain: Floats) -> None:
         _read_strain(self._core, self._nodes, self._places, strain)
@@ -1102,6 +1093,11 @@ class CellStepper(Stepper):
         while steps * self.step > known:
             steps -= 1
         return steps * self.step
+
+    @property
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
+        return _UPDATE_COST * self._nodes.shape[1] / self.step
 
     @property
     def loads(self) -> Loads:
@@ -1138,7 +1134,7 @@ def warm_up() -> None:
     stepper = CellStepper(Rig(), 'measured', field_points=2)
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty(2), np.empty(2), np.empty(2))
+    stepper.read_layer(np.empty((3, 2)))
     stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
     stepper.fork().sync_from(stepper)
