@@ -477,8 +477,6 @@ def _leave(s, nodes, events):
     impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
-    if s.events == 0:
-        s.first_work = s.work_before + part * s.step * s.power
     _set_contact(s, False)
     _note_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
 
@@ -584,6 +582,9 @@ def _march(s, nodes, path, events):
         s.heating = heating
     if s.events == 0:
         _compare_loads(s, nodes)
+    elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
+        part = s.event_time / step - (s.index - 1)
+        s.first_work = s.work_before + part * (s.work - s.work_before)
 
 
 @nb.njit(**_options, fastmath={'contract', 'reassoc'})

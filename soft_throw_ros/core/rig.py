@@ -184,12 +184,12 @@ class Stack(Layer):
 
     """
 
-    sheets: tuple[Layer, ...]  # type: ignore[assignment]  # a property of the base
-    thickness: float = field(init=False)
-    wave_speed: float = field(init=False)
-    density: float = field(init=False)
-    diameter: float = field(init=False)
-    loss_tangent: float = field(init=False)
+    sheets: tuple[Layer, ...] = ()  # type: ignore[assignment]  # a default, to replace the property
+    thickness: float = field(init=False, repr=False)
+    wave_speed: float = field(init=False, repr=False)
+    density: float = field(init=False, repr=False)
+    diameter: float = field(init=False, repr=False)
+    loss_tangent: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         sheets = tuple(part for sheet in self.sheets for part in sheet.sheets)

@@ -1,0 +1,962 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Throws by cells."""
+
+from dataclasses import replace
+import math
+import tracemalloc
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from reference import normal_modes
+from reference.method_of_steps import follow
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from soft_throw_ros.core import cell_stepper as module
+from soft_throw_ros.core import closed_form, spring_mass
+from soft_throw_ros.core.cell_stepper import (
+    cells_per_layer,
+    CellStepper,
+    first_throws,
+    MAX_CELLS,
+    MODELS,
+    warm_up,
+)
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.stepper import (
+    EventLimitError,
+    HorizonError,
+    PLATE_FORCE,
+    PLATE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    TIME,
+)
+
+FREQUENCY = 63.2
+LOSSY = Rig(layer=Layer(loss_tangent=0.1))
+STACKED = Rig(
+    layer=Stack(
+        sheets=(
+            Layer(thickness=6e-3),
+            Layer(thickness=4e-3, wave_speed=20.0, loss_tangent=0.1),
+        )
+    )
+)
+CAPPED = Rig(
+    layer=Stack(
+        sheets=(
+            Layer(thickness=8e-3),
+            Layer(thickness=1e-4, wave_speed=200.0, density=5000.0),
+        )
+    )
+)
+CASES = {
+    'uniform': (Rig(), 'finite_difference'),
+    'lossy': (LOSSY, 'finite_difference'),
+    'stacked': (STACKED, 'finite_difference'),
+    'capped': (CAPPED, 'finite_difference'),
+    'echoes': (Rig(layer=Layer(thickness=0.002), gravity=20.0), 'finite_difference'),
+    'elastic': (Rig(), 'finite_difference_elastic'),
+    'soft': (Rig(projectile=Projectile(youngs_modulus=1e6)), 'finite_difference_elastic'),
+    'glued': (LOSSY, 'finite_difference_glued'),
+    'spring': (LOSSY, 'spring_mass'),
+}
+
+# Computed with 40-digit closed forms, checked by a second method: mu, kappa, zeta, te f, alpha
+EXACT = [
+    (0.23423068535205, 8.2422098072057, 0.0, 0.3994399384513045, 4.123214640552163),
+    (0.29513187784084, 9.2434758430532, 0.2, 0.3633656659293691, 4.185169858004478),
+    (0.05, 1.0, 0.0, 1.2980547950092867, 3.6462835911068816),
+    (50.0, 60.0, 0.0, 0.4266129421799032, 3.037440451346464),
+    (1.0, 1.0, 0.0, 1.4590473863951916, 0.25904598562307973),
+    (0.01, 4.0, 0.064, 0.4928020665289209, 3.9990119588094664),
+    (0.6345238095238095, 7.34629294755877, 0.064, 0.48150827831570486, 3.63734724564707),
+]
+# Loss tangent 0.05, from the same source
+LOSSY_RATIOS = {
+    'mass_ratio': 0.6345238095238095,
+    'speed_ratio': 7.34629294755877,
+    'loss_tangent': 0.05,
+}
+LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
+
+
+def make_rig(mass_ratio, speed_ratio, damping_ratio=0.0, gravity=0.0, **layer):
+    layer = Layer(thickness=7.8 / (speed_ratio * FREQUENCY), **layer)
+    return Rig(
+        engine=Engine(frequency=FREQUENCY, damping_ratio=damping_ratio),
+        layer=layer,
+        projectile=Projectile(mass=mass_ratio * layer.mass),
+        gravity=gravity,
+    )
+
+
+def make_paper_rig(thickness, gravity=0.0, damping_ratio=0.0):
+    return Rig(
+        engine=Engine(damping_ratio=damping_ratio),
+        layer=Layer(thickness=thickness),
+        projectile=Projectile(mass=1300.0 * 16.3e-3 * math.pi * 6e-3**2, length=16.3e-3),
+        gravity=gravity,
+    )
+
+
+def throw(rig, periods=4.0, **options):
+    """Advance until the projectile has left, and return the stepper."""
+    stepper = CellStepper(rig, **options)
+    for quarter in range(1, round(4 * periods) + 1):
+        if stepper.advance_to(0.25 * quarter / rig.engine.frequency):
+            return stepper
+    raise AssertionError('no release')
+
+
+def order(cells, errors):
+    """Return the exponent with which errors fall."""
+    return -np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
+
+
+def observe(stepper):
+    """Return all there is to see, as bits."""
+    layer, strain = np.empty((3, stepper.field_points)), np.empty((1, stepper.field_points))
+    stepper.read_layer(layer)
+    stepper.sample_strain([stepper.state[TIME]], strain)
+    numbers = [
+        *stepper.state, *layer.ravel(), *strain[0], *stepper.loads, stepper.plate_work,
+        stepper.work_so_far, stepper.stored_energy(), stepper.heat, stepper.surface_position,
+    ]  # fmt: skip
+    return np.array(numbers).tobytes(), stepper.events(), stepper.in_contact
+
+
+@pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), EXACT)
+def test_first_throw_without_loss_is_exact_to_1e_4(mu, kappa, zeta, phase, alpha):
+    throws = first_throws(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
+    assert throws.ejection_phase == pytest.approx(phase, rel=1e-4)
+    assert throws.energy_transfer == pytest.approx(alpha, rel=1e-4, abs=1e-4)
+
+
+def test_release_with_loss_is_exact_to_1e_4_at_the_default_and_1e_3_with_16_cells():
+    release = throw(make_rig(0.6345238095238095, 7.34629294755877, loss_tangent=0.05)).events()[0]
+    speed = release.velocity / (2e-3 * 2.0 * math.pi * FREQUENCY)
+    assert release.time * FREQUENCY == pytest.approx(LOSSY_PHASE, rel=1e-5)
+    assert speed**2 == pytest.approx(LOSSY_SPEED**2, rel=1e-4)
+    coarse = first_throws(**LOSSY_RATIOS, cells=16)
+    assert coarse.ejection_phase == pytest.approx(LOSSY_PHASE, rel=1e-3)
+    assert coarse.energy_transfer == pytest.approx(LOSSY_SPEED**2, rel=1e-3)
+
+
+# Computed with 40-digit closed forms, checked by a second method
+@pytest.mark.parametrize(
+    ('thickness', 'phase', 'center', 'face'),
+    [
+        (0.002, 0.25234398637936983, 1.5146422569913178, 1.514621268422948),
+        (0.0056, 0.3689758829724327, 1.809256199489624, 1.8092403238788732),
+    ],
+)
+def test_elastic_projectile_is_exact_to_2e_5(thickness, phase, center, face):
+    rig = make_paper_rig(thickness)
+    stepper = throw(rig, model='finite_difference_elastic', cells=64)
+    release, unit = stepper.events()[0], rig.engine.speed_scale
+    assert release.time * FREQUENCY == pytest.approx(phase, rel=2e-5)
+    assert release.velocity / unit == pytest.approx(center, rel=2e-5)
+    stepper.reset()
+    stepper.advance_to(release.time)
+    assert stepper.state[PROJECTILE_VELOCITY] / unit == pytest.approx(face, rel=4e-5)
+
+
+def waves(kappa, first, second, period):
+    """
+    Sum up the echoes in a bar whose plate swings as sin wt.
+
+    The force is that of a wave at `first`, and its echo at `second`, both again after each
+    `period` with the opposite sign. Return force and momentum as functions of time.
+    """
+    omega = 2.0 * math.pi / kappa
+
+    def sum_up(time, wave):
+        delays = [
+            (sign * (-1) ** k, start + k * period)
+            for k in range(200)
+            for sign, start in ((1.0, first), (-1.0, second))
+        ]
+        return sum(sign * wave(time - delay) for sign, delay in delays if time > delay)
+
+    return (
+        lambda time: sum_up(time, lambda t: math.sin(omega * t)),
+        lambda time: sum_up(time, lambda t: (1.0 - math.cos(omega * t)) / omega),
+    )
+
+
+def first_fall(force, start):
+    """Find when a function falls below 0."""
+    times = start + np.arange(1.0, 20_000.0) * 5e-3
+    last = next(i for i, time in enumerate(times) if force(time) < 0.0)
+    return brentq(force, times[last - 1], times[last])
+
+
+@pytest.mark.parametrize('kappa', [3.0, 20.0])
+@pytest.mark.parametrize('length', [0.4, 1.0, 2.5])
+def test_projectile_of_the_layers_material_is_exact(kappa, length):
+    force, momentum = waves(kappa, 1.0, 1.0 + 2.0 * length, 2.0 * (1.0 + length))
+    time = first_fall(force, 1.0)
+    throws = first_throws(mass_ratio=length, speed_ratio=kappa, crossing_ratio=length, cells=500)
+    assert throws.ejection_phase == pytest.approx(time / kappa, rel=1e-3)
+    assert throws.speed == pytest.approx(momentum(time) / length, rel=1e-3)
+
+
+@pytest.mark.parametrize('kappa', [3.0, 6.0, 8.0, 12.0])
+def test_bare_layer_leaves_the_plate_as_it_should(kappa):
+    # The wave leaves the plate with V, and its echo returns as pull: twice, for it is reflected
+    echo, echo_momentum = waves(kappa, 2.0, 4.0, 4.0)
+    plate, plate_momentum = waves(kappa, 0.0, 1e9, 1e9)
+    time = first_fall(lambda t: plate(t) - 2.0 * echo(t), 0.0)
+    throws = first_throws(mass_ratio=1e-6, speed_ratio=kappa, glued_to='projectile', cells=128)
+    assert throws.ejection_phase == pytest.approx(time / kappa, abs=1e-3)
+    speed = plate_momentum(time) - 2.0 * echo_momentum(time)
+    assert throws.speed == pytest.approx(speed, rel=1e-3)
+
+
+# Computed with 40-digit closed forms, checked by a second method; time in plate periods
+@pytest.mark.parametrize(
+    ('mu', 'kappa', 'events', 'first', 'alpha_first', 'last', 'alpha_last'),
+    [
+        (5.0, 1.5, 7, 1.1525105269970801, 0.03156194956881057, 5.030617046549641,
+         0.19482040123175556),
+        (3.0333, 2.5, 3, 0.8651147294875321, 0.1891200559290065, 2.002892429791799,
+         0.4218872106128318),
+    ],
+)  # fmt: skip
+def test_recontact_is_followed_to_the_last_release(
+    mu, kappa, events, first, alpha_first, last, alpha_last
+):
+    rig = make_rig(mu, kappa)
+    stepper = CellStepper(rig, cells=256)
+    assert stepper.advance_to(60.0 / FREQUENCY) == events
+    kinds = [event.kind for event in stepper.events()]
+    assert kinds == ['release', 'recontact'] * (events // 2) + ['release']
+    for event, time, alpha in (
+        (stepper.events()[0], first, alpha_first),
+        (stepper.events()[-1], last, alpha_last),
+    ):
+        assert event.time * FREQUENCY == pytest.approx(time, abs=1e-5)
+        assert (event.velocity / rig.engine.speed_scale) ** 2 == pytest.approx(alpha, abs=3e-5)
+
+
+# Computed with 40-digit closed forms, checked by a second method; s, m/s
+def test_gravity_delays_the_release_and_brings_the_projectile_back():
+    stepper = CellStepper(make_paper_rig(0.0056, 9.81, 0.064), cells=128)
+    stepper.advance_to(0.275)
+    first, second = stepper.events()[:2]
+    assert (first.kind, second.kind) == ('release', 'landing')
+    assert first.time == pytest.approx(0.0057781780440564505, rel=1e-6)
+    assert first.velocity == pytest.approx(1.3129434316774524, rel=1e-5)
+    assert second.time == pytest.approx(0.27423609529097615, rel=2e-5)
+    assert second.velocity == pytest.approx(-1.3206287365148273, rel=2e-5)
+    flight = second.time - first.time
+    rise = flight * (first.velocity - 0.5 * 9.81 * flight)
+    assert second.position - first.position == pytest.approx(rise, abs=1e-6)
+
+
+# Computed with 40-digit closed forms, checked by a second method
+@pytest.mark.parametrize(
+    ('thickness', 'largest', 'at_contact'),
+    [
+        (0.002, 0.20455695136726773, 0.1929978563882354),
+        (0.0056, 0.18543981232911014, 0.15991912482862805),
+    ],
+)
+def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(thickness, largest, at_contact):
+    rig = make_paper_rig(thickness)
+    stepper = CellStepper(rig)
+    stepper.advance_to(0.0085)
+    loads, work = stepper.loads, stepper.plate_work
+    assert loads.strain == loads.plate_strain == pytest.approx(largest, rel=1e-4)
+    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-4)
+    stiffness = rig.layer.youngs_modulus * rig.layer.section
+    assert loads.plate_force == pytest.approx(largest * stiffness, rel=1e-4)
+    force = loads.acceleration * rig.projectile.mass
+    assert force == pytest.approx(at_contact * stiffness, rel=1e-4)
+    stepper.advance_to(0.05)
+    assert (stepper.loads, stepper.plate_work) == (loads, work)
+    assert stepper.work_so_far != work
+    throws = first_throws(
+        mass_ratio=rig.mass_ratio, speed_ratio=rig.speed_ratio, cells=stepper.cells
+    )
+    unit = rig.engine.speed_scale / rig.layer.wave_speed
+    assert throws.peak_strain * unit == pytest.approx(loads.strain, rel=1e-9)
+    assert throws.peak_plate_force * unit * stiffness == pytest.approx(loads.plate_force, rel=1e-9)
+    assert throws.plate_work * rig.projectile.mass * rig.engine.speed_scale**2 == pytest.approx(
+        work, rel=1e-9
+    )
+    omega = rig.engine.angular_frequency
+    assert throws.peak_acceleration * rig.engine.speed_scale * omega == pytest.approx(
+        loads.acceleration, rel=1e-9
+    )
+
+
+@pytest.mark.parametrize(('mu', 'kappa'), [(0.2342, 8.242), (5.2, 3.75)])
+def test_every_event_is_of_second_order(mu, kappa):
+    rig = make_rig(mu, kappa, gravity=20.0)
+    history = follow(rig, max_events=6)
+    cells = np.array([64, 96, 128, 192, 256, 384, 512])
+    errors = []
+    for count in cells:
+        stepper = CellStepper(rig, cells=int(count))
+        stepper.advance_to(history.end_time + 1e-4)
+        pairs = list(zip(stepper.events(), history.events, strict=False))
+        assert len(pairs) == 6
+        assert all((a.kind == 'release') == (b.kind == 'release') for a, b in pairs)
+        errors.append([ours.velocity - exact.velocity for ours, exact in pairs])
+    assert (order(cells, errors) > 1.6).all()
+
+
+def test_release_is_of_second_order_with_loss():
+    cells = np.array([16, 32, 64, 128])
+    throws = [first_throws(**LOSSY_RATIOS, cells=int(count)) for count in cells]
+    errors = [[t.ejection_phase - LOSSY_PHASE, t.speed - LOSSY_SPEED] for t in throws]
+    assert (order(cells, errors) > 1.9).all()
+
+
+def test_release_from_a_stack_is_of_second_order_and_1e_4_at_the_default():
+    """The sheets have cells of one crossing time, so that grids can be compared."""
+    sheets = (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
+    rig = Rig(layer=Stack(sheets=sheets))
+    cells = np.array([36, 72, 144, 288])
+    found = [throw(rig, cells=int(count)).events()[0] for count in cells]
+    finest = throw(rig, cells=2304).events()[0]
+    errors = [[a.time - finest.time, a.velocity - finest.velocity] for a in found]
+    assert (order(cells, errors) > 1.7).all()
+    release = throw(rig).events()[0]
+    assert release.time == pytest.approx(finest.time, rel=1e-4)
+    assert release.velocity**2 == pytest.approx(finest.velocity**2, rel=1e-4)
+
+
+def test_state_and_events_agree_with_the_exact_history():
+    rig = Rig(gravity=20.0)
+    history = follow(rig, max_events=5)
+    stepper = CellStepper(rig, cells=400)
+    scale = rig.engine.speed_scale
+    for time in np.sort(np.random.default_rng(5).uniform(0.0, history.end_time, 300)):
+        stepper.advance_to(time)
+        assert stepper.state[TIME] == time
+        for index, exact, unit in (
+            (PLATE_POSITION, history.motion.position(time), 1e-6 * scale / FREQUENCY),
+            (PLATE_VELOCITY, history.motion.velocity(time), 1e-6 * scale),
+            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
+            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
+        ):
+            assert stepper.state[index] == pytest.approx(float(exact), abs=4e-4 * unit)
+        assert stepper.surface_position == pytest.approx(
+            float(history.top_position(time)), abs=2e-3 * scale / FREQUENCY
+        )
+        if time < 0.8 * history.events[1].time:  # landings send jumps of force
+            for index, exact in (
+                (PLATE_FORCE, history.plate_force(time)),
+                (PROJECTILE_FORCE, history.contact_force(time)),
+            ):
+                unit = rig.layer.impedance * scale
+                assert stepper.state[index] == pytest.approx(float(exact), abs=3e-3 * unit)
+
+
+def test_layer_agrees_with_the_exact_history_to_second_order():
+    rig = make_rig(0.6345, 7.346, gravity=9.81)
+    history = follow(rig, max_events=1)
+    layer, scale = rig.layer, rig.engine.speed_scale
+    depths = np.linspace(0.0, layer.thickness, 33)
+    cells, errors = [50, 100, 200], []
+    for count in cells:
+        stepper = CellStepper(rig, cells=count, field_points=33)
+        read, strain, worst = np.empty((3, 33)), np.empty((1, 33)), np.zeros(3)
+        for time in np.linspace(0.0, 0.99 * history.end_time, 50):
+            stepper.advance_to(time)
+            stepper.read_layer(read)
+            stepper.sample_strain([time], strain)
+            kink = np.zeros(33, dtype=bool)
+            for crossing in (depths / 7.8, rig.crossing_time - depths / 7.8):
+                away = (time - crossing + 0.5 * rig.crossing_time) % rig.crossing_time
+                kink |= abs(away - 0.5 * rig.crossing_time) < 0.06 * rig.crossing_time
+            exact = history.strain(depths, time)
+            wrong = np.array([
+                7.8 / scale * (strain[0] - exact),
+                (read[1] - history.velocity(depths, time)) / scale,
+                7.8 / scale * (read[2] / (layer.youngs_modulus * layer.section) + exact),
+            ])  # fmt: skip
+            worst = np.maximum(worst, np.abs(wrong[:, ~kink]).max(axis=1, initial=0.0))
+            assert read[0][0] == stepper.state[PLATE_POSITION]
+            assert read[0][-1] == pytest.approx(stepper.state[PROJECTILE_POSITION], rel=1e-12)
+            slope = np.diff(read[0]) / np.diff(depths) - 1.0
+            middle = 0.5 * (exact[1:] + exact[:-1])
+            assert slope == pytest.approx(middle, abs=3e-3 * scale)
+        errors.append(worst)
+    assert (np.array(errors[-1]) < 1e-3).all()
+    assert (order(cells, errors) > 1.5).all()
+
+
+@settings(max_examples=100)
+@given(
+    mass_ratio=st.floats(math.log(0.01), math.log(30.0)).map(math.exp),
+    speed_ratio=st.floats(math.log(0.3), math.log(60.0)).map(math.exp),
+    damping_ratio=st.sampled_from([0.0, 0.064, 0.3]),
+    gravity_ratio=st.sampled_from([0.0, 0.01]),
+    loss_tangent=st.floats(math.log(3e-3), math.log(2.0)).map(math.exp),
+)
+def test_release_with_loss_agrees_with_the_sum_over_modes(
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent
+):
+    case = {
+        'mass_ratio': mass_ratio,
+        'speed_ratio': speed_ratio,
+        'damping_ratio': damping_ratio,
+        'gravity_ratio': gravity_ratio,
+        'loss_tangent': loss_tangent,
+    }
+    exact = normal_modes.first_release(**case)
+    if exact is None:
+        return
+    throws = first_throws(**case)
+    assert throws.ejection_phase == pytest.approx(exact[0], rel=1e-3)
+    assert throws.speed == pytest.approx(exact[1], rel=3e-4, abs=1e-4)
+
+
+def test_spread_wave_can_end_a_throw_before_it_has_arrived():
+    case = {'mass_ratio': math.exp(-1.0), 'speed_ratio': 1.0, 'loss_tangent': math.exp(0.5)}
+    phase, speed = normal_modes.first_release(**case)
+    assert phase < 1.0
+    throws = first_throws(**case, cells=256)
+    assert throws.ejection_phase == pytest.approx(phase, rel=1e-4)
+    assert throws.speed == pytest.approx(speed, rel=1e-4)
+
+
+@pytest.mark.parametrize(('mass_ratio', 'speed_ratio'), [(0.25, 8.5), (3.0, 20.0), (0.1, 5.7)])
+def test_little_loss_is_a_small_perturbation_of_none(mass_ratio, speed_ratio):
+    ratios = {'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': 0.064}
+    losses = np.array([0.0, 1e-5, 1e-4])
+    none, less, more = first_throws(**ratios, loss_tangent=losses, cells=256).energy_transfer
+    exact = closed_form.first_release(**ratios).energy_transfer
+    assert none == pytest.approx(exact, rel=1e-4)
+    assert 0.0 < none - more < 0.01
+    assert (none - more) / (none - less) == pytest.approx(10.0, rel=0.1)
+
+
+@pytest.mark.parametrize('model', MODELS[:3])
+@pytest.mark.parametrize('gravity', [0.0, 9.81])
+def test_release_agrees_with_that_of_many_throws_at_once(model, gravity):
+    rig = make_rig(0.5, 7.0, 0.064, gravity, loss_tangent=0.05)
+    rig = replace(rig, projectile=replace(rig.projectile, youngs_modulus=1e7))
+    release = throw(rig, model=model, cells=100).events()[0]
+    throws = first_throws(
+        mass_ratio=rig.mass_ratio,
+        speed_ratio=rig.speed_ratio,
+        damping_ratio=0.064,
+        gravity_ratio=rig.gravity_ratio,
+        loss_tangent=0.05,
+        crossing_ratio=rig.crossing_ratio if 'elastic' in model else 0.0,
+        glued_to='projectile' if 'glued' in model else 'plate',
+        cells=100,
+    )
+    assert release.time * FREQUENCY == pytest.approx(throws.ejection_phase, rel=1e-9)
+    assert release.velocity / rig.engine.speed_scale == pytest.approx(throws.speed, rel=1e-9)
+
+
+def test_sheets_of_one_material_are_the_uniform_layer():
+    stack = Stack(sheets=(Layer(thickness=16.8e-3 / 4),) * 4)
+    one, other = (throw(Rig(layer=layer), cells=128).events()[0] for layer in (stack, Layer()))
+    assert one[1:] == pytest.approx(other[1:], rel=1e-12)
+
+
+def test_stiff_sheet_between_two_layers_is_a_mass():
+    """However stiff it is, the step stays; a sheet twice as stiff moves all the same."""
+    found = []
+    for speed in (150.0, 300.0):
+        cap = Layer(thickness=2e-4, wave_speed=speed, density=7800.0)
+        layer = Stack(sheets=(Layer(thickness=8e-3), cap, Layer(thickness=8e-3)))
+        stepper = throw(Rig(layer=layer), cells=200)
+        assert stepper.step > 1e-5
+        found.append(stepper.events()[0])
+    assert found[0].time == pytest.approx(found[1].time, rel=1e-3)
+    assert found[0].velocity == pytest.approx(found[1].velocity, rel=1e-3)
+
+
+def test_stiff_projectile_is_a_rigid_one():
+    stiff = replace(Rig(), projectile=Projectile(youngs_modulus=1e12))
+    elastic = CellStepper(stiff, model='finite_difference_elastic', cells=128)
+    rigid = CellStepper(stiff, cells=128)
+    assert elastic.advance_to(0.32) == rigid.advance_to(0.32) >= 3  # on the layer, and up again
+    for one, other in zip(elastic.events(), rigid.events(), strict=True):
+        assert one.kind == other.kind
+        assert one.time == pytest.approx(other.time, rel=1e-4)
+        assert one.velocity == pytest.approx(other.velocity, abs=2e-3)
+
+
+@pytest.mark.parametrize('glued_to', ['plate', 'projectile'])
+def test_heavy_projectile_meets_a_spring(glued_to):
+    ratio = np.array([0.5, 1.0, 1.62, 3.0])
+    exact = spring_mass.first_release(frequency_ratio=ratio)
+    throws = first_throws(
+        mass_ratio=2000.0,
+        speed_ratio=ratio * 2.0 * math.pi * math.sqrt(2000.0),
+        glued_to=glued_to,
+        cells=16,
+    )
+    assert throws.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-3)
+    assert throws.energy_transfer == pytest.approx(exact.energy_transfer, rel=1e-3)
+
+
+def test_layer_without_mass_is_the_spring_of_the_appendix():
+    for mass_ratio, speed_ratio in ((1.0, 5.0), (4.0, 20.0), (0.3, 9.0)):
+        rig = make_rig(mass_ratio, speed_ratio)
+        ratio = rig.natural_frequency / rig.engine.frequency
+        exact = spring_mass.first_release(frequency_ratio=ratio)
+        release = throw(rig, model='spring_mass').events()[0]
+        assert release.time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=2e-5)
+        speed = release.velocity / rig.engine.speed_scale
+        assert speed == pytest.approx(exact.speed, abs=2e-5)
+
+
+def test_layer_without_mass_agrees_with_an_integrated_oscillator():
+    rig = make_rig(1.5, 6.0, 0.1, gravity=9.81, loss_tangent=0.2)
+    plate = Underdamped.of(rig.engine)
+    mass, spring = rig.projectile.mass, rig.layer.stiffness
+    dashpot = spring * 0.2 / rig.engine.angular_frequency
+
+    def force(time, state):
+        stretch = state[0] - float(plate.position(time))
+        rate = state[1] - float(plate.velocity(time))
+        return mass * 9.81 - spring * stretch - dashpot * rate
+
+    def released(time, state):
+        return force(time, state) if time > 1e-5 else 1.0
+
+    released.terminal, released.direction = True, -1.0
+    done = solve_ivp(
+        lambda time, state: [state[1], force(time, state) / mass - 9.81],
+        (0.0, 0.05),
+        [0.0, 0.0],
+        'DOP853',
+        events=released,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    release = throw(rig, model='spring_mass').events()[0]
+    assert release.time == pytest.approx(done.t_events[0][0], rel=1e-5)
+    assert release.velocity == pytest.approx(done.y_events[0][0][1], rel=1e-5)
+
+
+def test_layer_on_the_projectile_takes_it_off_the_plate_and_back():
+    rig = replace(LOSSY, gravity=9.81)
+    stepper = CellStepper(rig, model='finite_difference_glued', cells=128)
+    layer, strain = np.empty((3, 64)), np.empty((1, 64))
+    assert stepper.advance_to(0.15) == 1
+    release = stepper.events()[0]
+    # Nothing holds it: no force on the plate, and the common centre of mass falls freely
+    assert stepper.state[PLATE_FORCE] == 0.0
+    stepper.read_layer(layer)
+    thrown = rig.layer.mass + rig.projectile.mass
+    momentum = rig.layer.mass * layer[1].mean()
+    momentum += rig.projectile.mass * stepper.state[PROJECTILE_VELOCITY]
+    falling = release.velocity - 9.81 * (0.15 - release.time)
+    assert momentum / thrown == pytest.approx(falling, rel=1e-3)
+    # The layer's loss has calmed it: it hangs on the projectile without load
+    stepper.sample_strain([0.15], strain)
+    assert abs(strain).max() < 1e-4
+    stepper.advance_to(0.35)
+    landing = stepper.events()[1]
+    assert landing.kind == 'landing'
+    falling = release.velocity - 9.81 * (landing.time - release.time)
+    assert landing.velocity == pytest.approx(falling, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    'case', ['uniform', 'lossy', 'stacked', 'elastic', 'soft', 'glued', 'spring']
+)
+def test_work_of_the_plate_is_what_is_stored_and_what_is_lost(case):
+    rig, model = CASES[case]
+    errors = []
+    counts = np.array([32, 64, 128])
+    for count in counts:
+        stepper = CellStepper(rig, model=model, cells=int(count))
+        end = throw(rig, model=model, cells=int(count)).events()[0].time
+        worst = 0.0
+        for time in np.linspace(1e-3, end, 90):
+            stepper.advance_to(time)
+            kept = stepper.stored_energy() + stepper.heat
+            worst = max(worst, abs(kept - stepper.work_so_far))
+        assert stepper.plate_work == pytest.approx(stepper.work_so_far, rel=1e-9)
+        errors.append(worst / stepper.plate_work)
+    assert errors[1] < 2e-4
+    assert errors[2] < 1e-4
+    assert case == 'spring' or order(counts, errors) > 1.6
+    assert (stepper.heat > 0.0) is (rig.layer.loss_tangent > 0.0)
+
+
+@pytest.mark.parametrize('case', ['uniform', 'capped', 'elastic', 'soft', 'glued'])
+def test_energy_never_grows_in_endless_bouncing(case):
+    rig, model = CASES[case]
+    engine = replace(rig.engine, damping_ratio=0.5)
+    stepper = CellStepper(replace(rig, engine=engine, gravity=30.0), model=model, cells=40)
+    stepper.advance_to(0.1)  # the plate rests
+    energy = stepper.stored_energy()
+    for time in np.linspace(0.1, 1.0, 50):
+        stepper.advance_to(time)
+        assert stepper.stored_energy() < 1.01 * energy
+    assert stepper.event_count > 10
+
+
+def test_at_rest_nothing_moves():
+    times = np.linspace(0.0, 1.0, 9)
+    still = SampledMotion.from_velocities(times, np.zeros(9), after='hold')
+    for case, (rig, model) in CASES.items():
+        stepper = CellStepper(rig, still, model=model)
+        layer = np.empty((3, 64))
+        weight = rig.projectile.mass * rig.gravity
+        load = weight + (rig.layer.mass * rig.gravity if 'glued' in model else 0.0)
+        for time in np.linspace(0.0, 0.2, 10):
+            assert stepper.advance_to(time) == 0
+            stepper.read_layer(layer)
+            expected = [time, 0.0, stepper.rest_position, 0.0, 0.0, -load, weight]
+            assert stepper.state.tolist() == pytest.approx(expected, rel=1e-14), case
+            assert not layer[1].any()
+        assert layer[2][[0, -1]] == pytest.approx([load, weight], rel=1e-12)
+        sag = rig.static_sag + 0.5 * (load - weight) / rig.layer.stiffness
+        assert stepper.rest_position == pytest.approx(rig.layer.thickness - sag, rel=1e-12)
+        assert layer[0][-1] == pytest.approx(stepper.rest_position, rel=1e-12)
+        assert stepper.stored_energy() == stepper.work_so_far == 0.0
+
+
+@settings(max_examples=30)
+@given(
+    times=st.lists(st.floats(0.0, 0.35), min_size=1, max_size=40).map(sorted),
+    case=st.sampled_from(sorted(CASES)),
+)
+def test_results_do_not_depend_on_the_times_asked_for(times, case):
+    rig, model = CASES[case]
+    often, once = (CellStepper(rig, model=model, cells=32) for _ in range(2))
+    for time in times:
+        often.advance_to(time)
+    once.advance_to(times[-1])
+    assert observe(often) == observe(once)
+
+
+@pytest.mark.parametrize('case', sorted(CASES))
+def test_reset_repeats_the_throw_bit_for_bit(case):
+    rig, model = CASES[case]
+    stepper = CellStepper(rig, model=model, cells=32)
+    at_start = observe(stepper)
+    stepper.advance_to(0.3)
+    at_end = observe(stepper)
+    assert at_end != at_start
+    stepper.reset()
+    assert observe(stepper) == at_start
+    stepper.advance_to(0.3)
+    assert observe(stepper) == at_end
+
+
+def test_events_show_when_their_time_has_come():
+    stepper = CellStepper(Rig(), cells=64)
+    stepper.advance_to(0.02)
+    (release,) = stepper.events()
+    stepper.reset()
+    assert stepper.advance_to(release.time - 1e-3 * stepper.step) == 0
+    assert stepper.in_contact
+    assert stepper.state[PROJECTILE_FORCE] == pytest.approx(0.0, abs=1e-4)
+    assert stepper.advance_to(release.time) == 1
+    assert not stepper.in_contact
+    assert stepper.state[PROJECTILE_FORCE] == 0.0
+    assert stepper.state[PROJECTILE_VELOCITY] == pytest.approx(release.velocity, rel=1e-4)
+    assert stepper.state[PROJECTILE_POSITION] == pytest.approx(release.position, rel=1e-6)
+
+
+@pytest.mark.parametrize('gravity', [0.0, 9.81])
+def test_plate_that_falls_away_leaves_the_projectile_behind(gravity):
+    rig = Rig(gravity=gravity)
+    times = np.arange(3e-4, 0.03, 2e-4)
+    motion = SampledMotion.from_positions(times, -Underdamped.of(rig.engine).position(times))
+    history = follow(rig, motion, until=0.02)
+    stepper = CellStepper(rig, motion, cells=400)
+    stepper.advance_to(0.02)
+    assert len(stepper.events()) == len(history.events) == 3
+    for ours, exact in zip(stepper.events(), history.events, strict=True):
+        assert ours.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=1e-3)
+        assert ours.velocity == pytest.approx(exact.velocity, abs=1e-3)
+
+
+def plate_states(times):
+    plate = Underdamped.of(LOSSY.engine)
+    position, velocity = plate.position(times), plate.velocity(times)
+    ahead = plate.velocity(times + 1e-7) - plate.velocity(np.maximum(times - 1e-7, 0.0))
+    return np.stack((position, velocity, ahead / np.where(times > 0.0, 2e-7, 1e-7)), axis=1)
+
+
+def test_sampled_and_measured_plates_agree_with_the_analytic_one():
+    exact = CellStepper(LOSSY, cells=64)
+    exact.advance_to(0.02)
+    times = np.arange(0.0, 0.03, 2e-4)
+    states = plate_states(times)
+    sampled = CellStepper(LOSSY, SampledMotion.from_positions(times, states[:, 0]), cells=64)
+    steppers = [sampled]
+    for parts in (1, 9):
+        measured = CellStepper(LOSSY, 'measured', cells=64)
+        for part in np.array_split(np.arange(times.size), parts):
+            measured.append_plate_states(times[part], states[part])
+            measured.advance_to(min(measured.horizon, 0.02))
+        steppers.append(measured)
+    for stepper in steppers:
+        stepper.advance_to(0.02)
+        assert stepper.state == pytest.approx(exact.state, rel=1e-3, abs=1e-6)
+        assert stepper.events()[0].time == pytest.approx(exact.events()[0].time, rel=1e-4)
+        assert stepper.events()[0].velocity == pytest.approx(exact.events()[0].velocity, rel=1e-4)
+    assert observe(steppers[1]) == observe(steppers[2])
+
+
+def test_measured_plate_is_followed_to_the_last_whole_step():
+    stepper = CellStepper(LOSSY, 'measured', cells=64)
+    assert stepper.horizon == 0.0
+    times = np.arange(0.0, 0.0101, 0.001)
+    stepper.append_plate_states(times, plate_states(times))
+    assert times[-1] - stepper.step < stepper.horizon <= times[-1]
+    stepper.advance_to(stepper.horizon)
+    with pytest.raises(HorizonError, match=r'0\.00\d+ s, got 0\.011 s'):
+        stepper.advance_to(0.011)
+    stepper.reset()
+    assert stepper.horizon == 0.0
+
+
+def test_fork_goes_ahead_by_one_crossing_and_leaves_its_origin_alone():
+    times = np.arange(0.0, 0.03, 5e-4)
+    states = plate_states(times)
+    whole, live = (CellStepper(LOSSY, 'measured', cells=64) for _ in range(2))
+    whole.append_plate_states(times, states)
+    live.append_plate_states(times[:8], states[:8])
+    ahead = live.fork()
+    live.advance_to(0.003)
+    before = observe(live)
+    ahead.sync_from(live)
+    crossing = 0.9 * LOSSY.crossing_time
+    ahead.advance_to(times[7] + crossing)
+    whole.advance_to(times[7] + crossing)
+    speed = whole.state[PROJECTILE_VELOCITY]
+    assert ahead.state[PROJECTILE_VELOCITY] == pytest.approx(speed, rel=2e-2)
+    assert observe(live) == before
+
+
+@settings(max_examples=40)
+@given(
+    frequency=st.floats(1.0, 1000.0),
+    amplitude=st.floats(math.log(1e-5), math.log(0.1)).map(math.exp),
+    damping_ratio=st.floats(0.0, 0.99),
+    thickness=st.floats(math.log(0.5e-3), math.log(0.1)).map(math.exp),
+    wave_speed=st.floats(0.0, math.log(200.0)).map(math.exp),
+    loss=st.one_of(st.just(0.0), st.floats(math.log(1e-3), math.log(3.0)).map(math.exp)),
+    mass=st.floats(math.log(1e-5), 0.0).map(math.exp),
+    youngs_modulus=st.floats(math.log(1e6), math.log(1e12)).map(math.exp),
+    gravity=st.sampled_from([0.0, 9.81, 30.0]),
+    model=st.sampled_from(MODELS),
+)
+def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
+    frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
+    gravity, model,
+):  # fmt: skip
+    rig = Rig(
+        engine=Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=loss),
+        projectile=Projectile(mass=mass, youngs_modulus=youngs_modulus),
+        gravity=gravity,
+    )
+    try:
+        stepper = CellStepper(rig, model=model)
+    except ValueError as refusal:
+        assert 'the limit is' in str(refusal)
+        assert 'feasible: ' in str(refusal)
+        return
+    layer = np.empty((3, 64))
+    try:
+        for time in np.linspace(0.0, min(3.0 / frequency, 2e4 * stepper.step), 20):
+            stepper.advance_to(time)
+            stepper.read_layer(layer)
+            assert np.isfinite(stepper.state).all()
+            assert np.isfinite(layer).all()
+            assert math.isfinite(stepper.stored_energy())
+    except EventLimitError:
+        assert stepper.event_count > 100
+    kinds = [event.kind == 'release' for event in stepper.events()]
+    assert kinds == ([True, False] * len(kinds))[: len(kinds)]
+    times = [event.time for event in stepper.events()]
+    assert times == sorted(times)
+
+
+def test_advancing_allocates_nothing():
+    stepper = CellStepper(Rig(layer=Layer(thickness=0.002, loss_tangent=0.02)))
+    layer = np.empty((3, 64))
+    times = np.linspace(0.0, 0.3, 500).tolist()
+    stepper.read_layer(layer)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for time in times:
+            stepper.advance_to(time)
+            stepper.read_layer(layer)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert stepper.event_count >= 2
+    assert after - before < 1000
+    assert peak - before < 4000  # numbers on their way
+
+
+def test_endless_events_end_in_a_named_error():
+    times = np.arange(0.0, 10.0, 1.25e-4)
+    shaken = SampledMotion.from_positions(times, 1e-5 * (1.0 - np.cos(2e3 * math.pi * times)))
+    stepper = CellStepper(Rig(layer=Layer(thickness=5e-3)), shaken, cells=64)
+    for _ in range(2):
+        with pytest.raises(EventLimitError, match=r'4096 .* 9 s'):
+            stepper.advance_to(9.0)
+    stepper.reset()
+    assert stepper.advance_to(0.1) < 1000
+
+
+@pytest.mark.parametrize(
+    ('time', 'complaint'),
+    [(-1e-9, r'-1e-09 s after 0\.0 s'), (math.nan, 'nan s'), (math.inf, 'inf s')],
+)
+def test_times_that_cannot_be_are_refused(time, complaint):
+    stepper = CellStepper(Rig())
+    with pytest.raises(ValueError, match=complaint):
+        stepper.advance_to(time)
+    assert stepper.advance_to(0.01) == 1
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'complaint'),
+    [
+        ({'cells': 0}, f'cells must be from 1 to {MAX_CELLS}, got 0'),
+        ({'cells': MAX_CELLS + 1}, f'got {MAX_CELLS + 1}'),
+        ({'cells': 64.0}, r'cells .* got 64\.0'),
+        ({'field_points': 1}, 'field_points .* got 1'),
+        ({'motion': 'harmonic'}, "got 'harmonic'"),
+        ({'model': 'travelling_wave'}, "model .* got 'travelling_wave'"),
+    ],
+)
+def test_bad_arguments_are_quoted(arguments, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        CellStepper(Rig(), **arguments)
+
+
+@pytest.mark.parametrize(
+    ('make', 'value', 'model', 'number'),
+    [
+        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)), 0.5e-3, MODELS[0], '0.0005 m'),
+        (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6, MODELS[0], '1e-06 kg'),
+        (
+            lambda x: Rig(
+                engine=Engine(frequency=x),
+                layer=Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3),
+            ),
+            1000.0,
+            MODELS[0],
+            '1000 Hz',
+        ),
+        (
+            lambda x: Rig(projectile=Projectile(youngs_modulus=x, length=0.1, mass=0.02)),
+            1e4,
+            'finite_difference_elastic',
+            '10000 Pa',
+        ),
+        (
+            lambda x: Rig(
+                layer=Layer(wave_speed=x, diameter=0.2), projectile=Projectile(mass=1e-5)
+            ),
+            200.0,
+            'spring_mass',
+            'Hz',
+        ),
+    ],
+)
+def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model, number):
+    with pytest.raises(ValueError, match=f'{number}.* the limit is') as refusal:
+        cells_per_layer(make(value), model)
+    feasible = str(refusal.value).split('feasible: ')[1].split('of ')[1].split()[0]
+    assert CellStepper(make(float(feasible) * 0.9999), model=model).cells <= MAX_CELLS
+
+
+@pytest.mark.parametrize('speed', [41.0, 80.0])
+def test_layers_of_the_library_can_be_stepped_in_real_time(speed):
+    """Sorbothane of 6.35 mm needs 2e7 updates of cells per second."""
+    layer = Layer(thickness=6.35e-3, wave_speed=speed * 6.35 / 8.2, loss_tangent=0.3)
+    assert cells_per_layer(Rig(layer=layer)) >= 64
+
+
+def some_cases(count):
+    random = np.random.default_rng(2)
+    return {
+        'mass_ratio': np.exp(random.uniform(-2.0, 2.0, count)),
+        'speed_ratio': np.exp(random.uniform(0.0, 4.0, count)),
+        'damping_ratio': random.uniform(0.0, 0.3, count),
+        'gravity_ratio': random.uniform(0.0, 0.02, count),
+        'loss_tangent': random.uniform(0.0, 0.2, count) * (random.uniform(0.0, 1.0, count) < 0.5),
+        'crossing_ratio': np.where(random.uniform(0.0, 1.0, count) < 0.5, 0.02, 0.0),
+    }
+
+
+@pytest.mark.parametrize('glued_to', ['plate', 'projectile'])
+def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(glued_to):
+    cases = some_cases(60)
+    together = first_throws(**cases, glued_to=glued_to, threads=1)
+    shared = first_throws(**cases, glued_to=glued_to, threads=3)
+    assert np.array(together).tobytes() == np.array(shared).tobytes()
+    for i in range(0, 60, 10):
+        alone = first_throws(
+            **{name: values[i] for name, values in cases.items()}, glued_to=glued_to
+        )
+        assert np.array(alone).tolist() == np.array(together)[:, i].tolist()
+
+
+def test_arguments_of_many_throws_are_broadcast():
+    found = first_throws(
+        mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0], damping_ratio=0.1
+    )
+    assert all(values.shape == (2, 3) for values in found)
+    one = first_throws(mass_ratio=1.0, speed_ratio=8.0, damping_ratio=0.1)
+    assert found.energy_transfer[1, 1] == one.energy_transfer
+    assert first_throws(mass_ratio=[], speed_ratio=[]).speed.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        ({'mass_ratio': 0.0}, r'mass_ratio .* got 0\.0'),
+        ({'speed_ratio': math.nan}, 'speed_ratio .* got nan'),
+        ({'damping_ratio': 1.0}, r'damping_ratio .* got 1\.0'),
+        ({'gravity_ratio': -1.0}, r'gravity_ratio .* got -1\.0'),
+        ({'loss_tangent': -0.1}, r'loss_tangent .* got -0\.1'),
+        ({'crossing_ratio': [1.0, 40.0]}, r'crossing_ratio .* 32, got 40\.0'),
+        ({'glued_to': 'both'}, "glued_to .* got 'both'"),
+        ({'cells': 7}, f'cells .* 8 to {MAX_CELLS}, got 7'),
+        ({'cells': 64.0}, r'got 64\.0'),
+        ({'unresolved': 'skip'}, "unresolved .* got 'skip'"),
+        ({'threads': 0}, 'threads .* got 0'),
+    ],
+)
+def test_bad_arguments_of_many_throws_are_quoted(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        first_throws(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, **arguments})
+
+
+def test_projectile_that_does_not_leave_is_named_or_nan():
+    case = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'gravity_ratio': [0.0, 9.0], 'cells': 16}
+    with pytest.raises(ThrowUnresolvedError, match=r'gravity_ratio 9,'):
+        first_throws(**case)
+    found = first_throws(**case, unresolved='nan')
+    assert np.isnan(found).tolist() == [[False, True]] * 7
+
+
+def test_warm_up_leaves_nothing_to_compile():
+    warm_up()
+    kernels = {n: k for n, k in vars(module).items() if hasattr(k, 'signatures')}
+    compiled = {name: len(kernel.signatures) for name, kernel in kernels.items()}
+    for rig, model in CASES.values():
+        observe(throw(rig, model=model))
+    assert {name: len(kernel.signatures) for name, kernel in kernels.items()} == compiled

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig cut into cells, and the equations of its nodes."""
+
+import numpy as np
+import pytest
+from soft_throw_ros.core import cells
+from soft_throw_ros.core.cells import cut
+from soft_throw_ros.core.rig import Layer, Projectile, Rig, Stack
+
+STACK = Stack(
+    sheets=(
+        Layer(thickness=6e-3, wave_speed=7.8),
+        Layer(thickness=5e-5, wave_speed=100.0, density=7800.0),
+        Layer(thickness=9e-3, wave_speed=20.0, loss_tangent=0.2),
+    )
+)
+LAYERS = pytest.mark.parametrize(
+    'layer', [Layer(), Layer(loss_tangent=0.1), STACK], ids=['lossless', 'lossy', 'stack']
+)
+FORMS = pytest.mark.parametrize('form', [{}, {'is_elastic': True}, {'is_on_projectile': True}])
+
+
+def couple(links):
+    """Return the matrix of links between neighbouring nodes."""
+    n = links.size + 1
+    matrix = np.zeros((n, n))
+    for j, link in enumerate(links):
+        matrix[j : j + 2, j : j + 2] += link * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return matrix
+
+
+@LAYERS
+@FORMS
+@pytest.mark.parametrize('count', [2, 33, 200])
+def test_mass_and_stiffness_are_all_there(layer, form, count):
+    rig = Rig(layer=layer)
+    grid = cut(rig, cells=count, **form)
+    assert grid.nodes[cells.MASS].sum() == pytest.approx(layer.mass + rig.projectile.mass)
+    springs = grid.nodes[cells.STIFFNESS, grid.bottom : grid.bottom + grid.count]
+    assert (1.0 / springs).sum() == pytest.approx(1.0 / layer.stiffness)
+    bar = grid.nodes[cells.STIFFNESS, grid.count + 1 : -1]
+    spring = rig.projectile.youngs_modulus * layer.section / rig.projectile.length
+    assert form.get('is_elastic', False) is (bar.size > 0)
+    assert not bar.size or (1.0 / bar).sum() == pytest.approx(1.0 / spring)
+    assert grid.nodes[cells.STIFFNESS, grid.joint] == 0.0
+    assert grid.heights[-1] == pytest.approx(layer.thickness)
+
+
+@LAYERS
+@FORMS
+@pytest.mark.parametrize('count', [5, 12, 40, 63, 64, 65, 66])
+@pytest.mark.parametrize('in_contact', [False, True])
+def test_velocities_solve_the_equations_of_motion(layer, form, count, in_contact):
+    grid = cut(Rig(layer=layer), cells=count, **form)
+    nodes, joint, case = grid.nodes, grid.joint, int(in_contact)
+    n = nodes.shape[1]
+    nodes[cells.VISCOSITY + 1] = nodes[cells.VISCOSITY]
+    system = np.zeros(1, np.dtype(cells.SOLVER))[0]
+    known = 1 if joint == 0 and in_contact else 0
+    cells.factorise(system, nodes, grid.step, joint, known, case)
+    system['known'], system['first'], system['end'], system['quarter'] = system['systems'][case]
+    random = np.random.default_rng(count)
+    nodes[cells.VELOCITY] = random.normal(size=n)
+    nodes[cells.STRESS, :-1] = random.normal(size=n - 1)
+    nodes[cells.MEAN_VELOCITY, : known + 1] = 0.7
+    cells.solve(system, nodes, 0, case)
+
+    half = 0.5 * grid.step
+    start = np.diag(nodes[cells.MASS]) + couple(nodes[cells.STIFF, :-1])
+    matrix = start + couple(half * nodes[cells.VISCOSITY, :-1])
+    force = np.diff(nodes[cells.STRESS], prepend=0.0)
+    right = start @ nodes[cells.VELOCITY] + half * force
+    merge = np.eye(n)  # in contact both nodes of the joint are one
+    if in_contact:
+        merge = np.delete(merge, joint + 1, axis=1)
+        merge[joint + 1, joint] = 1.0
+    matrix, right = merge.T @ matrix @ merge, merge.T @ right
+    matrix[0], right[0] = 0.0, 0.7
+    matrix[0, 0] = 1.0
+    expected = merge @ np.linalg.solve(matrix, right)
+    assert nodes[cells.MEAN_VELOCITY] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@LAYERS
+@FORMS
+@pytest.mark.parametrize('count', [1, 7, 60])
+def test_step_is_stable(layer, form, count):
+    """The fastest mode must not turn by more than pi in a step: h^2 K <= 4 M."""
+    grid = cut(Rig(layer=layer), cells=count, **form)
+    mass = np.diag(grid.nodes[cells.MASS]) + couple(grid.nodes[cells.STIFF, :-1])
+    surplus = 4.0 * mass - grid.step**2 * couple(grid.nodes[cells.STIFFNESS, :-1])
+    assert np.linalg.eigvalsh(surplus).min() > -1e-6 * mass.max()
+
+
+def test_uniform_layer_has_the_longest_step_there_is():
+    grid = cut(Rig(), cells=50)
+    assert grid.step == pytest.approx(Rig().crossing_time / 50, rel=1e-14)
+    assert grid.count == 50
+    assert not grid.nodes[cells.STIFF].any()
+
+
+def test_sheets_get_whole_cells_and_thin_stiff_ones_an_implicit_one():
+    grid = cut(Rig(layer=STACK), cells=100)
+    counts = [np.count_nonzero(grid.sheets == sheet) for sheet in range(3)]
+    times = [sheet.crossing_time for sheet in STACK.sheets]
+    assert counts == [int(times[0] / grid.step), 1, int(times[2] / grid.step)]
+    assert np.flatnonzero(grid.nodes[cells.STIFF]).tolist() == [counts[0]]
+    assert grid.heights[counts[0]] == pytest.approx(6e-3)
+    assert grid.heights[counts[0] + 1] == pytest.approx(6.05e-3)
+
+
+def test_viscosity_gives_the_loss_tangent_at_the_engines_frequency():
+    rig = Rig(layer=Layer(loss_tangent=0.07))
+    for grid in (cut(rig, cells=10), cells.cut_massless(rig, step=1e-5)):
+        rows = grid.nodes[:, : grid.count]
+        ratio = rows[cells.VISCOSITY] / rows[cells.STIFFNESS] * rig.engine.angular_frequency
+        assert ratio == pytest.approx(0.07)
+
+
+def test_soft_projectile_has_cells_as_the_layer_and_a_stiff_one_two():
+    soft = Rig(projectile=Projectile(youngs_modulus=1e5, length=0.02))
+    grid = cut(soft, cells=100, is_elastic=True)
+    assert grid.nodes.shape[1] - grid.count - 2 == int(100 * soft.crossing_ratio) > 20
+    assert not grid.nodes[cells.STIFF].any()
+    grid = cut(Rig(), cells=100, is_elastic=True)
+    assert np.flatnonzero(grid.nodes[cells.STIFF]).tolist() == [101, 102]
+
+
+def test_endless_cells_of_a_slow_projectile_are_refused():
+    rig = Rig(projectile=Projectile(youngs_modulus=1.0))
+    with pytest.raises(ValueError, match=r'modulus 1 Pa takes \d+ cells, the limit is 32768'):
+        cut(rig, cells=1000, is_elastic=True)
+
+
+@LAYERS
+def test_linear_functions_are_read_exactly_within_sheets(layer):
+    grid = cut(Rig(layer=layer), cells=40)
+    middles = 0.5 * (grid.heights[1:] + grid.heights[:-1])
+    values = 3.0 * middles + np.where(grid.sheets == 2, 1.0, 0.0)
+    for height in np.linspace(0.0, layer.thickness, 77).tolist():
+        cell, beside, weight, part = grid.place(height)
+        assert grid.sheets[cell] == grid.sheets[beside]
+        below, above = grid.heights[cell : cell + 2]
+        assert below + part * (above - below) == pytest.approx(height)
+        if cell != beside:
+            jump = 1.0 if grid.sheets[cell] == 2 else 0.0
+            read = values[cell] + weight * (values[beside] - values[cell])
+            assert read == pytest.approx(3.0 * height + jump)

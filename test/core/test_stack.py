@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layers of several sheets."""
+
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.wave_stepper import WaveStepper
+
+SHARED = (
+    'thickness', 'wave_speed', 'density', 'diameter', 'loss_tangent', 'section', 'mass',
+    'youngs_modulus', 'impedance', 'stiffness', 'crossing_time',
+)  # fmt: skip
+
+
+def test_equal_sheets_are_the_layer_of_one_material():
+    layer = Layer(thickness=0.012, wave_speed=9.0, density=1100.0, loss_tangent=0.03)
+    stack = Stack(sheets=(replace(layer, thickness=0.004),) * 3)
+    for name in SHARED:
+        assert getattr(stack, name) == pytest.approx(getattr(layer, name), rel=1e-14), name
+    assert layer.is_uniform
+    assert layer.sheets == (layer,)
+    assert not stack.is_uniform
+
+
+@given(
+    thicknesses=st.lists(st.floats(1e-4, 0.05), min_size=1, max_size=5),
+    speed=st.floats(1.0, 100.0),
+)
+def test_sheets_add_up(thicknesses, speed):
+    sheets = tuple(
+        Layer(thickness=thickness, wave_speed=speed * (1 + n), density=500.0 * (1 + n))
+        for n, thickness in enumerate(thicknesses)
+    )
+    stack = Stack(sheets=sheets)
+    assert stack.sheets == sheets
+    assert stack.thickness == pytest.approx(sum(sheet.thickness for sheet in sheets))
+    assert stack.mass == pytest.approx(sum(sheet.mass for sheet in sheets))
+    assert stack.crossing_time == pytest.approx(sum(sheet.crossing_time for sheet in sheets))
+    assert 1.0 / stack.stiffness == pytest.approx(sum(1.0 / sheet.stiffness for sheet in sheets))
+    assert stack.impedance == pytest.approx(sheets[-1].impedance)
+
+
+def test_stack_on_a_stack_is_one_stack():
+    soft, stiff = Layer(thickness=0.01), Layer(thickness=0.002, wave_speed=20.0)
+    stack = Stack(sheets=(soft, Stack(sheets=(stiff, soft))))
+    assert stack.sheets == (soft, stiff, soft)
+
+
+def test_rig_takes_a_stack_and_waves_refuse_it():
+    rig = Rig(layer=Stack(sheets=(Layer(), Layer(wave_speed=20.0))))
+    assert rig.mass_ratio == pytest.approx(rig.projectile.mass / rig.layer.mass)
+    assert rig.static_sag == pytest.approx(rig.projectile.mass * 9.81 / rig.layer.stiffness)
+    with pytest.raises(ValueError, match=r'Stack\(sheets='):
+        WaveStepper(rig)
+
+
+@pytest.mark.parametrize(
+    ('sheets', 'message'),
+    [((), 'none'), ((Layer(), Layer(diameter=0.02)), r'0\.012 m and 0\.02 m')],
+)
+def test_bad_sheets_are_refused_with_the_value(sheets, message):
+    with pytest.raises(ValueError, match=message):
+        Stack(sheets=sheets)
+
+
+def test_what_is_derived_cannot_be_replaced():
+    with pytest.raises(ValueError, match='thickness'):
+        replace(Stack(sheets=(Layer(),)), thickness=0.01)
