@@ -139,6 +139,7 @@ _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding,
 
 _options = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 _jit = nb.njit(**_options, fastmath={'contract'})
+_inlined = nb.njit(**_options, fastmath={'contract'}, inline='always')  # what every step calls
 
 # Three such records make a stepper: the first is at a step of the grid, the second at the time
 # asked for; the third is what both are reset to. Where two values stand for one, they are those
@@ -334,8 +335,8 @@ def _prepare(s, nodes):
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
     s.is_lossy = False
-    nodes[VISCOSITY + 1] = nodes[VISCOSITY]
     for j in range(last):
+        nodes[VISCOSITY + 1, j] = nodes[VISCOSITY, j]
         s.is_lossy = s.is_lossy or nodes[VISCOSITY, j] > 0.0
     s.creep = math.inf
     if s.is_massless and s.is_lossy:
@@ -355,9 +356,10 @@ def _prepare(s, nodes):
         s.bodies[0] -= 1
     while s.bodies[1] < last and nodes[STIFF, s.bodies[1]] > 0.0:
         s.bodies[1] += 1
-    s.body_masses[0] = nodes[MASS, s.bodies[0] : joint + 1].sum()
-    s.body_masses[1] = nodes[MASS, joint + 1 : s.bodies[1] + 1].sum()
-    s.thrown = nodes[MASS, joint + 1 :].sum()
+    for j in range(s.bodies[0], s.bodies[1] + 1):
+        s.body_masses[0 if j <= joint else 1] += nodes[MASS, j]
+    for j in range(joint + 1, last + 1):
+        s.thrown += nodes[MASS, j]
     # At rest every cell carries the projectile, and what of the layer is thrown along
     carried = s.mass * s.gravity
     for j in range(top - 1, s.bottom - 1, -1):
@@ -373,7 +375,7 @@ def _prepare(s, nodes):
     s.plate_force = s.thrown * s.gravity
 
 
-@_jit
+@_inlined
 def _accelerate(s, nodes):
     """Compute the stress in all links, and the velocities of all nodes at the whole step."""
     now = s.index & 1
@@ -385,7 +387,7 @@ def _accelerate(s, nodes):
     solve(s, nodes, now, 1 if s.contact else 0)
 
 
-@_jit
+@_inlined
 def _tension(s, nodes, j):
     """Compute the tension of a link with its viscous part, and that of a stiff cell."""
     w, case = MEAN_VELOCITY + (s.index & 1), 1 if s.contact else 0
@@ -395,7 +397,7 @@ def _tension(s, nodes, j):
     return nodes[STRESS + (s.index & 1), j] + viscous
 
 
-@_jit
+@_inlined
 def _drive(s, nodes, path):
     """Move the plate, and what goes with it; return its velocity."""
     w = MEAN_VELOCITY + (s.index & 1)
@@ -451,6 +453,32 @@ def _note_event(s, events, kind, part, height, velocity):
     if s.events <= events.shape[0]:
         row = events[s.events - 1]
         row[0], row[1], row[2], row[3] = kind, s.event_time, s.rest_height + height, velocity
+
+
+@_inlined
+def _weigh(s, nodes):
+    """Compute the forces of the layer on plate and projectile, and that in the contact."""
+    w, j, face, last = MEAN_VELOCITY + (s.index & 1), s.joint + 1, s.cells + 1, nodes.shape[1] - 1
+    weight = s.mass * s.gravity
+    change = nodes[w, j] - nodes[VELOCITY, j]
+    force = s.thrown * s.gravity + nodes[MASS, j] * s.rate * change
+    if j < last:
+        force -= _tension(s, nodes, j)
+    if s.contact:
+        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        s.force = force
+        s.known_forces += 1
+    pushed = 0.0
+    if s.contact or s.joint == 0:
+        change = nodes[w, face] - nodes[VELOCITY, face]
+        pushed = weight + s.face_mass * s.rate * change
+        if face < last:
+            pushed -= _tension(s, nodes, face)
+    s.on_projectile_now = pushed
+    if s.joint == 0:
+        s.on_plate_now = -force if s.contact else 0.0
+    else:
+        s.on_plate_now = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
 
 
 @_jit
@@ -519,72 +547,49 @@ def _land(s, nodes, events):
 
 
 @_jit
-def _weigh(s, nodes):
-    """Compute the forces of the layer on plate and projectile, and that in the contact."""
-    w, j, face, last = MEAN_VELOCITY + (s.index & 1), s.joint + 1, s.cells + 1, nodes.shape[1] - 1
-    weight = s.mass * s.gravity
-    change = nodes[w, j] - nodes[VELOCITY, j]
-    force = s.thrown * s.gravity + nodes[MASS, j] * s.rate * change
-    if j < last:
-        force -= _tension(s, nodes, j)
-    if s.contact:
-        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
-        s.force = force
-        s.known_forces += 1
-    pushed = 0.0
-    if s.contact or s.joint == 0:
-        change = nodes[w, face] - nodes[VELOCITY, face]
-        pushed = weight + s.face_mass * s.rate * change
-        if face < last:
-            pushed -= _tension(s, nodes, face)
-    s.on_projectile_now = pushed
-    if s.joint == 0:
-        s.on_plate_now = -force if s.contact else 0.0
-    else:
-        s.on_plate_now = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
-
-
-@_jit
-def _march(s, nodes, path, events):
-    """Advance by one step."""
+def _march(s, nodes, path, events, goal):
+    """Advance to step `goal`, or into one with more events than there is room for."""
     step, joint = s.step, s.joint
-    w = MEAN_VELOCITY + (s.index & 1)
-    s.below_before, s.above_before = (
-        nodes[DISPLACEMENT, joint],
-        nodes[DISPLACEMENT, joint + 1],
-    )
-    for j in range(nodes.shape[1]):
-        nodes[VELOCITY, j] = 2.0 * nodes[w, j] - nodes[VELOCITY, j]
-        nodes[DISPLACEMENT, j] += step * nodes[VELOCITY, j]
-    s.index += 1
-    s.event_time = math.inf
-    s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
-    s.work_before, s.heat_before = s.work, s.heat
-    speed = _drive(s, nodes, path)
-    gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
-    lands = not s.contact and gap < 0.0
-    if lands:
-        _land(s, nodes, events)
-    _accelerate(s, nodes)
-    _weigh(s, nodes)
-    s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
-    s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
-    if s.contact and not lands and s.force < s.release_threshold:
-        _leave(s, nodes, events)
-        _accelerate(s, nodes)
-        _weigh(s, nodes)
-    power = -s.on_plate_now * speed
-    s.work += 0.5 * step * (s.power + power)
-    s.power = power
-    if s.is_lossy:
-        heating = _heating(nodes, s.index & 1)
-        s.heat += 0.5 * step * (s.heating + heating)
-        s.heating = heating
-    if s.events == 0:
-        _compare_loads(s, nodes)
-    elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
-        part = s.event_time / step - (s.index - 1)
-        s.first_work = s.work_before + part * (s.work - s.work_before)
+    while s.index < goal and s.events <= events.shape[0]:
+        w = MEAN_VELOCITY + (s.index & 1)
+        s.below_before = nodes[DISPLACEMENT, joint]
+        s.above_before = nodes[DISPLACEMENT, joint + 1]
+        for j in range(nodes.shape[1]):
+            nodes[VELOCITY, j] = 2.0 * nodes[w, j] - nodes[VELOCITY, j]
+            nodes[DISPLACEMENT, j] += step * nodes[VELOCITY, j]
+        s.index += 1
+        s.event_time = math.inf
+        s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
+        s.work_before, s.heat_before = s.work, s.heat
+        speed = _drive(s, nodes, path)
+        gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
+        lands = not s.contact and gap < 0.0
+        if lands:
+            _land(s, nodes, events)
+        leaves = False
+        while True:
+            _accelerate(s, nodes)
+            _weigh(s, nodes)
+            if leaves:
+                break
+            s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
+            s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
+            leaves = s.contact and not lands and s.force < s.release_threshold
+            if not leaves:
+                break
+            _leave(s, nodes, events)  # and compute the step again, in flight
+        power = -s.on_plate_now * speed
+        s.work += 0.5 * step * (s.power + power)
+        s.power = power
+        if s.is_lossy:
+            heating = _heating(nodes, s.index & 1)
+            s.heat += 0.5 * step * (s.heating + heating)
+            s.heating = heating
+        if s.events == 0:
+            _compare_loads(s, nodes)
+        elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
+            part = s.event_time / step - (s.index - 1)
+            s.first_work = s.work_before + part * (s.work - s.work_before)
 
 
 @nb.njit(**_options, fastmath={'contract', 'reassoc'})
@@ -610,7 +615,8 @@ def _compare_loads(s, nodes):
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
         strain = abs(stretch * nodes[INVERSE, j] - nodes[STATIC, j])
-        nodes[LARGEST, j] = strain if strain > nodes[LARGEST, j] else nodes[LARGEST, j]
+        if strain > nodes[LARGEST, j]:  # noqa: PLR1730 - numba makes vectors of this
+            nodes[LARGEST, j] = strain
     for end in range(2):
         strain = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 0])
         other = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 1])
@@ -655,8 +661,7 @@ def _advance(time, core, nodes, path, events):
         goal -= 1
     if goal * step > grid.horizon:
         return BEYOND_HORIZON
-    while grid.index < goal and grid.events <= events.shape[0]:
-        _march(grid, nodes, path, events)
+    _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
         return TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
@@ -761,22 +766,22 @@ def _stored_energy(core, nodes):
 
 
 @_jit
-def _reset(core, nodes, path):
+def _reset(core, nodes):
     """Put everything back to rest."""
     core[0] = core[2]
     s = core[0]
-    nodes[DISPLACEMENT : STRESS + 2] = 0.0
-    nodes[LARGEST] = nodes[STATIC]
-    speed = _drive(s, nodes, path)
-    _accelerate(s, nodes)
-    _weigh(s, nodes)
-    # The plate has not moved yet, whatever its acceleration
+    for j in range(nodes.shape[1]):
+        for row in range(DISPLACEMENT, STRESS + 2):
+            nodes[row, j] = 0.0
+        nodes[LARGEST, j] = nodes[STATIC, j]
+    s.cosine = 1.0
     weight = s.mass * s.gravity
-    s.on_plate_now = -s.thrown * s.gravity if s.joint == 0 else -weight
+    s.force = s.thrown * s.gravity
+    s.known_forces = 1
+    s.on_plate_now = -s.force if s.joint == 0 else -weight
     s.on_projectile_now = weight
     s.on_plate_before = s.on_plate_until = s.on_plate_now
     s.on_projectile_before = s.on_projectile_until = weight
-    s.power = -s.on_plate_now * speed
     core[1] = core[0]
 
 
@@ -790,7 +795,8 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
     """
     events = np.empty((0, 4))
     for n in range(cases.shape[0]):
-        mu, kappa, zeta, gravity, loss, crossing = cases[n]
+        mu, kappa, zeta = cases[n, 0], cases[n, 1], cases[n, 2]
+        gravity, loss, crossing = cases[n, 3], cases[n, 4], cases[n, 5]
         omega, root = 2.0 * math.pi / kappa, math.sqrt(1.0 - zeta * zeta)
         core[2] = core[3]
         s = core[2]
@@ -799,7 +805,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         s.mass = s.face_mass = mu
         s.gravity = gravity * omega * omega
         s.release_threshold = -_NOISE * omega
-        s.edge_weights[:] = -0.5
+        s.edge_weights[0] = s.edge_weights[1] = -0.5
         s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
         s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
         s.horizon = math.inf
@@ -809,8 +815,11 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
             size = math.exp(s.growth * s.step * k)
             path[0, k] = size * math.cos(s.turn * s.step * k)
             path[1, k] = size * math.sin(s.turn * s.step * k)
-        nodes[:] = 0.0
-        nodes[INVERSE, s.bottom : s.bottom + cells] = cells
+        for j in range(nodes.shape[1]):
+            for k in range(nodes.shape[0]):
+                nodes[k, j] = 0.0
+            if s.bottom <= j < s.bottom + cells:
+                nodes[INVERSE, j] = cells
         add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
         if bars > 0:
             s.face_mass = 0.5 * mu / bars
@@ -818,21 +827,21 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         else:
             nodes[MASS, cells + 1] += mu
         _prepare(s, nodes)
-        _reset(core, nodes, path)
+        _reset(core, nodes)
         grid = core[0]
         periods = MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
         last = math.ceil(min(1.0 + periods, MAX_CROSSINGS) * cells)
-        while grid.events == 0 and grid.index < last:
-            _march(grid, nodes, path, events)
-        row = found[n]
-        row[:] = math.nan
+        _march(grid, nodes, path, events, last)
+        for k in range(6):
+            found[n, k] = math.nan
         if grid.events > 0:
             strain = max(grid.edge_strains[0], grid.edge_strains[1])
             for j in range(nodes.shape[1]):
                 strain = max(strain, nodes[LARGEST, j])
-            row[0], row[1] = grid.event_time / kappa, grid.event_velocity / omega
-            row[2], row[3] = strain / omega, grid.acceleration / omega**2
-            row[4], row[5] = grid.plate_force / omega, grid.first_work / (mu * omega**2)
+            found[n, 0], found[n, 1] = grid.event_time / kappa, grid.event_velocity / omega
+            found[n, 2], found[n, 3] = strain / omega, grid.acceleration / omega**2
+            found[n, 4] = grid.plate_force / omega
+            found[n, 5] = grid.first_work / (mu * omega**2)
 
 
 def first_throws(
@@ -1075,7 +1084,7 @@ class CellStepper(Stepper):
 
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
-        _reset(self._core, self._nodes, self._path)
+        _reset(self._core, self._nodes)
         self._advance(0.0, *self._memory)
 
     def _read_layer(self, out: Floats) -> None:

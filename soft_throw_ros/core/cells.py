@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -241,7 +242,15 @@ def _projectile_cells(rig: Rig, step: float) -> int:
 
 
 @_jit
-def add_cells(nodes, first, count, mass, stiffness, lag, step):
+def add_cells(
+    nodes: Floats,
+    first: int,
+    count: int,
+    mass: float,
+    stiffness: float,
+    lag: float,
+    step: float,
+) -> None:
     """Put a body above a node, cut into cells; its loss is viscosity over stiffness. [s]"""
     cell, spring = mass / count, stiffness * count
     is_stiff = math.sqrt(cell / spring) * (1.0 + _ROUNDING) < step
@@ -254,7 +263,7 @@ def add_cells(nodes, first, count, mass, stiffness, lag, step):
 
 
 @_jit
-def factorise(s, nodes, step, joint, known, case):
+def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     rigid = joint if case == 1 else -1
     last = nodes.shape[1] - 1
@@ -293,7 +302,8 @@ def factorise(s, nodes, step, joint, known, case):
     _eliminate(nodes, case, first, first + quarter, below, rigid)
     _eliminate(nodes, case, above, above + quarter, end, rigid)
     # The separator's own equation, after what its acceleration does to both parts
-    response[:] = 0.0
+    for j in range(last + 1):
+        response[j] = 0.0
     response[below], response[above] = coupling[below], coupling[separator]
     _substitute(nodes, RESPONSE + case, case, first, end, quarter)
     pivot = mass[separator] + coupling[below] * (1.0 - response[below])
@@ -359,7 +369,7 @@ def _substitute(nodes, x, case, first, end, quarter):
 
 
 @_jit
-def solve(s, nodes, now, case):
+def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
     """
     Compute the mean velocities w of all nodes but those that are known.
 

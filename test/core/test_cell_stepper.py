@@ -115,6 +115,14 @@ def throw(rig, periods=4.0, **options):
     raise AssertionError('no release')
 
 
+def is_feasible(rig, model):
+    try:
+        cells_per_layer(rig, model)
+    except ValueError:
+        return False
+    return True
+
+
 def order(cells, errors):
     """Return the exponent with which errors fall."""
     return -np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
@@ -766,12 +774,11 @@ def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
         projectile=Projectile(mass=mass, youngs_modulus=youngs_modulus),
         gravity=gravity,
     )
-    try:
-        stepper = CellStepper(rig, model=model)
-    except ValueError as refusal:
-        assert 'the limit is' in str(refusal)
-        assert 'feasible: ' in str(refusal)
+    if not is_feasible(rig, model):
+        with pytest.raises(ValueError, match=r'the limit is .* feasible: '):
+            CellStepper(rig, model=model)
         return
+    stepper = CellStepper(rig, model=model)
     layer = np.empty((3, 64))
     try:
         for time in np.linspace(0.0, min(3.0 / frequency, 2e4 * stepper.step), 20):

@@ -13,7 +13,7 @@ Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, 
 
 .. math:: V_m = V_p / D, \qquad D = \cosh q + \mu\, q \sinh q
 
-The poles are :math:`\lambda`, which gives the steady motion :math:`\Im e^{\lambda t} / D(\lambda)`,
+The poles are :math:`\lambda`, with the steady motion :math:`\Im e^{\lambda t} / D(\lambda)`,
 and the modes :math:`q = i \beta_n` with :math:`\beta \tan \beta = 1 / \mu`, two for each n:
 :math:`s = -\theta \beta^2 / 2 \pm \sqrt{\theta^2 \beta^4 / 4 - \beta^2}`. The residue there is
 
