@@ -137,9 +137,11 @@ _THROWS_PER_THREAD = 16
 _BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
 
-_options = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
-_jit = nb.njit(**_options, fastmath={'contract'})
-_inlined = nb.njit(**_options, fastmath={'contract'}, inline='always')  # what every step calls
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
+_inlined = nb.njit(  # what every step calls
+    cache=True, nogil=True, error_model='numpy', fastmath={'contract'}, forceinline=True
+)
+_sum = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract', 'reassoc'})
 
 # Three such records make a stepper: the first is at a step of the grid, the second at the time
 # asked for; the third is what both are reset to. Where two values stand for one, they are those
@@ -592,7 +594,7 @@ def _march(s, nodes, path, events, goal):
             s.first_work = s.work_before + part * (s.work - s.work_before)
 
 
-@nb.njit(**_options, fastmath={'contract', 'reassoc'})
+@_sum
 def _heating(nodes, now):
     """Compute the power that turns to heat in the layer."""
     total = 0.0
@@ -811,10 +813,12 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         s.horizon = math.inf
         s.amplitude, s.growth, s.turn = 1.0, -zeta * omega, root * omega
         s.factor = omega / root
-        for k in range(_BLOCK):
-            size = math.exp(s.growth * s.step * k)
-            path[0, k] = size * math.cos(s.turn * s.step * k)
-            path[1, k] = size * math.sin(s.turn * s.step * k)
+        size = math.exp(s.growth * s.step)
+        real, imaginary = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
+        path[0, 0], path[1, 0] = 1.0, 0.0
+        for k in range(1, _BLOCK):
+            path[0, k] = real * path[0, k - 1] - imaginary * path[1, k - 1]
+            path[1, k] = real * path[1, k - 1] + imaginary * path[0, k - 1]
         for j in range(nodes.shape[1]):
             for k in range(nodes.shape[0]):
                 nodes[k, j] = 0.0
@@ -1107,7 +1111,7 @@ class CellStepper(Stepper):
     @property
     def cost(self) -> float:
         """Time of a processor over time of the rig, about. [-]"""
-        return _UPDATE_COST * self._nodes.shape[1] / self.step
+        return float(_UPDATE_COST * self._nodes.shape[1] / self.step)
 
     @property
     def loads(self) -> Loads:

@@ -90,6 +90,9 @@ _ROUNDING = 1e-9
 _SHORTEST = 16  # row of coupled nodes that is worth four chains
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
+_inlined = nb.njit(  # what every step calls
+    cache=True, nogil=True, error_model='numpy', fastmath={'contract'}, forceinline=True
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -334,7 +337,7 @@ def _eliminate(nodes, case, first, merge, end, rigid):
     gain[merge] = 1.0 / total
 
 
-@_jit
+@_inlined
 def _substitute(nodes, x, case, first, end, quarter):
     """Solve the two parts beside the separator for row x, in four chains side by side."""
     share, gain = SHARE + case, GAIN + case
@@ -368,7 +371,7 @@ def _substitute(nodes, x, case, first, end, quarter):
         nodes[x, j] = nodes[gain, j] * nodes[x, j] + nodes[share, j - 1] * nodes[x, j - 1]
 
 
-@_jit
+@_inlined
 def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
     """
     Compute the mean velocities w of all nodes but those that are known.

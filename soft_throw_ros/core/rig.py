@@ -184,7 +184,7 @@ class Stack(Layer):
 
     """
 
-    sheets: tuple[Layer, ...] = ()  # type: ignore[assignment]  # a default, to replace the property
+    sheets: tuple[Layer, ...] = ()  # a default, to replace the property
     thickness: float = field(init=False, repr=False)
     wave_speed: float = field(init=False, repr=False)
     density: float = field(init=False, repr=False)
