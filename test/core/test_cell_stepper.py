@@ -889,10 +889,9 @@ def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model
     assert CellStepper(make(float(feasible) * 0.9999), model=model).cells <= MAX_CELLS
 
 
-@pytest.mark.parametrize('speed', [41.0, 80.0])
-def test_layers_of_the_library_can_be_stepped_in_real_time(speed):
-    """Sorbothane of 6.35 mm needs 2e7 updates of cells per second."""
-    layer = Layer(thickness=6.35e-3, wave_speed=speed * 6.35 / 8.2, loss_tangent=0.3)
+@pytest.mark.parametrize('wave_speed', [31.9, 41.1])
+def test_sorbothane_of_a_quarter_inch_can_be_stepped_in_real_time(wave_speed):
+    layer = Layer(thickness=6.35e-3, wave_speed=wave_speed, density=1350.0, loss_tangent=0.5)
     assert cells_per_layer(Rig(layer=layer)) >= 64
 
 
