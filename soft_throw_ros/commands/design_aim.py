@@ -102,7 +102,7 @@ def _now(settings: Settings) -> _Now | None:
 
 
 def _lines(settings: Settings, best: Aim) -> Iterator[str]:
-    yield best.why
+    yield best.summary
     yield ''
     head = 'aimed' if best.is_reached else 'the_most'
     columns = {'now': _now(settings), head: best, **_with_this_layer(settings, best)}

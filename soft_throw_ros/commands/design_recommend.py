@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
-    yield best.why
+    yield best.summary
     yield ''
     others = {
         f'by_{name}': getattr(best, f'by_{name}')
@@ -101,7 +101,7 @@ def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
         yield ''
         yield from _candidate_lines(best)
     yield ''
-    yield best.note
+    yield best.remarks
 
 
 def _sensitivity_line(item: Sensitivity) -> str:

@@ -14,7 +14,7 @@ import sys
 
 from soft_throw_ros.commands.paper.catalogue import DRAWINGS
 from soft_throw_ros.commands.paper.page import write_page
-from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.configuration.atomic_file import atomic_file
 
 FORMATS = ('png', 'pdf', 'svg')
 
@@ -101,7 +101,7 @@ def _write(name: str, folder: Path, kind: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if name == PAGE:
-            with whole_file(path) as unfinished:
+            with atomic_file(path) as unfinished:
                 unfinished.write_text(write_page(kind), encoding='utf-8')
         else:
             DRAWINGS[name].write(path)

@@ -213,7 +213,7 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
     uncertainty = None
     try:
         found = prediction_uncertainty(rig, uncertainties_of(settings))
-        uncertainty, notes['uncertainty'] = found.values(), found.sentence()
+        uncertainty, notes['uncertainty'] = found.values(), found.describe()
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
     strains = [

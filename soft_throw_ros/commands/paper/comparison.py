@@ -24,7 +24,7 @@ from soft_throw_ros.core import normal_modes, spring_mass
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, STANDARD_GRAVITY
 from soft_throw_ros.core.travelling_wave import first_release, first_releases, FirstRelease
-from soft_throw_ros.design.recommendation import best_ratios, Optimum, PAPER_RATIOS
+from soft_throw_ros.design.recommendation import best_ratios, BestRatios, PAPER_RATIOS
 
 Floats = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def _optimum() -> tuple[Row, ...]:
     best = best_ratios(0.0)
     x = 1.0 / (1.0 + best.mass_ratio)
     mu, kappa = PAPER_RATIOS
-    quoted = Optimum.at(mass_ratio=mu, speed_ratio=kappa, damping_ratio=0.0)
+    quoted = BestRatios.at(mass_ratio=mu, speed_ratio=kappa, damping_ratio=0.0)
     light = 1e-6
     plateau = first_release(mass_ratio=light, speed_ratio=4.0).energy_transfer
     edge = _end_of_plateau(light)

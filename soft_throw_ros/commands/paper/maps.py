@@ -18,7 +18,7 @@ from soft_throw_ros.commands.paper.style import (
     show_map,
 )
 from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.design.landscape import AXES, Landscape, survey
+from soft_throw_ros.design.landscape import AXES, compute_landscape, Landscape
 from soft_throw_ros.design.recommendation import best_ratios
 
 Floats = NDArray[np.float64]
@@ -38,7 +38,7 @@ _CHANGES = (-15.0, -10.0, -6.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 6.0, 10.0, 15.0
 def landscape(damping_ratio: float) -> Landscape:
     """Compute the map of the paper: equal densities, no gravity, first releases."""
     halves = (np.arange(POINTS) + 0.5) / POINTS
-    return survey(
+    return compute_landscape(
         Rig(engine=Engine(damping_ratio=damping_ratio), gravity=0.0),
         {'x': halves, 'C': HIGHEST * halves},
         density_ratio=1.0,

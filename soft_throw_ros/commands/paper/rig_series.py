@@ -16,7 +16,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.peak import first_peaks
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.travelling_wave import first_releases, FirstRelease
-from soft_throw_ros.design.landscape import Landscape, survey
+from soft_throw_ros.design.landscape import compute_landscape, Landscape
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class Series:
 
     def elastic_releases(self, *, damping_ratio: float) -> Landscape:
         """Compute those from the six layers as the paper's simulation does, Eqs. (2)-(3)."""
-        return survey(
+        return compute_landscape(
             self.rig(THICKNESSES[0], damping_ratio=damping_ratio),
             {'layer.thickness': THICKNESSES, 'engine.frequency': [self.frequency]},
             model='finite_difference_elastic',
@@ -114,7 +114,7 @@ class Series:
 
     def last_releases(self, thickness: ArrayLike, *, damping_ratio: float) -> Landscape:
         """Compute releases after all re-contacts."""
-        return survey(
+        return compute_landscape(
             self.rig(THICKNESSES[0], damping_ratio=damping_ratio),
             {'layer.thickness': thickness, 'engine.frequency': [self.frequency]},
             release='last',

@@ -14,7 +14,7 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.configuration.atomic_file import atomic_file
 
 Floats = NDArray[np.float64]
 
@@ -134,5 +134,5 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure into a file whose ending is the format, the same bytes every time."""
     kind = path.suffix[1:]
     options: Any = {'pil_kwargs': {'optimize': True}} if kind == 'png' else {}
-    with settings(), whole_file(path) as unfinished:
+    with settings(), atomic_file(path) as unfinished:
         figure.savefig(unfinished, format=kind, metadata=_METADATA[kind], **options)
