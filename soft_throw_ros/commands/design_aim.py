@@ -67,6 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     """
     settings = {**read_settings(arguments), 'recommendation.objective': 'aim'}
+    given = vars(arguments).keys()
+    if not given & {'config', 'recommendation.target_height', 'recommendation.target_speed'}:
+        raise ValueError('nothing to aim at: give --target-height M or --target-speed M/S')
     with patience('design aim'):
         best = answer(settings)
         assert isinstance(best, Aim)  # as it is the objective

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 import sys
+from typing import get_args
 
 from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
 from soft_throw_ros.commands.patience import patience
@@ -16,18 +18,31 @@ from soft_throw_ros.commands.rig_options import (
     RECOMMENDATION_OPTIONS,
     UNCERTAINTY_OPTIONS,
 )
-from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.design.recommendation import (
     Prediction,
     Recommendation,
     Sensitivity,
     TOLERATED,
     UNITS,
+    Vary,
     WITHIN,
 )
 from soft_throw_ros.design.requests import answer
 
 _OF_AIMING = ('max_amplitude', 'target_height', 'target_speed')
+
+_OBJECTIVE = replace(
+    TWIN.by_name['recommendation.objective'],
+    meaning='What to look for: the most energy per throw, in the worst case of the uncertainties, '
+    'or in the worst of several throws',
+    choices=('peak', 'robust', 'versatile'),
+)
+_VARY = replace(
+    TWIN.by_name['recommendation.vary'],
+    meaning='What of the layer may be changed; a pick from the library changes all of it',
+    choices=get_args(Vary),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
     asked = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(_OF_AIMING)]
-    add_options(parser, asked, title='what is asked of the layer')
+    add_options(parser, asked, title='what is asked of the layer', entries=(_OBJECTIVE, _VARY))
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
 

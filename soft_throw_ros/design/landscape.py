@@ -553,12 +553,20 @@ def _compute(model: str, release: Release, threads: int | None, cases: Floats) -
     if release == 'first':
         throws = first_throws(Ratios(*cases), model=model, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    return np.array([_last(model, Ratios(*case)) for case in cases.T.tolist()]).T
+    rows: Floats = np.array([_last(model, *case) for case in cases.T.tolist()])
+    return rows.T
 
 
-def _last(model: str, case: Ratios) -> tuple[float, float]:
+def _last(
+    model: str,
+    mass_ratio: float,
+    speed_ratio: float,
+    damping_ratio: float,
+    gravity_ratio: float,
+    loss_tangent: float,
+    crossing_ratio: float,
+) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent, crossing_ratio = case
     engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
     omega = engine.angular_frequency
     rig = Rig(

@@ -329,7 +329,9 @@ class LayerScore:
         loads = self._throw(ratios, np.ix_(layers, np.arange(count)), loads=True)
         omega = 2.0 * math.pi * factor[layers] * self._variants.frequency[:count]
         speed = self.rig.engine.amplitude * omega
-        is_kept = loads.peak_strain * speed <= self._limits.max_strain * wave_speed[layers]
-        is_kept &= loads.peak_acceleration * speed * omega <= self._limits.max_acceleration
-        kept: NDArray[np.bool_] = is_kept.all(axis=1)
-        return kept
+        strain = loads.peak_strain * speed / wave_speed[layers]
+        acceleration = loads.peak_acceleration * speed * omega
+        excess = np.maximum(
+            strain / self._limits.max_strain, acceleration / self._limits.max_acceleration
+        )
+        return np.asarray(excess.max(axis=1) <= 1.0)

@@ -249,14 +249,15 @@ def predict(rig: Rig) -> Prediction:
         raise ValueError(f'only layers of one material are predicted, got {layer!r}')
     ratios, _ = Variants.of(rig).ratios(rig, layer.thickness, layer.wave_speed)
     throws = first_throws(ratios, loads=True)
-    throw = throws._make(float(values[0]) for values in throws)
-    if not throw.speed > 0.0:
+    phase, speed, transfer, strain, acceleration, force, work = (
+        float(values[0]) for values in throws
+    )
+    if not speed > 0.0:
         raise ThrowUnresolvedError(
             f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '
             f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
         )
     speed_scale = engine.speed_scale
-    speed = throw.speed * speed_scale
     return Prediction(
         thickness=layer.thickness,
         wave_speed=layer.wave_speed,
@@ -265,14 +266,14 @@ def predict(rig: Rig) -> Prediction:
         loss_tangent=layer.loss_tangent,
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
-        ejection_time=throw.ejection_phase / engine.frequency,
-        ejection_speed=speed,
-        energy_transfer=throw.energy_transfer,
-        peak_strain=throw.peak_strain * speed_scale / layer.wave_speed,
-        peak_acceleration=throw.peak_acceleration * speed_scale * engine.angular_frequency,
-        peak_force=throw.peak_plate_force * speed_scale * layer.impedance,
-        plate_work=throw.plate_work * mass * speed_scale**2,
-        kinetic_energy=0.5 * mass * speed**2,
+        ejection_time=phase / engine.frequency,
+        ejection_speed=speed * speed_scale,
+        energy_transfer=transfer,
+        peak_strain=strain * speed_scale / layer.wave_speed,
+        peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
+        peak_force=force * speed_scale * layer.impedance,
+        plate_work=work * mass * speed_scale**2,
+        kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
     )
 
 
@@ -569,6 +570,7 @@ def recommend(
         raise ThrowUnresolvedError(_why_none(rig, vary, objective, limits, materials or {}))
     now = _score_of(rig, objective, cancelled)
     prediction = predict(best.rig)
+    predictions = {name: predict(each.rig) for name, each in found.items() if each is not None}
     optimum = best_ratios(rig.engine.damping_ratio)
     paper = _paper_ratios(rig.engine.damping_ratio)
     sensitivities = tuple(_sensitivities(best.rig, best.objective, cancelled))
@@ -581,7 +583,9 @@ def recommend(
         score=best.score,
         now=predict(rig) if now > 0.0 else None,
         now_score=now,
-        **{f'by_{name}': predict(each.rig) for name, each in found.items() if each is not None},
+        by_thickness=predictions.get('thickness'),
+        by_wave_speed=predictions.get('wave_speed'),
+        by_both=predictions.get('both'),
         candidates=tuple(
             Candidate(layer=each.name, thickness=each.rig.layer.thickness, score=each.score)
             for each in picked[:_MAX_CANDIDATES]

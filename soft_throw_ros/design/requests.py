@@ -44,8 +44,8 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
         height, speed = asked['target_height'] or None, asked['target_speed'] or None
         if height is None and speed is None:
             raise ValueError(
-                'nothing to aim at: recommendation.target_height and recommendation.target_speed '
-                'are both 0; set one of them'
+                'nothing to aim at: recommendation.target_height (--target-height) or '
+                'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
             )
         target = Target(height=height, speed=speed)
         return aim(
