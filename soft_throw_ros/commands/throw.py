@@ -255,7 +255,7 @@ def _by_closed_form(rig: Rig) -> ModelResult:
         damping_ratio=rig.engine.damping_ratio,
         gravity_ratio=rig.gravity_ratio,
     )
-    return _release(rig, release.ejection_phase, release.speed)
+    return _release(rig, float(release.ejection_phase), float(release.speed))
 
 
 def _by_spring_mass(rig: Rig) -> ModelResult:
