@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import sys
 
 from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import (
+from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     read_settings,
     RECOMMENDATION_OPTIONS,
+    slow_notice,
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import rig_of, Settings
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     given = vars(arguments).keys()
     if not given & {'config', 'recommendation.target_height', 'recommendation.target_speed'}:
         raise ValueError('nothing to aim at: give --target-height M or --target-speed M/S')
-    with patience('design aim'):
+    with slow_notice('design aim'):
         best = answer(settings)
         assert isinstance(best, Aim)  # as it is the objective
         if arguments.json:

@@ -20,8 +20,7 @@ from soft_throw_ros.commands.executors import (
     open_executor,
     WorkersLostError,
 )
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
+from soft_throw_ros.commands.options import add_rig_options, read_settings, slow_notice
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import Rig
@@ -162,7 +161,7 @@ def run(arguments: argparse.Namespace) -> int:
     total = int(np.prod([values.size for values in axes.values()]))
     try:
         with (
-            patience('design map'),
+            slow_notice('design map'),
             open_executor(arguments) as executor,
             tqdm(total=total, unit=' throws', disable=None, delay=0.5, leave=False) as bar,
         ):

@@ -10,12 +10,12 @@ import sys
 from typing import get_args
 
 from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import (
+from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     read_settings,
     RECOMMENDATION_OPTIONS,
+    slow_notice,
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import Settings, TWIN
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     """
     settings = read_settings(arguments)
-    with patience('design recommend'):
+    with slow_notice('design recommend'):
         best = answer(settings)
         if not isinstance(best, Recommendation):
             raise ValueError(

@@ -9,8 +9,7 @@ import json
 import math
 from typing import Any
 
-from soft_throw_ros.commands.columns import Row, write_columns
-from soft_throw_ros.commands.rig_options import OPTIONS
+from soft_throw_ros.commands.options import OPTIONS, Row, write_columns
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.recommendation import Prediction
