@@ -174,7 +174,7 @@ def first_throws(
         if loads:
             kernel = _lossy_loads if part == 'cells' else _lossless_loads
             found[3:, batch] = _in_threads(kernel, cases[:, batch], 4, threads)
-    found[3:, np.isnan(found[0])] = math.nan
+    found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without release
     found[2] = (found[1] / _peak_velocity_ratio(cases[2])) ** 2
     return FirstThrows(*found.reshape(len(found), *shape))
 

@@ -626,7 +626,9 @@ def _search(
         objective = replace(objective, uncertainties=uncertainties)
     score = LayerScore(space.rig, objective, limits, cancelled=cancelled)
     known = [
-        Optimum(each.rig.layer.thickness, each.rig.layer.wave_speed, each.score) for each in starts
+        Optimum(each.rig.layer.thickness, each.rig.layer.wave_speed, each.score)
+        for each in starts
+        if space.layers.contains(each.rig.layer.thickness, each.rig.layer.wave_speed)
     ]
     present = (space.rig.layer.thickness, space.rig.layer.wave_speed)
     now = 0.0

@@ -18,7 +18,7 @@ from soft_throw_ros.design.evaluate import (
 MU, KAPPA = np.geomspace(0.1, 2.0, 4)[:, None], np.array([4.0, 8.0, 15.0])
 
 
-@pytest.mark.parametrize(('gravity', 'error'), [(0.0, 1e-12), (0.05, 1e-9), (0.5, 1e-5)])
+@pytest.mark.parametrize(('gravity', 'error'), [(0.0, 1e-12), (0.05, 1e-9), (0.5, 1e-4)])
 def test_first_throws_without_loss_are_those_of_the_closed_form(gravity, error):
     found = first_throws(Ratios(MU, KAPPA, 0.064, gravity))
     known = first_releases(

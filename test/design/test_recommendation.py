@@ -72,7 +72,7 @@ def random_request(kind, random, *, loss_tangent=0.0):
         limits = replace(
             limits,
             max_strain=random.uniform(0.3, 1.5) * rig.engine.speed_scale / 10.0,
-            max_acceleration=random.uniform(0.7, 1.6) * acceleration,
+            max_acceleration=random.uniform(1.2, 2.0) * acceleration,
         )
     few = {name: MATERIALS[name] for name in ('gelatin', 'ecoflex_00-30', 'sorbothane_30')}
     return rig, {'vary': vary, 'objective': objective, 'limits': limits, 'materials': few}
