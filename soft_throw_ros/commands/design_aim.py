@@ -18,7 +18,7 @@ from soft_throw_ros.commands.options import (
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.design.aiming import Aim, fly
 from soft_throw_ros.design.recommendation import predict, Prediction
 from soft_throw_ros.design.requests import answer

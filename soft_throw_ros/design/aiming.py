@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.stepper import FirstThrows
 from soft_throw_ros.design.evaluate import (
     Cancelled,
     first_throws,
-    FirstThrows,
     last_release,
+    SEARCH_CELLS,
     SearchCancelledError,
 )
 from soft_throw_ros.design.objective import Limits
@@ -370,7 +371,7 @@ class _Throws(NamedTuple):
         ratios, _ = Variants.of(rig).ratios(rig, thickness, wave_speed)
         omega = rig.engine.angular_frequency
         ratios = ratios._replace(gravity_ratio=rig.gravity / (amplitude * omega * omega))
-        throws = first_throws(ratios, loads=loads, cancelled=task.cancelled)
+        throws = first_throws(ratios, loads=loads, cells=SEARCH_CELLS, cancelled=task.cancelled)
         return cls(rig, wave_speed, amplitude, throws)
 
     def needed(self, speed: float) -> Floats:

@@ -2,6 +2,7 @@
 """
 Throws by the thousand: the one way from a rig's ratios to releases and loads for all of design.
 
+Without loss and strong gravity the closed form is exact and fast; the steppers are for the rest.
 A release is always found by the same method whether its loads are asked for or not. A layer that
 was chosen at the edge of a jump would otherwise fall off it when it is looked at again.
 """
@@ -9,53 +10,30 @@ was chosen at the edge of a jump would otherwise fall off it when it is looked a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 import math
-import os
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import (
-    finite_difference,
-    normal_modes,
-    peak,
-    spring_mass,
-    swings,
-    travelling_wave,
-)
-from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
+from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.stepping import (
-    Event,
-    EventLimitError,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-    ThrowStepper,
-)
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
+from soft_throw_ros.core.throw import simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
 
 Cancelled = Callable[[], bool]
 """Is asked between batches whether nobody waits for the result any more."""
 
-LATEST = 6.0
-"""Plate periods after the wave's arrival within which a projectile has to leave, if gravity is
-strong or the layer has loss."""
+SEARCH_CELLS = 16
+"""Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
 
-_STRONG_GRAVITY = 0.1  # of the plate's acceleration; the closed form slows down beyond
-_LAST_CELLS = 128  # of the layer, at least, where throws are followed to the last release
-_LOOKS = 64  # at the top of the layer per window
-_MAX_WINDOWS = 50  # of two periods of the plate and more, in which the projectile may be gone
+_STRONG_GRAVITY = 0.2  # of the plate's acceleration; the closed form slows down beyond
 
-# Throws per batch: what takes some tenths of a second at worst, so that a search ends soon after
-# it is cancelled.
-_CLOSED_FORM_BATCH, _STEPS_BATCH, _CELLS_BATCH = 1 << 16, 1 << 13, 1 << 10
-
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+# Throws per batch: what takes some tenths of a second, so that a search ends soon after it is
+# cancelled.
+_CLOSED_FORM_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 10
 
 
 class SearchCancelledError(RuntimeError):
@@ -90,43 +68,12 @@ class Ratios(NamedTuple):
     crossing_ratio: ArrayLike = 0.0
 
 
-class FirstThrows(NamedTuple):
-    r"""
-    Throws up to their first releases, NaN where there is none.
-
-    Attributes
-    ----------
-    ejection_phase : ndarray
-        :math:`t_e f`, in plate periods. [-]
-    speed : ndarray
-        :math:`V_e / (A \omega)`. [-]
-    energy_transfer : ndarray
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    peak_strain : ndarray
-        Largest magnitude anywhere in the layer. In :math:`A \omega / c_s`. [-]
-    peak_acceleration : ndarray
-        Largest magnitude of the projectile's. In :math:`A \omega^2`. [-]
-    peak_plate_force : ndarray
-        Largest magnitude of the layer's force on the plate. In :math:`A \omega E_s S / c_s`. [-]
-    plate_work : ndarray
-        Work of the plate up to the release. In :math:`m (A \omega)^2`. [-]
-
-    """
-
-    ejection_phase: Floats
-    speed: Floats
-    energy_transfer: Floats
-    peak_strain: Floats
-    peak_acceleration: Floats
-    peak_plate_force: Floats
-    plate_work: Floats
-
-
 def first_throws(
     ratios: Ratios,
     *,
     model: str = 'travelling_wave',
     loads: bool = False,
+    cells: int | None = None,
     threads: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> FirstThrows:
@@ -141,8 +88,9 @@ def first_throws(
         One of the models of `core.throw`. The travelling wave gives way to finite differences
         wherever the layer has loss.
     loads : bool
-        Whether strains, accelerations, forces and work are wanted; they are NaN otherwise. Only
-        the travelling wave tells them.
+        Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
+    cells : int, optional
+        Of the layer for finite differences; as many as it takes for 1e-4 if not given.
     threads : int, optional
         Largest number of threads, all cores if not given. Results do not depend on it.
     cancelled : callable, optional
@@ -151,7 +99,7 @@ def first_throws(
     Returns
     -------
     FirstThrows
-        Of arrays with the common shape.
+        Of arrays with the common shape, NaN where there is no release.
 
     Raises
     ------
@@ -166,114 +114,82 @@ def first_throws(
     for row, values in zip(cases, ratios, strict=True):
         row.reshape(shape)[...] = values
     found = np.full((len(FirstThrows._fields), cases.shape[1]), math.nan)
-    threads = threads or os.cpu_count() or 1
-    for part, batch in _batches(cases, model=model, loads=loads):
+    for method, batch in _batches(cases, model=model, loads=loads):
         if cancelled is not None and cancelled():
             raise SearchCancelledError('the search was cancelled')
-        found[:2, batch] = _release(part, cases[:, batch], model, threads)
-        if loads:
-            kernel = _lossy_loads if part == 'cells' else _lossless_loads
-            found[3:, batch] = _in_threads(kernel, cases[:, batch], 4, threads)
-    found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without release
-    found[2] = (found[1] / _peak_velocity_ratio(cases[2])) ** 2
+        part = Ratios(*cases[:, batch])
+        if method == 'spring':
+            ratio = spring_mass.frequency_ratio(
+                mass_ratio=part.mass_ratio, speed_ratio=part.speed_ratio
+            )
+            found[:3, batch] = spring_mass.first_release(frequency_ratio=ratio)
+        elif method == 'cells':
+            found[:, batch] = _throw_with_cells(part, model, cells, threads)
+        else:
+            found[:, batch] = _throw_with_waves(part, method, loads, threads)
+    found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without a release
     return FirstThrows(*found.reshape(len(found), *shape))
-
-
-def _peak_velocity_ratio(damping_ratio: Floats) -> Floats:
-    """Compute the largest plate speed over A w, Eq. (D4), as `plate.peak_velocity_ratio`."""
-    decay: Floats = -damping_ratio / np.sqrt(1.0 - damping_ratio**2) * np.arccos(damping_ratio)
-    return np.exp(decay)
 
 
 def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Sort throws by the method that they need, and cut them into batches."""
-    if model in ('travelling_wave', 'spring_mass'):
-        with_loss = (cases[4] > 0.0) & (model == 'travelling_wave')
-        strong = ~with_loss & (cases[3] > _STRONG_GRAVITY) & (model == 'travelling_wave')
-        parts = {'closed_form': ~with_loss & ~strong, 'steps': strong, 'cells': with_loss}
+    every = ~_are_held(cases[0], cases[1], cases[3])
+    if model == 'travelling_wave':
+        has_loss = cases[4] > 0.0
+        is_strong = cases[3] > _STRONG_GRAVITY
+        parts = {
+            'closed_form': every & ~has_loss & ~is_strong,
+            'waves': every & ~has_loss & is_strong,
+            'cells': every & has_loss,
+        }
     else:
-        parts = {'cells': np.ones(cases.shape[1], dtype=np.bool_)}
-    sizes = {'closed_form': _CLOSED_FORM_BATCH, 'steps': _STEPS_BATCH, 'cells': _CELLS_BATCH}
-    for part, chosen in parts.items():
+        parts = {'spring' if model == 'spring_mass' else 'cells': every}
+    for method, chosen in parts.items():
         indices = np.flatnonzero(chosen)
-        size = min(sizes[part], _STEPS_BATCH) if loads else sizes[part]
+        is_fast = method in ('closed_form', 'spring') and not loads
+        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for start in range(0, indices.size, size):
-            yield part, indices[start : start + size]
+            yield method, indices[start : start + size]
 
 
-def _release(part: str, cases: Floats, model: str, threads: int) -> Floats:
-    """Compute (t_e f, V_e / (A w)) of throws that need the same method."""
-    mu, kappa, zeta, gravity, loss, crossing = cases
-    ratios = {'mass_ratio': mu, 'speed_ratio': kappa}
-    if model == 'spring_mass':
-        found = spring_mass.first_release(frequency_ratio=spring_mass.frequency_ratio(**ratios))
-        return np.asarray(found[:2])
-    if model == 'travelling_wave' and part == 'cells':
-        return _in_threads(_lossy_releases, cases, 2, threads)
-    if part == 'steps':
-        return _in_threads(_strong_gravity_releases, cases, 2, threads)
-    ratios |= {'damping_ratio': zeta, 'gravity_ratio': gravity}
-    if part == 'closed_form':
-        found = travelling_wave.first_releases(**ratios, unresolved='nan', threads=threads)
-    else:
-        found = finite_difference.first_releases(
+def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) -> NDArray[np.bool_]:
+    """
+    Tell which projectiles gravity holds for sure, which a stepper takes longest to find out.
+
+    A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
+    times the plate's at most, q being the ratio of their frequencies, here of the layer's lowest
+    mode. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the largest seen.
+    """
+    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(mass_ratio + 4.0 / math.pi**2)
+    return is_stiff & (gravity_ratio > 4.0)
+
+
+def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:
+    """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
+    ratios = part._asdict()
+    del ratios['loss_tangent'], ratios['crossing_ratio']
+    found = np.full((len(FirstThrows._fields), np.size(part.mass_ratio)), math.nan)
+    if loads or method == 'waves':
+        found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
+    if method == 'closed_form':
+        found[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
+    return found
+
+
+def _throw_with_cells(part: Ratios, model: str, cells: int | None, threads: int | None) -> Floats:
+    """Compute the rows of `FirstThrows` by finite differences."""
+    ratios = part._asdict()
+    if model != 'finite_difference_elastic':
+        del ratios['crossing_ratio']
+    return np.asarray(
+        cell_stepper.first_throws(
             **ratios,
-            loss_tangent=loss,
-            crossing_ratio=crossing if model == 'finite_difference_elastic' else 0.0,
             glued_to='projectile' if model == 'finite_difference_glued' else 'plate',
+            cells=cells,
             unresolved='nan',
             threads=threads,
         )
-    return np.asarray(found[:2])
-
-
-def _in_threads(
-    kernel: Callable[[Floats, Floats], None], cases: Floats, rows: int, threads: int
-) -> Floats:
-    """Have a kernel fill rows of results, every thread some columns."""
-    results = np.empty((rows, cases.shape[1]))
-    with ThreadPoolExecutor(threads) as pool:
-        parts = [slice(part, None, threads) for part in range(threads)]
-        list(pool.map(lambda part: kernel(cases[:, part], results[:, part]), parts))
-    return results
-
-
-@_jit
-def _strong_gravity_releases(cases: Floats, results: Floats) -> None:
-    for i in range(cases.shape[1]):
-        phase, speed, status = swings.first_release_kernel(
-            cases[0, i], cases[1, i], cases[2, i], cases[3, i], LATEST
-        )
-        results[0, i] = phase if status == 0 else math.nan
-        results[1, i] = speed if status == 0 else math.nan
-
-
-@_jit
-def _lossy_releases(cases: Floats, results: Floats) -> None:
-    for i in range(cases.shape[1]):
-        phase, speed, status = normal_modes.first_release_kernel(
-            cases[0, i], cases[1, i], cases[2, i], cases[3, i], cases[4, i], LATEST
-        )
-        results[0, i] = phase if status == 0 else math.nan
-        results[1, i] = speed if status == 0 else math.nan
-
-
-@_jit
-def _lossless_loads(cases: Floats, results: Floats) -> None:
-    for i in range(cases.shape[1]):
-        found = peak.first_peaks_kernel(cases[0, i], cases[1, i], cases[2, i], cases[3, i])
-        results[0, i], results[1, i] = found[3], found[7]
-        results[2, i], results[3, i] = found[8], found[9]
-
-
-@_jit
-def _lossy_loads(cases: Floats, results: Floats) -> None:
-    for i in range(cases.shape[1]):
-        found = normal_modes.first_peaks_kernel(
-            cases[0, i], cases[1, i], cases[2, i], cases[3, i], cases[4, i]
-        )
-        results[0, i], results[1, i] = found[3], found[7]
-        results[2, i], results[3, i] = found[8], found[9]
+    )
 
 
 class LastRelease(NamedTuple):
@@ -293,8 +209,8 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     rig : Rig
         What throws.
     model : str
-        One of the models of `core.throw` but the spring. The travelling wave gives way to finite
-        differences where the layer has loss.
+        One of the models of `core.throw`. The travelling wave gives way to finite differences
+        where the layer has loss.
 
     Returns
     -------
@@ -304,56 +220,14 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     Raises
     ------
     ThrowUnresolvedError
-        If the projectile does not leave, or chatters without end.
+        If the projectile does not leave, or the model cannot follow it.
 
     """
     if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
         model = 'finite_difference'
     try:
-        stepper = _make_stepper(rig, model)
-        released = _follow(stepper, rig)
-    except (ValueError, EventLimitError) as error:  # too light, or it chatters
+        last = simulate(rig, model=model).last_release
+    except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release cannot be told: {error}') from error
-    if not released:
-        raise ThrowUnresolvedError('gravity holds the projectile on the layer')
-    last = released[-1]
-    stepper.reset()
-    stepper.advance_to(last.time)
-    rise = float(stepper.state[PROJECTILE_POSITION]) - stepper.rest_position
-    return LastRelease(last.time, last.velocity, rise)
-
-
-def _make_stepper(rig: Rig, model: str) -> ThrowStepper:
-    if model == 'travelling_wave':
-        return Stepper(rig, field_points=2)
-    try:
-        cells = max(_LAST_CELLS, cells_per_layer(rig, model))
-    except ValueError:  # too many for real time, which matters to nobody here
-        cells = _LAST_CELLS
-    return GridStepper(rig, model=model, cells=cells, field_points=2)
-
-
-def _follow(stepper: ThrowStepper, rig: Rig) -> list[Event]:
-    """Return the releases until the projectile falls back, or is out of the layer's reach."""
-    window = 8.0 * rig.crossing_time + 2.0 / rig.engine.frequency
-    released: list[Event] = []
-    for i in range(_MAX_WINDOWS):
-        heights = []
-        count = stepper.event_count
-        for time in np.linspace(i * window, (i + 1) * window, _LOOKS):
-            stepper.advance_to(time)
-            heights.append(stepper.surface_position)
-        released = []
-        for event in stepper.events():
-            if event.kind == 'release':
-                released.append(event)
-            elif event.velocity <= 0.0 and rig.gravity > 0.0:
-                return released  # it has come down
-        if stepper.in_contact or not released:
-            continue
-        if rig.gravity > 0.0 and stepper.state[PROJECTILE_VELOCITY] <= 0.0:
-            return released  # whatever it meets now, it meets on its way down
-        ahead = stepper.state[PROJECTILE_POSITION] - max(heights)
-        if rig.gravity == 0.0 and stepper.event_count == count and ahead > np.ptp(heights):
-            return released
-    return released
+    rest = rig.layer.thickness - rig.static_sag
+    return LastRelease(last.time, last.velocity, last.position - rest)

@@ -41,9 +41,9 @@ import soft_throw_ros
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
 from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, FirstThrows, Ratios
+from soft_throw_ros.core.stepper import FirstThrows
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
@@ -21,7 +22,7 @@ MAX_VALUES = 16
 """Masses, and frequencies, that a versatile layer may be for."""
 
 _INSIDE = 31  # throws between the corners of what is uncertain
-_SAMPLE = 63  # throws from which a quantile is taken
+_SAMPLE = 41  # throws from which a quantile is taken
 _STAGES = (1, 4, 12)  # so many throws of a layer are computed before the others
 
 
@@ -217,6 +218,8 @@ class LayerScore:
         What a layer is to be good at.
     limits : Limits, optional
         What the loads of its throws must not exceed; where it may lie is for the search.
+    cells : int, optional
+        Of layers with loss, as for `first_throws`.
     cancelled : callable, optional
         Asked between batches of throws.
 
@@ -233,9 +236,11 @@ class LayerScore:
         objective: Objective,
         limits: Limits | None = None,
         *,
+        cells: int | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
         self.rig = rig
+        self._cells = cells
         self._objective = objective
         self._limits = limits if limits is not None and limits.of_loads else None
         self._cancelled = cancelled
@@ -318,7 +323,7 @@ class LayerScore:
     ) -> FirstThrows:
         """Compute some of the throws of some of the layers."""
         some = Ratios(*(np.asarray(ratio)[chosen] for ratio in ratios))
-        return first_throws(some, loads=loads, cancelled=self._cancelled)
+        return first_throws(some, loads=loads, cells=self._cells, cancelled=self._cancelled)
 
     def _keeps_limits(
         self, ratios: Ratios, layers: NDArray[np.int64], wave_speed: Floats, factor: Floats

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, LATEST
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, SEARCH_CELLS
 from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust, Versatile
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
 from soft_throw_ros.design.uncertainty import Variants
@@ -40,6 +40,10 @@ TOLERATED = 0.02
 """Part that may be lost within its tolerance. [-]"""
 
 _EQUAL = 1e-9  # relative; of scores so close the present layer is kept
+_DRAFT_ERROR = (
+    2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is looked at again ...
+)
+_NEARBY = 0.03  # within this part of thickness and wave speed
 _STRONG_GRAVITY = 0.2  # of the plate's largest acceleration: later swings throw, too
 _SLIGHT = 1e-4  # change of a parameter for its elasticity
 _SMALL = 1e-3  # change of a parameter that ...
@@ -624,41 +628,56 @@ def _search(
     if isinstance(objective, Robust) and space.spread > objective.uncertainties.wave_speed:
         uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
         objective = replace(objective, uncertainties=uncertainties)
-    score = LayerScore(space.rig, objective, limits, cancelled=cancelled)
-    known = [
-        Optimum(each.rig.layer.thickness, each.rig.layer.wave_speed, each.score)
-        for each in starts
-        if space.layers.contains(each.rig.layer.thickness, each.rig.layer.wave_speed)
-    ]
+    has_loss = space.rig.layer.loss_tangent > 0.0
+    exact = LayerScore(space.rig, objective, limits, cancelled=cancelled)
+    draft = exact
+    if has_loss:
+        draft = LayerScore(space.rig, objective, limits, cells=SEARCH_CELLS, cancelled=cancelled)
     present = (space.rig.layer.thickness, space.rig.layer.wave_speed)
-    now = 0.0
-    if space.layers.contains(*present):
-        now = float(score(*present)[0])
-        known += [Optimum(*present, now)] if now > 0.0 else []
+    known = [(each.rig.layer.thickness, each.rig.layer.wave_speed) for each in starts]
+    layers = [layer for layer in (present, *known) if space.layers.contains(*layer)]
     best = find_best_layer(
-        score,
+        draft,
         space.layers,
         step=grid_step(space, objective),
-        starts=tuple(known),
-        tolerance=1e-5 if space.rig.layer.loss_tangent == 0.0 else 5e-4,
+        starts=tuple(Optimum(*layer, float(draft(*layer)[0])) for layer in layers),
+        tolerance=5e-4 if has_loss else 1e-5,
     )
+    if best is not None and has_loss:
+        best = _refine(exact, best, space.layers)
+    now = float(exact(*present)[0]) if present in layers else 0.0
+    if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
+        return _Found(space.rig, now, objective, space.name)
     if best is None:
         return None
-    if now >= (1.0 - _EQUAL) * best.score:
-        return _Found(space.rig, now, objective, space.name)
     layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
     return _Found(replace(space.rig, layer=layer), best.score, objective, space.name)
+
+
+def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
+    """Make sure that what was found with few cells is not beyond a jump or a limit with many."""
+    score = float(exact(best.thickness, best.wave_speed)[0])
+    if score >= (1.0 - _DRAFT_ERROR) * best.score:
+        return best._replace(score=score)
+    nearby = LayerRange(*(
+        (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
+        for (low, high), value in zip(layers, best, strict=False)
+    ))  # fmt: skip
+    start = (best._replace(score=score),) if score > 0.0 else ()
+    return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)
 
 
 def grid_step(space: SearchSpace, objective: Objective | None = None) -> float:
     """
     Choose the step of the grid on which a search begins.
 
+    A line is cheap, and throws from a layer with loss, or under strong gravity, cost thirty times
+    what others do.
+
     Parameters
     ----------
     space : SearchSpace
-        Where it looks. A line is cheap, and a layer with loss costs a hundred times more. Under
-        strong gravity the landscape is rougher, since several swings of the plate may throw.
+        Where it looks.
     objective : Peak, Robust or Versatile, optional
         What for; its slowest plate decides how strong gravity is.
 
@@ -668,20 +687,15 @@ def grid_step(space: SearchSpace, objective: Objective | None = None) -> float:
         In logarithms of thickness and wave speed. [-]
 
     """
-    rig, layers = space.rig, space.layers
-    is_line = (
-        layers.thickness[0] == layers.thickness[1]
-        or layers.wave_speed[0] == (layers.wave_speed[1])
-    )
-    step = 0.01 if is_line else 0.06
+    rig = space.rig
+    is_line = any(low == high for low, high in space.layers)
     if rig.layer.loss_tangent > 0.0:
-        step = 0.04 if is_line else 0.12
+        return 0.04 if is_line else 0.12
     slowest = rig.engine.frequency
     if isinstance(objective, Versatile):
         slowest = min(objective.frequencies)
-    if rig.gravity_ratio * (rig.engine.frequency / slowest) ** 2 > _STRONG_GRAVITY:
-        step *= 0.4
-    return step
+    is_strong = rig.gravity_ratio * (rig.engine.frequency / slowest) ** 2 > _STRONG_GRAVITY
+    return (0.02 if is_strong else 0.01) if is_line else 0.06
 
 
 def _sensitivities(
@@ -695,7 +709,7 @@ def _sensitivities(
         'frequency': rig.engine.frequency,
         'damping_ratio': rig.engine.damping_ratio,
     }
-    score = LayerScore(rig, objective, cancelled=cancelled)
+    score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
     best = float(score(values['thickness'], values['wave_speed'])[0])
 
     def remaining(which: NDArray[np.int64], change: Floats, lost: float = 1.0) -> Floats:
@@ -870,7 +884,7 @@ def _remark(rig: Rig, best: Prediction, optimum: BestRatios, paper: BestRatios) 
     if rig.gravity_ratio > _STRONG_GRAVITY:
         text += (
             f'; gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
-            f'that later swings throw as well: {LATEST:g} periods are waited for'
+            'that later swings throw as well'
         )
     if best.peak_strain >= 1.0:
         text += (

@@ -26,9 +26,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, SEARCH_CELLS
 
 Floats = NDArray[np.float64]
 
@@ -316,7 +316,7 @@ def prediction_uncertainty(
     uncertainties = uncertainties or Uncertainties()
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
     ratios, _ = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
-    throws = first_throws(ratios, cancelled=cancelled)
+    throws = first_throws(ratios, cells=SEARCH_CELLS, cancelled=cancelled)
     left = throws.speed > 0.0
     if not left.any():
         raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')

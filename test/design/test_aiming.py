@@ -9,7 +9,7 @@ import pytest
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.design.aiming import aim, fly, MAX_STRAIN, Target
 from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import Limits

@@ -13,7 +13,7 @@ from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.design.landscape import AXES, Axis, compute_landscape
 
 HARMONIC = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)

@@ -12,7 +12,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import (

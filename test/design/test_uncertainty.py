@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.design.recommendation import predict
 from soft_throw_ros.design.uncertainty import (
     COVERAGE,
