@@ -14,7 +14,6 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.design.sweep import whole_file
 
 Floats = NDArray[np.float64]
 
@@ -24,11 +23,14 @@ BLUE = '#0072b2'
 ORANGE = '#e69f00'
 GREEN = '#009e73'
 RED = '#d55e00'
-PURPLE = '#cc79a7'
 SKY = '#56b4e9'
 
 WIDTH = 8.4
-"""Of every figure: at 150 dots an inch it fills a README, where the letters are 9 pt. [in]"""
+"""Of every figure: at 150 dots an inch it fills a page of GitHub, where letters are 9 pt. [in]"""
+
+# Axes that several figures have
+X_LABEL = '$x = L_s/(L_s+L_r)$'
+C_LABEL = '$C = c_s/(L_s+L_r)f$'
 
 PAPER: dict[str, Any] = {
     'color': RED,
@@ -52,13 +54,6 @@ _SETTINGS: Any = {
     'lines.linewidth': 1.6,
     'mathtext.fontset': 'dejavusans',
     'savefig.dpi': 150,
-    'svg.hashsalt': 'soft_throw_ros',  # the same names of parts in every run
-}
-
-_METADATA: dict[str, dict[str, None]] = {
-    'png': {'Software': None},
-    'pdf': {'CreationDate': None},
-    'svg': {'Date': None},
 }
 
 
@@ -131,8 +126,7 @@ def show_map(
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure into a file whose ending is the format, the same bytes every time."""
-    kind = path.suffix[1:]
-    options: Any = {'pil_kwargs': {'optimize': True}} if kind == 'png' else {}
-    with settings(), whole_file(path) as unfinished:
-        figure.savefig(unfinished, format=kind, metadata=_METADATA[kind], **options)
+    """Write a figure as PNG, the same bytes every time."""
+    with settings():
+        # `Software` would name the version of matplotlib
+        figure.savefig(path, metadata={'Software': None}, pil_kwargs={'optimize': True})

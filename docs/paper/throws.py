@@ -10,14 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from models import DAMPING_RATIO, Rig, SERIES, simulate, Throw, Underdamped
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
-from soft_throw_ros.commands.paper.rig_series import DAMPING_RATIO, SERIES
-from soft_throw_ros.commands.paper.style import BLACK, BLUE, GREEN, legend_below, new_figure, WIDTH
-from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import simulate, Throw
+from style import BLACK, BLUE, GREEN, legend_below, new_figure, WIDTH
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +41,13 @@ def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats
     return rest + cumulative_trapezoid(fields.velocity, time, axis=0, initial=0.0), fields.strain
 
 
+def _time_of_peak_strain(throw: Throw) -> float:
+    """Find when the layer is strained most before the release, to the step of the strip."""
+    time = np.arange(0.0, throw.ejection_time, 1e-5)
+    strain = np.abs(throw.fields(time, points=97).strain)
+    return float(time[strain.max(axis=1).argmax()])
+
+
 def bare_flight(throw: Throw, time: Floats) -> Floats:
     """Compute how high the plate alone lifts and throws: with it, and then at its top speed."""
     motion = Underdamped.of(throw.rig.engine)
@@ -64,7 +68,7 @@ def draw_states() -> Figure:
         (0.0, 'at rest'),
         (rig.crossing_time, 'wave is at the top'),
         (bare, 'bare plate throws'),
-        (throw.peak_strain.time, 'pressed hardest'),
+        (_time_of_peak_strain(throw), 'pressed hardest'),
         (release, 'layer throws'),
         (0.0125, 'in flight'),
     )
@@ -110,7 +114,7 @@ def _draw_state(
     """Draw plate, layer and both projectiles at a moment, strain in percent up to a limit."""
     rig = throw.rig
     width = _MILLI * rig.layer.diameter
-    plate = _MILLI * float(throw.history.motion.position(moment))
+    plate = _MILLI * float(Underdamped.of(rig.engine).position(moment))
     image = axes.pcolormesh(
         np.array([_GAP, _GAP + width]),
         _MILLI * heights,
