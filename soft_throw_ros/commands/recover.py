@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from soft_throw_ros.recording.message import BagError
-from soft_throw_ros.recording.recovery import recover, Report
+from soft_throw_ros.recording.recovery import recover, Recovery
 
 _SHOWN = 10  # places that are named one by one
 
@@ -59,7 +59,7 @@ def _beside(source: Path) -> Path:
     return path.with_name(f'{name}_recovered')
 
 
-def text(report: Report) -> str:
+def text(report: Recovery) -> str:
     """Write a report for people to read."""
     width = max(map(len, report.saved))
     lines = [f'{report.target}: {report.message_count} messages recovered']

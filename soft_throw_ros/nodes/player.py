@@ -25,10 +25,10 @@ from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, Program
 from soft_throw_ros.nodes.realtime import be_punctual
 from soft_throw_ros.nodes.taps import message_type, prefixes
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schedule import Schedule
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
 from soft_throw_ros.twin.pace import Pace, SECOND
 from std_srvs.srv import Trigger
@@ -119,7 +119,7 @@ class Player(Program):
         self._choice = choice
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
-        self._schedule: Schedule[Message] | None = None
+        self._schedule: PlaybackSchedule[Message] | None = None
         self._beat: Pace | None = None
         self._beats = 0
         self._code: int | None = None
@@ -205,7 +205,7 @@ class Player(Program):
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
         return self.create_publisher(kind, channel.topic, qos_to_profile(_offer(channel.qos)))
 
-    def _scheduled(self, now: int) -> Schedule[Message]:
+    def _scheduled(self, now: int) -> PlaybackSchedule[Message]:
         choice, reader = self._choice, self._reader
         begin = reader.start_time + round(choice.start * SECOND)
         end = reader.end_time
@@ -218,7 +218,7 @@ class Player(Program):
                 if message.channel in self._publishers_by_channel:
                     yield message
 
-        return Schedule(
+        return PlaybackSchedule(
             messages,
             lambda message: message.log_time,
             begin_ns=begin,
@@ -247,7 +247,7 @@ class Player(Program):
         is_bad = self._has_failed or self._reader.damage or not self._publishers_by_channel
         self._code = 1 if is_bad else 0
 
-    def _play_due(self, schedule: Schedule[Message]) -> int | None:
+    def _play_due(self, schedule: PlaybackSchedule[Message]) -> int | None:
         """Publish what is due by now; return when something is next, if that is known. [ns]"""
         with self._lock:
             now = time.monotonic_ns()
@@ -263,7 +263,7 @@ class Player(Program):
             deadline = schedule.deadline()
         return min((time for time in (beat, deadline) if time is not None), default=None)
 
-    def _tell_time(self, schedule: Schedule[Message], now: int) -> int | None:
+    def _tell_time(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
         beat = self._beat
         if beat is None or self._clock_publisher is None:
@@ -313,7 +313,7 @@ class Player(Program):
         return response
 
     @property
-    def _active(self) -> Schedule[Message]:
+    def _active(self) -> PlaybackSchedule[Message]:
         assert self._schedule is not None  # no service is served before the start
         return self._schedule
 

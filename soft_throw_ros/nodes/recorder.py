@@ -29,11 +29,11 @@ from soft_throw_ros.nodes.conversions import status_to_msg, statuses_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import Program, run
 from soft_throw_ros.nodes.taps import distribution, Taps
-from soft_throw_ros.recording.background import BackgroundWriter
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
-from soft_throw_ros.recording.feed import Feed
+from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
 from std_srvs.srv import Trigger
 
@@ -61,27 +61,27 @@ class Recording:
     ----------
     taps : Taps
         What is taken.
-    writer : BackgroundWriter or None
+    writer : WriterThread or None
         Where it is written.
-    feed : Feed or None
+    feed : LiveStream or None
         Where it is shown.
 
     """
 
     def __init__(self, recorder: Node, settings: Settings) -> None:
         self.taps = Taps(recorder, settings['topics'])
-        self.writer: BackgroundWriter | None = None
-        self.feed: Feed | None = None
+        self.writer: WriterThread | None = None
+        self.feed: LiveStream | None = None
         self._settings = settings
         self._clock = recorder.get_clock()
         self._began = time.monotonic()
         self._twins: dict[str, Any] = {}
         if settings['storage'] == 'mcap':
-            self.writer = BackgroundWriter(self._open_bag, capacity=settings['buffer'])
+            self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
             self.writer.attach('recorder.yaml', text.encode(), 'application/yaml')
         if settings['rerun.sink'] != 'none':
-            self.feed = Feed(self._inspect_command())
+            self.feed = LiveStream(self._inspect_command())
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
@@ -183,7 +183,7 @@ class Recording:
                 if message.channel.topic.endswith('/journal'):
                     self._read_journal(self.writer, message)
 
-    def _read_journal(self, writer: BackgroundWriter, message: Message) -> None:
+    def _read_journal(self, writer: WriterThread, message: Message) -> None:
         """Write down what a twin tells of itself, at first and on change."""
         channel = message.channel
         try:

@@ -13,7 +13,8 @@ import math
 import sys
 from typing import Any
 
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.check import BagCheck, CheckError, Report
 from soft_throw_ros.recording.message import BagError
 

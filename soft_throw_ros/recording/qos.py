@@ -8,7 +8,9 @@ from dataclasses import dataclass, fields
 import functools
 from typing import Any
 
-from soft_throw_ros.recording import yaml_text
+import yaml
+
+YAML_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)  # faster where it is there
 
 INFINITE = 2**63 - 1
 """A time that is never over. [ns]"""
@@ -86,10 +88,31 @@ class Qos:
         }
 
 
+def load_yaml(text: str) -> Any:
+    """
+    Read YAML of whatever origin.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+
+    Notes
+    -----
+    LibYAML would be faster, but many an opening bracket makes it overflow its stack.
+
+    """
+    try:
+        return yaml.safe_load(text)
+    # PyYAML raises what comes its way if, say, a text is tagged as a number
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise ValueError(str(error).partition('\n')[0]) from None
+
+
 def to_yaml(profiles: Iterable[Qos]) -> str:
     """Write profiles as the text that the channel of an MCAP file has."""
     written = [profile.to_dict() for profile in profiles]
-    return yaml_text.dump(written).strip() if written else ''
+    return yaml.dump(written, Dumper=YAML_DUMPER, sort_keys=False).strip() if written else ''
 
 
 def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, ...]:
@@ -126,7 +149,7 @@ def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, 
 @functools.lru_cache(maxsize=1000)
 def _from_text(text: str) -> tuple[Qos, ...]:
     """Read a text, which every file of a bag, and many channels, have alike."""
-    return _from_items(yaml_text.load(text))
+    return _from_items(load_yaml(text))
 
 
 def _from_items(items: Any) -> tuple[Qos, ...]:

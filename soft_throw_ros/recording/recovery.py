@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
-from soft_throw_ros.recording.bag import BagReader, BagWriter, is_being_written
+from soft_throw_ros.recording.bag_reader import BagReader, Gap
+from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
 from soft_throw_ros.recording.message import BagError
-from soft_throw_ros.recording.records import Gap
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class Recovery:
     """
     What was recovered.
 
@@ -43,7 +43,7 @@ class Report:
         return tuple(gap for gap in self.gaps if gap.size or gap.messages)
 
 
-def recover(source: str | Path, target: str | Path) -> Report:
+def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write what can be read of a bag into a new one, which every reader opens.
 
@@ -82,7 +82,7 @@ def recover(source: str | Path, target: str | Path) -> Report:
         saved: dict[str, int] = {}
         for channel, count in writer.counts.items():
             saved[channel.topic] = saved.get(channel.topic, 0) + count
-        return Report(target=target, saved=saved, gaps=tuple(reader.gaps))
+        return Recovery(target=target, saved=saved, gaps=tuple(reader.gaps))
 
 
 def _copy(reader: BagReader, writer: BagWriter) -> None:
@@ -94,7 +94,5 @@ def _copy(reader: BagReader, writer: BagWriter) -> None:
         writer.attach(
             attachment.name, attachment.data, attachment.media_type, time=attachment.log_time
         )
-    for file in reader.files:
-        writer.split()
-        for message in file.messages_as_written():
-            writer.write(message)
+    for message in reader.messages(by_log_time=False):
+        writer.write(message)

@@ -8,7 +8,8 @@ import sys
 from mcap.reader import make_reader
 import pytest
 from soft_throw_ros.commands import recover
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
 ROOT = Path(__file__).parents[2]

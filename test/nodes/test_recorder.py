@@ -19,7 +19,7 @@ from soft_throw_ros.nodes import taps, topics
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording.bag import BagReader, read_stream
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import Message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger

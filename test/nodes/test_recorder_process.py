@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.twin.results import State
 

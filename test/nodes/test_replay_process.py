@@ -14,7 +14,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from soft_throw_ros.nodes.taps import prefixes
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema

@@ -10,7 +10,8 @@ import time
 
 import pytest
 from soft_throw_ros.recording.background import BackgroundWriter
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 
 PATIENCE = 20.0

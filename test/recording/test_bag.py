@@ -34,15 +34,9 @@ from rosbags.rosbag2 import (
 )
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.recording import bag as bag_module
-from soft_throw_ros.recording.bag import (
-    BagReader,
-    BagWriter,
-    CHUNK_SIZE,
-    is_being_written,
-    read_stream,
-    StreamWriter,
-)
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
+from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
+from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.qos import Qos, to_yaml
 import yaml
@@ -384,24 +378,6 @@ def test_writing_goes_on_in_a_next_file_when_there_is_room_again(tmp_path):
     assert [record.data for record in part.attachments] == [b'content']
 
 
-def test_disk_that_stays_full_gets_no_further_files(tmp_path, monkeypatch):
-    writer = BagWriter(tmp_path / 'bag', distribution='')
-    with largest_file(10**4), pytest.raises(BagError, match='File too large'):
-        write_all(writer, map(noise, range(1000)))
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(bag_module.shutil, 'disk_usage', lambda path: usage._replace(free=10**6))
-    for _ in range(3):
-        with pytest.raises(BagError, match='File too large'):
-            writer.flush()
-    monkeypatch.undo()
-    with largest_file(100):  # not even its beginning
-        for _ in range(3):
-            with pytest.raises(BagError, match=r'bag_1\.mcap: File too large'):
-                writer.flush()
-    assert [path.name for path in tmp_path.glob('bag/*.mcap')] == ['bag_0.mcap']
-    writer.close()
-
-
 @pytest.mark.parametrize('size', [10, 60, 300])
 def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
     with largest_file(size), pytest.raises(BagError, match='File too large'):
@@ -550,18 +526,6 @@ def test_large_bag_is_read_in_little_memory(tmp_path, by_scan):
     finally:
         tracemalloc.stop()
     assert peak < 10 * CHUNK_SIZE
-
-
-def test_bag_that_cannot_be_sorted_in_bounded_memory_says_so(tmp_path, monkeypatch):
-    with BagWriter(tmp_path / 'bag', distribution='') as writer:
-        for number in range(40):  # each chunk spans all times
-            writer.write(plain(number, time=number % 2, size=200_000))
-            writer.write(plain(number, time=1000 - number, size=50_000))
-    monkeypatch.setattr(bag_module, 'LIMIT', 10**6)
-    with BagReader(tmp_path / 'bag') as bag:
-        with pytest.raises(BagError, match='too far from the order of time'):
-            list(bag.messages())
-        assert len(list(bag.messages(end=1))) == 20  # as it is for the time asked for
 
 
 # Bags of others

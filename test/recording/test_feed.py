@@ -23,7 +23,7 @@ LATCHED = Channel(
 
 READER = """
 import os, sys
-from soft_throw_ros.recording.bag import read_stream
+from soft_throw_ros.recording.bag_reader import read_stream
 from soft_throw_ros.recording.message import Message
 with open(sys.argv[1], 'a') as file:
     print('start', os.getpid(), file=file, flush=True)

@@ -43,7 +43,9 @@ from mcap.writer import CompressionType, MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
-from soft_throw_ros.recording.bag import BagReader, BagWriter, read_stream, StreamWriter
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.recovery import recover
 import zstandard
@@ -84,7 +86,7 @@ def is_subsequence(part, whole):
 KILLED = """
 import mmap, os, random, signal, sys, time
 from pathlib import Path
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
 folder, runs, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
@@ -685,7 +687,7 @@ HARMLESS = {
 LIMITED = """
 import json, resource, sys
 from pathlib import Path
-from soft_throw_ros.recording.bag import BagReader, read_stream
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.recovery import recover
 

@@ -8,7 +8,8 @@ import sys
 
 from mcap.records import Metadata
 import pytest
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.tail import tail
 
@@ -16,7 +17,7 @@ CHANNEL = Channel(topic='/text', type='std_msgs/msg/String', schema='string data
 
 RECORDER = """
 import sys
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
 channel = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 import threading
 import time
 
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 
 FLUSH_TIME = 0.5
@@ -21,7 +21,7 @@ _OVERHEAD = 500
 """What a message takes in memory besides its data. [bytes]"""
 
 
-class BackgroundWriter:
+class WriterThread:
     """
     A bag, and the thread that writes it.
 

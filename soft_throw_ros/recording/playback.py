@@ -21,7 +21,7 @@ SHORTEST_LAP = 1_000_000
 Item = TypeVar('Item')
 
 
-class Schedule(Generic[Item]):
+class PlaybackSchedule(Generic[Item]):
     """
     Have the items of a recording come in its own time, or faster, or again and again.
 
@@ -49,7 +49,7 @@ class Schedule(Generic[Item]):
 
     Examples
     --------
-    >>> schedule = Schedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
+    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
     >>> schedule.next_due(100), schedule.next_due(100), schedule.deadline(), schedule.time(110)
     (5, None, 120, 6)
     >>> schedule.next_due(120), schedule.is_over

@@ -9,16 +9,18 @@ and of what waits for it the oldest goes first.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import contextlib
 import fcntl
+from io import BytesIO
 import os
 import subprocess
 import threading
 import time
 from typing import NamedTuple
 
-from soft_throw_ros.recording.bag import StreamWriter
+from mcap.writer import IndexType, Writer
+from soft_throw_ros.recording.bag_writer import LIBRARY, PROFILE, register_channel
 from soft_throw_ros.recording.message import Channel, Message
 
 PERIOD = 1.0 / 30.0
@@ -40,6 +42,85 @@ _PIPE = 2**20
 """Size of the pipe, where the system allows it. [bytes]"""
 
 
+class StreamWriter:
+    """
+    Makes an MCAP stream for a pipe: nothing is compressed, indexed or kept.
+
+    Every method returns whole records. What comes from `start` goes first; what comes from
+    `define` must arrive before messages of these channels; blocks of messages may be left out.
+
+    Examples
+    --------
+    >>> from io import BytesIO
+    >>> from soft_throw_ros.recording.bag_reader import read_stream
+    >>> channel = Channel(topic='/phase', type='std_msgs/msg/String', schema='string data')
+    >>> writer = StreamWriter()
+    >>> stream = writer.start() + writer.define(channel)
+    >>> stream += writer.block([Message(channel, b'0123', log_time=7, publish_time=7)])
+    >>> [message.log_time for message in read_stream(BytesIO(stream))]
+    [7]
+
+    """
+
+    def __init__(self) -> None:
+        self._ids: dict[Channel, int] = {}
+        self._begin()
+
+    def start(self) -> bytes:
+        """Begin a stream, for a first reader or the next one, with all channels so far."""
+        self._begin()
+        self._writer.start(PROFILE, LIBRARY)
+        for channel in self._ids:
+            register_channel(self._writer, channel, self._schemas)
+        return self._take()
+
+    def define(self, channel: Channel) -> bytes:
+        """Define a channel; nothing if it has been."""
+        if channel not in self._ids:
+            *_, record = register_channel(self._writer, channel, self._schemas)
+            self._ids[channel] = record.id
+        return self._take()
+
+    def block(self, messages: Iterable[Message]) -> bytes:
+        """Write messages of channels that are defined."""
+        for channel, data, log_time, publish_time, sequence in messages:
+            self._writer.add_message(
+                self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
+            )
+        return self._take()
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
+        """Write named texts."""
+        self._writer.add_metadata(name, dict(values))
+        return self._take()
+
+    def end(self) -> bytes:
+        """End the stream, as a file that has no index."""
+        self._writer.finish()
+        return self._take()
+
+    def _begin(self) -> None:
+        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._output = BytesIO()
+        self._writer = Writer(
+            self._output,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_chunking=False,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+
+    def _take(self) -> bytes:
+        """Return what has been written since the last call."""
+        self._writer.flush()
+        data = self._output.getvalue()
+        self._output.seek(0)
+        self._output.truncate()
+        return data
+
+
 class _Block(NamedTuple):
     """A part of the stream; what has no messages is needed by all that follows."""
 
@@ -47,7 +128,7 @@ class _Block(NamedTuple):
     messages: int
 
 
-class Feed:
+class LiveStream:
     """
     A process that shows messages, and is started again if it ends.
 
