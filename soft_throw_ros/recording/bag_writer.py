@@ -78,6 +78,8 @@ class BagWriter:
         The bag.
     counts : dict of Channel to int
         How many messages are in the bag as of the last `flush`.
+    lost : dict of Channel to int
+        How many messages were written in vain, because the bag was deleted or `close` failed.
 
     Raises
     ------
@@ -104,6 +106,7 @@ class BagWriter:
     ) -> None:
         self.folder = Path(folder)
         self.counts: dict[Channel, int] = {}
+        self.lost: dict[Channel, int] = {}
         if compression not in _COMPRESSIONS:
             choices = ', '.join(_COMPRESSIONS)
             raise BagError(f'compression must be one of {choices}, got {compression!r}')
@@ -146,12 +149,6 @@ class BagWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def lost(self) -> dict[Channel, int]:
-        """How many messages that were written are not in the bag, unless `flush` comes to it."""
-        lost = {channel: count - self.counts[channel] for channel, count in self._written.items()}
-        return {channel: count for channel, count in lost.items() if count}
 
     def write(self, message: Message) -> None:
         """
@@ -264,6 +261,7 @@ class BagWriter:
                 self._output.close()
                 self._write_information()
         finally:
+            self._count_lost()
             self._output.close()
             os.close(self._lock)
             self._lock = -1
@@ -340,8 +338,13 @@ class BagWriter:
             self._kept_before = {}
         if not self._output.exists:
             self.counts = {**dict.fromkeys(self.counts, 0), **self._kept_before}
+            self._count_lost()
             raise FileNotFoundError(errno.ENOENT, 'it was deleted while it was written')
         self.counts = dict(self._written)
+
+    def _count_lost(self) -> None:
+        lost = {channel: count - self.counts[channel] for channel, count in self._written.items()}
+        self.lost = {channel: count for channel, count in lost.items() if count}
 
     @contextlib.contextmanager
     def _guard(self) -> Iterator[None]:

@@ -123,7 +123,6 @@ class Definitions:
 
     def add(self, record: mcap.Schema | mcap.Channel, *, has_checksum: bool = True) -> None:
         """Take a definition; one without a checksum only if there is none yet."""
-        # Two variables, since the type of a record says which of them it goes into
         if isinstance(record, mcap.Schema):
             if has_checksum or record.id not in self._schemas:
                 self._schemas[record.id] = record
@@ -303,8 +302,10 @@ class McapFile:
         if summary is None or summary.statistics is None or not self._has_sound_summary():
             return None
         statistics = summary.statistics
-        for definition in (*summary.schemas.values(), *summary.channels.values()):
-            self._definitions.add(definition)
+        for schema in summary.schemas.values():
+            self._definitions.add(schema)
+        for channel in summary.channels.values():
+            self._definitions.add(channel)
         is_complete = (
             self._definitions.all().keys() >= statistics.channel_message_counts.keys()
             and len(summary.chunk_indexes) == statistics.chunk_count

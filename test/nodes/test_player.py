@@ -19,7 +19,7 @@ from rosbags.typesys import get_typestore, Stores
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import Choice, PAUSE, Player, RESUME, STEP
-from soft_throw_ros.nodes.taps import message_type, prefixes
+from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from soft_throw_ros.nodes.taps import prefixes
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
