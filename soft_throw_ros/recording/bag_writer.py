@@ -25,7 +25,6 @@ from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
 from soft_throw_ros.recording import qos
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
-import yaml
 
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
@@ -326,7 +325,7 @@ class BagWriter:
         """Write the end of the open file, which is kept with the next flush."""
         assert self._writer is not None
         self._writer.add_metadata(
-            'rosbag2', {'serialized_metadata': _to_yaml(self._information())}
+            'rosbag2', {'serialized_metadata': qos.dump_yaml(self._information())}
         )
         self._writer.finish()
         self._writer, self._ids = None, {}
@@ -352,7 +351,7 @@ class BagWriter:
         try:
             yield
         except OSError as error:
-            path = error.filename or self.folder / self._files[-1].name
+            path = error.filename or self.folder / (self._files[-1].name if self._files else '')
             raise BagError(f'{path}: {error.strerror}') from None
 
     def _information(self) -> dict[str, Any]:
@@ -393,7 +392,7 @@ class BagWriter:
         temporary = path.with_suffix('.yaml.tmp')
         try:
             with temporary.open('w', encoding='utf-8') as file:
-                file.write(_to_yaml({METADATA_KEY: self._information()}))
+                file.write(qos.dump_yaml({METADATA_KEY: self._information()}))
                 file.flush()
                 if self._sync:
                     os.fsync(file.fileno())
@@ -538,8 +537,3 @@ def _lock(folder: Path, mode: int) -> int:
     except OSError:
         pass  # a file system without locks
     return descriptor
-
-
-def _to_yaml(data: dict[str, Any]) -> str:
-    text: str = yaml.dump(data, Dumper=qos.YAML_DUMPER, sort_keys=False)
-    return text
