@@ -383,6 +383,8 @@ class McapFile:
                 case mcap.DataEnd():
                     is_complete = True
                 case mcap.Footer():
+                    if read_exactly(self._stream, len(MAGIC)) != MAGIC:
+                        self._note(self._size, 0, 'the file has no end')
                     break
         return counts + self._add_messages(_BARE, self._bare)
 

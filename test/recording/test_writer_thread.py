@@ -3,52 +3,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+import resource
+import shutil
 import threading
-import time
+from typing import Any
 
 import pytest
-from soft_throw_ros.recording.background import BackgroundWriter
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.writer_thread import WriterThread
 
-PATIENCE = 20.0
-CHANNEL = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
-
-
-def message(number: int, size: int = 100) -> Message:
-    return Message(CHANNEL, bytes(size), log_time=number, publish_time=number, sequence=number)
+from test.recording.conftest import PLAIN, plain, read, TIMEOUT, wait_until
 
 
-def wait_until(done: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not done():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+def thread(path: Path, bag: Any = BagWriter, capacity: int = 10**7) -> WriterThread:
+    return WriterThread(lambda: bag(path, distribution=''), capacity=capacity)
+
+
+def numbers(path: Path) -> list[int]:
+    return [message.sequence for message in read(path).messages]
 
 
 def test_all_is_written_in_its_order(tmp_path: Path) -> None:
-    writer = BackgroundWriter(
-        lambda: BagWriter(tmp_path / 'bag', distribution='jazzy'), capacity=10**7
-    )
+    writer = thread(tmp_path / 'bag')
     writer.attach('file.txt', b'content', 'text/plain')
     writer.add_metadata('name', {'key': 'value'})
     for number in range(0, 1000, 10):
-        writer.put([message(n) for n in range(number, number + 10)])
+        writer.put([plain(n) for n in range(number, number + 10)])
     writer.close()
-    assert not writer.trouble
-    assert not writer.lost()
-    with BagReader(tmp_path / 'bag') as bag:
-        assert [item.sequence for item in bag.messages()] == list(range(1000))
-        assert {item.name: item.metadata for item in bag.metadata}['name'] == {'key': 'value'}
-        assert [item.name for item in bag.attachments()] == ['file.txt']
+    assert (writer.error, writer.lost()) == ('', {})
+    assert numbers(tmp_path / 'bag') == list(range(1000))
+    bag = read(tmp_path / 'bag')
+    assert [(item.name, item.metadata) for item in bag.metadata] == [('name', {'key': 'value'})]
+    assert [item.name for item in bag.attachments] == ['file.txt']
 
 
 def test_what_is_put_lasts_before_the_bag_is_closed(tmp_path: Path) -> None:
-    writer = BackgroundWriter(lambda: BagWriter(tmp_path / 'bag', distribution=''), capacity=10**7)
-    writer.put([message(number) for number in range(100)])
+    writer = thread(tmp_path / 'bag')
+    writer.put([plain(number) for number in range(100)])
 
     def count() -> int:
         with BagReader(tmp_path / 'bag') as bag:
@@ -58,33 +52,52 @@ def test_what_is_put_lasts_before_the_bag_is_closed(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_bag_that_cannot_be_made_is_tried_again(tmp_path: Path) -> None:
+def test_bag_that_cannot_be_made_is_tried_again_and_what_waits_is_counted(tmp_path: Path) -> None:
     place = tmp_path / 'place'
     place.write_text('in the way')
-    writer = BackgroundWriter(lambda: BagWriter(place / 'bag', distribution=''), capacity=10**7)
-    assert str(place) in writer.trouble
+    writer, vain = thread(place / 'bag'), thread(place / 'vain')
+    assert str(place) in writer.error
     assert writer.bag is None
     writer.attach('file.txt', b'content', 'text/plain')
-    writer.put([message(number) for number in range(7)])
+    for item in (writer, vain):
+        item.put([plain(number) for number in range(7)])
     assert writer.waiting == 8
+    vain.close()
+    assert (vain.bag, vain.lost()) == (None, {PLAIN: 7})
     place.unlink()
-    wait_until(lambda: not writer.trouble)
-    writer.put([message(7)])
+    wait_until(lambda: not writer.error)
     writer.close()
     assert not writer.lost()
-    with BagReader(place / 'bag') as bag:
-        assert [item.sequence for item in bag.messages()] == list(range(8))
-        assert [item.name for item in bag.attachments()] == ['file.txt']
+    assert numbers(place / 'bag') == list(range(7))
 
 
-def test_what_waits_in_vain_is_counted_in_the_end(tmp_path: Path) -> None:
-    place = tmp_path / 'place'
-    place.write_text('in the way')
-    writer = BackgroundWriter(lambda: BagWriter(place / 'bag', distribution=''), capacity=10**7)
-    writer.put([message(number) for number in range(7)])
+def test_disk_that_is_full_for_a_while_costs_nothing(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writer = thread(tmp_path / 'bag')
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        for number in range(1000):
+            writer.put([Message(PLAIN, number.to_bytes(100, 'big'), number, number, number)])
+        wait_until(lambda: 'File too large' in writer.error)
+        writer.put([plain(1000)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    wait_until(lambda: not writer.error)
     writer.close()
-    assert writer.lost()[CHANNEL] == 7
-    assert writer.bag is None
+    assert not writer.lost()
+    assert numbers(tmp_path / 'bag') == list(range(1001))
+
+
+def test_bag_that_is_deleted_is_named_and_all_is_lost(tmp_path: Path) -> None:
+    writer = thread(tmp_path / 'bag')
+    writer.put([plain(number) for number in range(50)])
+    wait_until(lambda: writer.bag is not None and sum(writer.bag.counts.values()) == 50)
+    shutil.rmtree(tmp_path / 'bag')
+    wait_until(lambda: 'deleted' in writer.error)
+    writer.put([plain(number) for number in range(50, 70)])
+    with pytest.raises(BagError, match='deleted'):
+        writer.close()
+    assert writer.lost() == {PLAIN: 70}
 
 
 class SlowBag(BagWriter):
@@ -93,31 +106,22 @@ class SlowBag(BagWriter):
     goes_on = threading.Event()
 
     def write(self, message: Message) -> None:
-        assert self.goes_on.wait(PATIENCE)
+        assert self.goes_on.wait(TIMEOUT)
         super().write(message)
 
 
 def test_what_waits_is_bounded_and_the_rest_is_counted(tmp_path: Path) -> None:
-    writer = BackgroundWriter(
-        lambda: SlowBag(tmp_path / 'bag', distribution=''), capacity=1_000_000
-    )
-    writer.put([message(number, size=9_500) for number in range(250)])  # 10 kB each in memory
-    assert writer.lost()[CHANNEL] == 150
+    writer = thread(tmp_path / 'bag', SlowBag, capacity=1_000_000)
+    writer.put([plain(number, size=9_500) for number in range(250)])  # 10 kB each in memory
+    assert writer.lost()[PLAIN] == 150
     SlowBag.goes_on.set()
     writer.close()
-    with BagReader(tmp_path / 'bag') as bag:
-        assert [item.sequence for item in bag.messages()] == list(range(100))
+    assert numbers(tmp_path / 'bag') == list(range(100))
 
 
-class LostBag(BagWriter):
-    """A bag on a disk that goes away in the end."""
-
-    def close(self) -> None:
-        super().close()
-        raise BagError('the disk is gone')
-
-
-def test_error_at_the_end_is_told(tmp_path: Path) -> None:
-    writer = BackgroundWriter(lambda: LostBag(tmp_path / 'bag', distribution=''), capacity=10**7)
-    with pytest.raises(BagError, match='the disk is gone'):
-        writer.close()
+def test_message_without_a_valid_time_is_counted_and_left_out(tmp_path: Path) -> None:
+    writer = thread(tmp_path / 'bag')
+    writer.put([plain(0), Message(PLAIN, b'', -1, 0), plain(1)])
+    writer.close()
+    assert writer.lost() == {PLAIN: 1}
+    assert numbers(tmp_path / 'bag') == [0, 1]
