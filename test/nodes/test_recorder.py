@@ -152,7 +152,7 @@ def test_diagnostics_tell_what_was_lost(ros, recorder, talker) -> None:
     assert msg_to_values(bag)['messages'] == 3
     assert msg_to_values(losses) == {'lost': 0}
     (subscription,) = node.recording.subscriptions
-    tap._gaps = 2  # as if two had not come
+    subscription._gaps = 2  # as if two had not come
     losses = node._statuses()[1]
     assert losses.level == DiagnosticStatus.WARN
     assert msg_to_values(losses) == {'lost': 2, '/talk': 2}
