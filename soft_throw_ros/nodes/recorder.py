@@ -139,7 +139,8 @@ class Recording:
                     for item in self.subscriptions
                     if item.earlier
                 }
-                self.writer.add_metadata('published before recording', earlier)
+                if earlier:
+                    self.writer.add_metadata('published before recording', earlier)
                 self.writer.close()
         finally:
             if self.live_stream is not None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -47,8 +48,9 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write what can be read of a bag into a new one, which every reader opens.
 
-    Every record is looked at, and taken if it is whole: a chunk by its checksum, if it has one.
-    The messages keep their order, times and numbers; metadata and attachments come first.
+    Every chunk is taken that is whole, by its checksum if it has one; what is said of a topic
+    without a checksum is believed only if nothing with one says it. The messages keep their
+    order, times and numbers; metadata and attachments come first; several files become one.
 
     Parameters
     ----------
@@ -79,10 +81,10 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise
-        saved: dict[str, int] = {}
+        saved = Counter[str]()
         for channel, count in writer.counts.items():
-            saved[channel.topic] = saved.get(channel.topic, 0) + count
-        return Recovery(target=target, saved=saved, gaps=tuple(reader.gaps))
+            saved[channel.topic] += count
+        return Recovery(target=target, saved=dict(saved), gaps=tuple(reader.gaps))
 
 
 def _copy(reader: BagReader, writer: BagWriter) -> None:
