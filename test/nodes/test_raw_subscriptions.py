@@ -106,20 +106,6 @@ def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> 
     assert [item.channel.topic for item in take(ros, subscriptions, listener, 1)] == ['/talk/two']
 
 
-def test_messages_come_in_the_order_of_their_reception(ros, talker, listener, subscribe) -> None:
-    publishers = [talker.create_publisher(String, f'/talk/{name}', LATCHED) for name in 'abc']
-    subscriptions = subscribe('/talk')
-    ros.spin_until(
-        lambda: not subscriptions.discover() and len(list(subscriptions)) == 3, 'three topics'
-    )
-    ros.spin_until(lambda: all(p.get_subscription_count() for p in publishers), 'subscriptions')
-    for number in range(30):
-        publishers[number % 3].publish(String(data=str(number)))
-    messages = take(ros, subscriptions, listener, 30)
-    times = [item.log_time for item in messages]
-    assert times == sorted(times)
-
-
 def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
     ros, talker, listener
 ) -> None:
@@ -176,7 +162,6 @@ def test_numbers_of_several_publishers_are_not_taken_for_losses(
         first.publish(String())
     take(ros, subscriptions, listener, 6)
     (subscription,) = subscriptions
-    assert subscription.is_shared
     assert subscription.lost == 0
 
 
@@ -220,7 +205,7 @@ def test_topic_of_two_types_is_refused_and_told_once(
     assert subscriptions.discover() == []
 
 
-def test_messages_that_are_not_installed_are_refused(listener) -> None:
+def test_messages_that_are_not_installed_are_refused() -> None:
     with pytest.raises(ImportError, match='no_such_msgs/msg/Thing'):
         message_type('no_such_msgs/msg/Thing')
     with pytest.raises(ImportError, match='std_msgs/msg/Thing'):

@@ -80,8 +80,9 @@ def test_replay_ends_by_itself_after_the_last_message(start, ros, bag) -> None:
     assert replay.lines == ['replay: 1001 messages of 1 topics played']
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('option', ['--loop', '--paused'])
+@pytest.mark.parametrize(
+    ('number', 'option'), [(signal.SIGINT, '--loop'), (signal.SIGTERM, '--paused')]
+)
 def test_replay_ends_well_by_a_signal(start, ros, bag, number, option) -> None:
     heard = listen(ros, '/texts')
     replay = start(*COMMAND, str(bag), option, '--clock')

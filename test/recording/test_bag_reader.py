@@ -174,12 +174,6 @@ def test_folder_without_its_metadata_is_read_and_says_so(recording, damage, name
         assert name in bag.damage
 
 
-def test_file_that_a_folder_does_not_list_is_left_out(recording):
-    recording.write(300)
-    (recording.folder / 'bag_1.mcap').write_bytes(b'something else')
-    assert len(read(recording.folder).messages) == len(recording.messages)
-
-
 def test_bag_in_sqlite_is_named_with_what_converts_it(tmp_path):
     with RosbagsWriter(tmp_path / 'bag', version=9) as bag:
         connection = bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES)
