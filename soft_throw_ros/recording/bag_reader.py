@@ -206,12 +206,18 @@ class BagReader:
         names = information.get(_FILES, ())
         listed = [self.path / Path(name).name for name in names]
         missing = [path for path in listed if not path.is_file()]
-        if listed and not missing:
-            return listed
         self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
-        found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
+        found = listed
+        if missing or not listed:
+            found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
+            found.sort(key=_by_number)
+        # What a machine leaves that loses its power is no reason to refuse the others
+        empty = [path for path in found if path.is_file() and not path.stat().st_size]
+        self._gaps += [Gap(path, 0, 0, 'the file is empty') for path in empty]
+        if len(empty) < len(found):
+            return [path for path in found if path not in empty]
         if found:
-            return sorted(found, key=_by_number)
+            return found
         other = next(self.path.glob('*.db3'), None)
         reason = 'is no bag, there is no MCAP file in it' if other is None else not_mcap('sqlite3')
         raise BagError(f'{self.path} {reason}')

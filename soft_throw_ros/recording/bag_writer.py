@@ -182,7 +182,7 @@ class BagWriter:
         if channel not in self._written:
             self.counts[channel] = self._written[channel] = 0
             if self._writer is not None:
-                self._define(self._writer, channel)
+                self._define(self._writer, self._output, channel)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts; the last ones of a name are repeated in files that follow."""
@@ -286,15 +286,6 @@ class BagWriter:
         """Open the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
         output = _Output(path, self._max_size)
-        self._files.append(_FileInformation(path.name))
-        try:
-            self._write_information()
-        except OSError:
-            self._files.pop()
-            output.close()
-            path.unlink(missing_ok=True)  # so that the next attempt can make it
-            raise
-        self._output, self._kept_before = output, dict(self.counts)
         writer = Writer(
             output,  # type: ignore[arg-type]  # all that a writer needs of a stream
             chunk_size=CHUNK_SIZE,
@@ -307,19 +298,28 @@ class BagWriter:
             writer.add_attachment(**vars(attachment))
         self._ids, self._schemas, self._until = {}, {}, 0
         for channel in self._written:
-            self._define(writer, channel)
+            self._define(writer, output, channel)
+        self._files.append(_FileInformation(path.name))
+        try:
+            output.keep(sync=self._sync)
+            self._write_information()  # not before there is a file that can be read
+            if self._sync:
+                os.fsync(self._lock)  # that there are such files
+        except OSError:
+            self._files.pop()
+            output.close()
+            path.unlink(missing_ok=True)  # so that the next attempt can make it
+            raise
+        self._output, self._kept_before = output, dict(self.counts)
         self._writer, self._add_message = writer, writer.add_message
-        if self._sync:
-            os.fsync(self._lock)  # that there is such a file
-        self._keep()
 
-    def _define(self, writer: Writer, channel: Channel) -> None:
+    def _define(self, writer: Writer, output: _Output, channel: Channel) -> None:
         """Define a channel: for its chunk, and once more outside of it."""
         builder = RecordBuilder()
         for record in register_channel(writer, channel, self._schemas):
             record.write(builder)
             self._ids[channel] = record.id
-        self._output.write(builder.end())
+        output.write(builder.end())
 
     def _finish_file(self) -> None:
         """Write the end of the open file, which is kept with the next flush."""

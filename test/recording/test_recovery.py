@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import functools
 from io import BytesIO
 from pathlib import Path
 import random
 import resource
 import subprocess
 import sys
+import tempfile
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -87,6 +89,8 @@ for number in range(runs):
             write_for_ever(folder / f'bag{number}', number)
         finally:
             os._exit(1)
+    while number % 3 and not any(flushed[:]):
+        time.sleep(0.001)
     time.sleep(random.uniform(0.0, 0.06))
     os.kill(child, signal.SIGKILL)
     assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
@@ -218,6 +222,14 @@ def test_reading_goes_on_after_bytes_that_do_not_belong_there(recording, size):
         assert bag.gaps[0].size == size
 
 
+def test_empty_file_of_a_bag_is_named_and_the_others_are_read(recording, tmp_path):
+    recording.write(900, max_duration=0.3)
+    recording.files[1].write_bytes(b'')
+    recovered = recover(recording.folder, tmp_path / 'whole')
+    assert recovered.message_count == len(recording.messages) - 303
+    assert str(recording.files[1]) in str(recovered.gaps[0])
+
+
 def test_bag_whose_beginning_is_damaged_can_be_recovered(recording, tmp_path):
     recording.write(500)
     (path,) = recording.files
@@ -307,13 +319,16 @@ def test_full_disk_leaves_no_half_of_a_bag(recording, tmp_path):
 # Anything at all
 
 
-@pytest.fixture(scope='session')
-def sound_files(tmp_path_factory):
-    """Make small files in which nothing is wrong."""
-    files = {'unchunked': unchunked(30)[0]}
-    for compression in ('lz4', 'zstd', 'none'):
-        folder = tmp_path_factory.mktemp(compression) / 'bag'
-        with BagWriter(folder, distribution='', compression=compression) as writer:
+@functools.cache
+def sound_file(kind):
+    """Make a small file in which nothing is wrong."""
+    if kind == 'unchunked':
+        return unchunked(30)[0]
+    if kind == 'compressed':
+        return zstandard.compress(sound_file('none'))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'bag'
+        with BagWriter(path, distribution='', compression=kind) as writer:
             writer.add_metadata('name', {'key': 'value'})
             writer.attach('file', b'content', 'text/plain')
             for number in range(30):
@@ -321,9 +336,7 @@ def sound_files(tmp_path_factory):
                 writer.write(Message(PLAIN, data, number, number, number))
                 if number % 10 == 9:
                     writer.flush()
-        files[compression] = (folder / 'bag_0.mcap').read_bytes()
-    files['compressed'] = zstandard.compress(files['none'])
-    return files
+        return (path / 'bag_0.mcap').read_bytes()
 
 
 def edited(data, edits):
@@ -359,9 +372,9 @@ def edited(data, edits):
         max_size=4,
     )
 )
-def test_edited_file_gives_messages_or_a_reason(tmp_path_factory, sound_files, kind, edits):
+def test_edited_file_gives_messages_or_a_reason(tmp_path_factory, kind, edits):
     path = tmp_path_factory.mktemp('edited') / 'bag.mcap'
-    path.write_bytes(edited(sound_files[kind], edits))
+    path.write_bytes(edited(sound_file(kind), edits))
     found, reasons = [], []
     for by_scan in (False, True):
         try:
@@ -378,7 +391,8 @@ def test_edited_file_gives_messages_or_a_reason(tmp_path_factory, sound_files, k
         reasons.append(str(error))
     try:
         count = recover(path, path.with_name('whole')).message_count
-        assert count == len(data_as_read_by_others(path.with_name('whole')))
+        with (path.parent / 'whole/whole_0.mcap').open('rb') as file:
+            assert count == len(list(make_reader(file, validate_crcs=True).iter_messages()))
     except BagError as error:
         reasons.append(str(error))
     assert all(str(path) in reason for reason in reasons)
