@@ -72,7 +72,7 @@ bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
 
 figures: $(INSTALLED) $(KERNELS)
-	$(BIN)/soft-throw figures --output docs $(ARGS)
+	$(BIN)/python docs/paper/draw.py $(ARGS)
 
 test: test-jazzy test-kilted
 

@@ -15,7 +15,6 @@ import sys
 EXECUTABLES = {
     'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin true to its rig'),
     'design': ('soft_throw_ros.commands.design', 'landscapes over any two parameters'),
-    'figures': ('soft_throw_ros.commands.figures', "draw the paper's figures"),
     'identify': ('soft_throw_ros.commands.identify', 'a rig from tracks or videos of throws'),
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'look at a bag, or at a stream, in Rerun'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),

@@ -1,31 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say why a command takes so long, if it does."""
+"""Old name of `soft_throw_ros.commands.options.slow_notice`."""
 
-from __future__ import annotations
+from soft_throw_ros.commands.options import slow_notice as patience
 
-from collections.abc import Iterator
-import contextlib
-import sys
-import threading
-
-_PATIENCE = 2.0  # [s]
-
-
-@contextlib.contextmanager
-def patience(command: str) -> Iterator[None]:
-    """
-    Have it said that something is compiled if that is not over soon.
-
-    Parameters
-    ----------
-    command : str
-        Who says it.
-
-    """
-    text = f'{command}: computing; what has to be compiled first takes half a minute, once'
-    notice = threading.Timer(_PATIENCE, print, (text,), {'file': sys.stderr})
-    notice.start()
-    try:
-        yield
-    finally:
-        notice.cancel()
+__all__ = ['patience']

@@ -8,31 +8,31 @@ Values are given like the parameters of the twin, and the same table says what i
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 import csv
 from functools import partial
 import io
-import itertools
 import json
 import math
 import os
 from pathlib import Path
 import sys
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
-from soft_throw_ros.commands.columns import Row, write_columns
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import (
+from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     number_or_text,
     OPTIONS,
     read_settings,
+    Row,
+    slow_notice,
     UNCERTAINTY_OPTIONS,
+    write_columns,
 )
-from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
-from soft_throw_ros.core import method_of_steps, spring_mass, stepping
+from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN, Value
+from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
@@ -43,12 +43,20 @@ from soft_throw_ros.core.travelling_wave import (
 )
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
-from soft_throw_ros.twin.plan import make_stepper, model_of
 
-Prediction = Mapping[str, float]
-"""What a model says, by name and in SI units; what it does not know is left out."""
+ModelResult = Mapping[str, float]
+"""What a model predicts, by name and in SI units; what it does not know is left out."""
 
-_LONGEST = 10.0  # the stepper is not followed any longer [s]
+
+class Prediction(TypedDict):
+    """What `--json` prints."""
+
+    parameters: dict[str, Value]
+    rig: dict[str, float]
+    models: dict[str, ModelResult | None]
+    uncertainty: dict[str, float | bool] | None
+    notes: dict[str, str]
+    leaves_linear_range: bool
 
 
 _ROWS = (
@@ -63,7 +71,6 @@ _ROWS = (
     Row('last_energy_transfer', '  its alpha'),
     Row('apex_height', 'apex', 'mm', 1e3),
     Row('peak_strain', 'peak strain', '%', 1e2),
-    Row('peak_strain_depth', '  at y', 'mm', 1e3),
     Row('peak_plate_strain', '  at the plate', '%', 1e2),
     Row('peak_contact_strain', '  at the projectile', '%', 1e2),
     Row('peak_acceleration', 'peak acceleration', 'm/s2'),
@@ -105,23 +112,18 @@ def main(args: list[str] | None = None) -> int:
     given = vars(arguments)
     try:
         if 'cases' in given:
-            other = sorted(given.keys() - {'cases', 'output'})
-            if other:
-                options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
-                option = options.get(other[0], '--' + other[0].replace('_', '-'))
-                parser.error(f'argument {option}: not allowed with argument --cases')
+            _refuse_beside_cases(parser, given)
             text = _release_cases_of(given['cases'])
         else:
             settings = read_settings(arguments)
             if 'max_strain' in given:
                 settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
-            with patience('throw'):
-                throw = predict(settings, given.get('model', MODELS))
-            text = (
-                json.dumps(throw, indent=2, allow_nan=False) + '\n'
-                if 'json' in given
-                else table(throw)
-            )
+            with slow_notice('throw'):
+                prediction = predict(settings, given.get('model', MODELS))
+            if 'json' in given:
+                text = json.dumps(prediction, indent=2, allow_nan=False) + '\n'
+            else:
+                text = table(prediction)
         _write(text, given.get('output'))
     except (ParameterError, InputError) as error:
         parser.error(str(error))
@@ -157,13 +159,22 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument(
         '--cases',
         metavar='FILE',
-        help='CSV with the columns mu, kappa, zeta (- for standard input); '
+        help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
         'te_f and alpha are added to them, without gravity',
     )
     parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
+
+
+def _refuse_beside_cases(parser: argparse.ArgumentParser, given: Mapping[str, object]) -> None:
+    """Refuse options that have no effect on a file of cases."""
+    other = sorted(given.keys() - {'cases', 'output'})
+    if other:
+        options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
+        option = options.get(other[0], '--' + other[0].replace('_', '-'))
+        parser.error(f'argument {option}: not allowed with argument --cases')
 
 
 def _write(text: str, output: str | None) -> None:
@@ -177,11 +188,11 @@ def _write(text: str, output: str | None) -> None:
         sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has seen enough. Python would complain once more when it exits.
+        # The reader has closed the pipe. Python would complain once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
+def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     """
     Predict a throw by several models.
 
@@ -194,34 +205,29 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        What `--json` prints, in SI units: `parameters`; the numbers that decide a throw, as
-        `rig`; what each of the `models` says; how far the first release may be off, as
-        `uncertainty`; `notes` about both; and whether the throw `leaves_linear_range`. A model
-        that cannot do this throw is None, and its note says why.
+    Prediction
+        In SI units: `parameters`; the numbers that decide a throw, as `rig`; what each of the
+        `models` says; the 95 % intervals of the first release, as `uncertainty`; `notes` about
+        both; and whether the throw `leaves_linear_range`. A model that cannot do this throw is
+        None, and its note says why.
 
     """
     rig = rig_of(settings)
-    models: dict[str, Prediction | None] = {}
+    models: dict[str, ModelResult | None] = {}
     notes: dict[str, str] = {}
     for name in dict.fromkeys(names):
         model, note = MODELS[name]
         try:
-            models[name], notes[name] = model(settings), note
+            models[name], notes[name] = model(rig), note
         except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
             models[name], notes[name] = None, f'none, {error}'
     uncertainty = None
     try:
         found = prediction_uncertainty(rig, uncertainties_of(settings))
-        uncertainty, notes['uncertainty'] = found.values(), found.sentence()
+        uncertainty, notes['uncertainty'] = found.values(), f'95 % of throws: {found.describe()}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
-    strains = [
-        value
-        for prediction in models.values()
-        for key, value in (prediction or {}).items()
-        if key in ('peak_strain', 'peak_plate_strain')
-    ]
+    strains = [(result or {}).get('peak_strain', 0.0) for result in models.values()]
     return {
         'parameters': {
             name: settings[name] for name in (*OPTIONS, *UNCERTAINTY_OPTIONS, 'max_strain')
@@ -241,81 +247,85 @@ def predict(settings: Settings, names: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def _simulated(model: str, settings: Settings) -> Prediction:
-    throw = simulate(rig_of(settings), model=model)
-    rig = throw.rig
-    prediction = {
-        **_first(rig, throw.ejection_time, throw.ejection_speed, throw.peak_plate_speed),
-        **_last(rig, throw.ejections, throw.last_release.position, throw.peak_plate_speed),
+def _by_closed_form(rig: Rig) -> ModelResult:
+    rig.check_for_waves()
+    release = first_release(
+        mass_ratio=rig.mass_ratio,
+        speed_ratio=rig.speed_ratio,
+        damping_ratio=rig.engine.damping_ratio,
+        gravity_ratio=rig.gravity_ratio,
+    )
+    return _release(rig, float(release.ejection_phase), float(release.speed))
+
+
+def _by_spring_mass(rig: Rig) -> ModelResult:
+    # The formula of App. A knows neither damping nor gravity
+    ratio = rig.natural_frequency / rig.engine.frequency
+    release = spring_mass.first_release(frequency_ratio=ratio)
+    return _release(rig, float(release.ejection_phase), float(release.speed), harmonic=True)
+
+
+def _release(rig: Rig, phase: float, speed: float, *, harmonic: bool = False) -> dict[str, float]:
+    """Describe a first release at a phase t_e f with a speed V_e / (A w)."""
+    engine = rig.engine
+    fastest = engine.speed_scale if harmonic else Underdamped.of(engine).peak_velocity
+    return {
+        'ejection_time': phase / engine.frequency,
+        'ejection_phase': phase,
+        'ejection_speed': speed * engine.speed_scale,
+        'peak_plate_speed': fastest,
+        'energy_transfer': (speed * engine.speed_scale / fastest) ** 2,
+    }
+
+
+_OF_THROW = (
+    'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'recontacts',
+    'last_energy_transfer', 'peak_plate_strain', 'peak_contact_strain', 'peak_acceleration',
+    'peak_plate_force',
+)  # fmt: skip
+"""What is called as in `Throw`."""
+
+
+def _simulated(model: str, rig: Rig) -> ModelResult:
+    """Run a throw to its end."""
+    throw = simulate(rig, model=model)
+    result: dict[str, float] = {name: getattr(throw, name) for name in _OF_THROW}
+    result |= {
+        'ejection_phase': throw.ejection_time * rig.engine.frequency,
+        'last_ejection_time': throw.last_release.time,
+        'last_ejection_speed': throw.last_release.velocity,
         'peak_strain': throw.peak_strain.value,
-        'peak_strain_depth': throw.peak_strain.depth,
-        'peak_plate_strain': throw.peak_plate_strain,
-        'peak_contact_strain': throw.peak_contact_strain,
-        'peak_acceleration': throw.peak_acceleration,
-        'peak_plate_force': throw.peak_plate_force,
         'plate_work': throw.energies.plate_work,
         'layer_energy': throw.energies.layer,
         'projectile_energy': throw.energies.projectile,
     }
-    return _with_heat(prediction, throw.heat)
+    if rig.gravity:
+        result['apex_height'] = throw.apex_height
+    if throw.heat:
+        result['heat'] = throw.heat
+    return result
 
 
-def _stepped(settings: Settings) -> Prediction:
-    rig = rig_of(settings)
-    model = make_stepper(rig, model_of(settings))
-    ejections = _follow(model)
-    first = ejections[0]
-    plate_speed = Underdamped.of(rig.engine).peak_velocity
-    model.reset()
-    model.advance_to(first.time)
-    rise = model.state[stepping.PROJECTILE_POSITION] - model.rest_position
-    projectile_energy = rig.projectile.mass * (0.5 * first.velocity**2 + rig.gravity * rise)
-    prediction = {
-        **_first(rig, first.time, first.velocity, plate_speed),
-        'peak_plate_strain': model.first_peaks.plate_strain,
-        'peak_contact_strain': model.first_peaks.contact_strain,
-        'peak_acceleration': model.first_peaks.acceleration,
-        'peak_plate_force': model.first_peaks.plate_force,
-        'plate_work': model.work,
-        'layer_energy': model.stored_energy() - projectile_energy,
-        'projectile_energy': float(projectile_energy),
-    }
-    heat = model.dissipated
-    model.advance_to(ejections[-1].time)
-    height = float(model.state[stepping.PROJECTILE_POSITION])
-    return _with_heat({**prediction, **_last(rig, ejections, height, plate_speed)}, heat)
-
-
-def _by_spring_mass(settings: Settings) -> Prediction:
-    rig = rig_of(settings)
-    release = spring_mass.first_release(
-        frequency_ratio=rig.natural_frequency / rig.engine.frequency
-    )
-    return _first(
-        rig,
-        float(release.ejection_phase) / rig.engine.frequency,
-        float(release.speed) * rig.engine.speed_scale,
-        rig.engine.speed_scale,
-    )
-
-
-MODELS: Mapping[str, tuple[Callable[[Settings], Prediction], str]] = {
+MODELS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
+    'closed_form': (
+        _by_closed_form,
+        'first release of a rigid projectile on a lossless layer, exact',
+    ),
     'travelling_wave': (
         partial(_simulated, 'travelling_wave'),
-        'exact for a rigid projectile on a lossless layer',
+        'the same, with all that follows, as the twin computes it',
     ),
-    'stepper': (_stepped, 'as the twin follows it in real time'),
     'finite_difference': (
         partial(_simulated, 'finite_difference'),
-        'to about 1e-4, with internal loss',
+        'cells, to about 1e-4, with internal loss',
     ),
     'finite_difference_elastic': (
         partial(_simulated, 'finite_difference_elastic'),
-        'the same with an elastic projectile, whose centre of mass it is',
+        'the same with an elastic projectile; speeds of its centre of mass',
     ),
     'finite_difference_glued': (
         partial(_simulated, 'finite_difference_glued'),
-        'layer glued to the projectile, thrown along; speeds of both together',
+        'layer glued to the projectile and thrown with it; speeds of both together',
     ),
     'spring_mass': (
         _by_spring_mass,
@@ -325,72 +335,20 @@ MODELS: Mapping[str, tuple[Callable[[Settings], Prediction], str]] = {
 """How each of the models predicts, and what is to be known about it."""
 
 
-def _with_heat(prediction: Prediction, heat: float) -> Prediction:
-    return {**prediction, 'heat': heat} if heat else prediction
-
-
-def _first(rig: Rig, time: float, speed: float, plate_speed: float) -> dict[str, float]:
-    """Describe the first release."""
-    return {
-        'ejection_time': time,
-        'ejection_phase': time * rig.engine.frequency,
-        'ejection_speed': speed,
-        'peak_plate_speed': plate_speed,
-        'energy_transfer': (speed / plate_speed) ** 2,
-    }
-
-
-def _last(
-    rig: Rig,
-    ejections: Sequence[method_of_steps.Event | stepping.Event],
-    height: float,
-    plate_speed: float,
-) -> dict[str, float]:
-    """Describe the last of the releases, at which the projectile was at a height."""
-    speed = ejections[-1].velocity
-    description = {
-        'recontacts': len(ejections) - 1,
-        'last_ejection_time': ejections[-1].time,
-        'last_ejection_speed': speed,
-        'last_energy_transfer': (speed / plate_speed) ** 2,
-    }
-    if rig.gravity:
-        description['apex_height'] = height + max(speed, 0.0) ** 2 / (2.0 * rig.gravity)
-    return description
-
-
-def _follow(model: stepping.ThrowStepper) -> list[stepping.Event]:
-    """Step until the projectile falls back on the layer, and return the releases before."""
-    ejections: list[stepping.Event] = []
-    for time in np.linspace(0.0, _LONGEST, 101)[1:]:
-        model.advance_to(time)
-        before_fall = list(
-            itertools.takewhile(
-                lambda event: event.kind == 'release' or event.velocity > 0.0, model.events()
-            )
-        )
-        ejections = [event for event in before_fall if event.kind == 'release']
-        if len(before_fall) < model.event_count:
-            break
-    if not ejections:
-        raise ValueError(f'the projectile is not released within {_LONGEST:g} s')
-    return ejections
-
-
-def table(throw: Mapping[str, Any]) -> str:
+def table(prediction: Prediction) -> str:
     """Write what `predict` returns for people to read."""
-    rig, models = throw['rig'], throw['models']
+    rig = prediction['rig']
     numbers = (
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
-    lines = [numbers, '', *write_columns(_ROWS, models)]
-    lines.append('')
-    lines += [f'{name.replace("_", " ")}: {note}' for name, note in throw['notes'].items()]
-    if throw['leaves_linear_range']:
+    lines = [numbers, '', *write_columns(_ROWS, prediction['models']), '']
+    lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
+    if prediction['leaves_linear_range']:
+        most = float(prediction['parameters']['max_strain'])  # type: ignore[arg-type]
         lines.append(
-            f'Strain beyond {1e2 * throw["parameters"]["max_strain"]:.3g} % leaves the linear '
-            'range (--max-strain): a real layer will do otherwise.'
+            f'Strain beyond {1e2 * most:.3g} % leaves the linear range (--max-strain): a real '
+            'layer will do otherwise.'
         )
     return '\n'.join(lines) + '\n'
 
@@ -438,8 +396,10 @@ def release_cases(file: Iterable[str], name: str) -> str:
 
     """
     lines, rows = _read_cases(file, name)
+    if not rows:
+        print(f'throw: {name} has no rows below its header', file=sys.stderr)
     mu, kappa, zeta = np.array(rows).reshape(-1, len(_CASES)).T
-    with patience('throw'):
+    with slow_notice('throw'):
         releases = first_releases(
             mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
         )
@@ -466,19 +426,16 @@ def _read_cases(file: Iterable[str], name: str) -> tuple[list[int], list[list[fl
         if any(header.count(column) != 1 for column in _CASES):
             raise InputError(
                 f'{name}:1: must name the columns {", ".join(_CASES)}, got {",".join(header)!r}'
+                + ('; columns are separated by commas' if ';' in ''.join(header) else '')
             )
-        places = [header.index(column) for column in _CASES]
+        places = {column: header.index(column) for column in _CASES}
         for row in reader:
             if row:  # the line is not empty
                 where = f'{name}:{reader.line_num}'
-                try:
-                    texts = [row[place] for place in places]
-                except IndexError:
-                    raise InputError(
-                        f'{where}: must have {len(header)} values, got {row}'
-                    ) from None
+                if len(row) <= max(places.values()):
+                    raise InputError(f'{where}: must have {len(header)} values, got {row}')
                 rows.append(
-                    [_case_value(*pair, where) for pair in zip(_CASES, texts, strict=True)]
+                    [_case_value(column, row[place], where) for column, place in places.items()]
                 )
                 lines.append(reader.line_num)
     except csv.Error as error:

@@ -8,10 +8,11 @@ from pathlib import Path
 import re
 import subprocess
 import sys
+import time
 
 import pytest
-from soft_throw_ros.commands import throw
-from soft_throw_ros.commands.rig_options import OPTIONS
+from soft_throw_ros.commands import options, throw
+from soft_throw_ros.commands.options import OPTIONS
 from soft_throw_ros.configuration import files, LAYERS, TWIN
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Layer, Rig
@@ -19,6 +20,10 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release
 
 ROOT = Path(__file__).parents[2]
+
+EXACT = ('--model', 'travelling_wave')
+OF_ONE_THROW = ('travelling_wave', 'finite_difference', 'finite_difference_elastic')
+"""Models of the same throw, which differ by their errors only."""
 
 
 def run(capsys, *args):
@@ -31,9 +36,6 @@ def run_json(capsys, *args):
     return json.loads(run(capsys, '--json', *args))
 
 
-EXACT = ('--model', 'travelling_wave')
-
-
 def refused(capsys, *args):
     """Run the command, which refuses something; return what it says."""
     with pytest.raises(SystemExit) as end:
@@ -41,9 +43,7 @@ def refused(capsys, *args):
     assert end.value.code == 2
     out, err = capsys.readouterr()
     assert out == ''
-    usage, message = err.splitlines()[-2:]  # it may have said before that it compiles
-    assert usage.startswith('usage: ')
-    return message.partition('error: ')[2]
+    return err.splitlines()[-1].partition('error: ')[2]
 
 
 @pytest.fixture
@@ -63,17 +63,14 @@ def test_json_has_the_models_to_the_last_digit(capsys):
     assert tuple(printed['models']) == tuple(throw.MODELS)
     assert tuple(printed['notes']) == (*throw.MODELS, 'uncertainty')
     rig = Rig(layer=Layer(thickness=0.01))
-    exact = simulate(rig)
+    expected = simulate(rig)
     model = printed['models']['travelling_wave']
     assert printed['parameters']['layer.thickness'] == 0.01
     assert printed['parameters']['layer.name'] == 'custom'
     assert printed['rig']['mass_ratio'] == rig.mass_ratio
-    assert model['ejection_time'] == exact.ejection_time
-    assert model['ejection_speed'] == exact.ejection_speed
-    assert model['energy_transfer'] == exact.energy_transfer
-    assert model['peak_strain'] == exact.peak_strain.value
-    assert model['apex_height'] == exact.apex_height
-    assert printed['leaves_linear_range'] is exact.leaves_linear_range is True
+    for name in ('ejection_time', 'ejection_speed', 'energy_transfer', 'apex_height'):
+        assert model[name] == getattr(expected, name)
+    assert printed['leaves_linear_range'] is expected.leaves_linear_range is True
     ratio = rig.natural_frequency / rig.engine.frequency
     assert printed['models']['spring_mass']['energy_transfer'] == pytest.approx(
         spring_mass.first_release(frequency_ratio=ratio).energy_transfer, rel=1e-14
@@ -81,63 +78,37 @@ def test_json_has_the_models_to_the_last_digit(capsys):
 
 
 @pytest.mark.parametrize(
-    'options',
+    'args',
     [
         [],
-        ['--gravity', 0],
         ['--motion', 'harmonic', '--layer', 'gelatin_29.1mm'],
         # with re-contacts, and with a fall afterwards
-        ['--layer', 'gelatin_2.0mm', '--frequency', 31.1, '--gravity', 0],
         ['--layer', 'gelatin_2.0mm', '--frequency', 31.1],
     ],
-    ids=lambda options: ' '.join(map(str, options)),
+    ids=lambda args: ' '.join(map(str, args)),
 )
-def test_other_models_agree_with_the_exact_one_on_every_line(capsys, options):
-    same = ('stepper', 'finite_difference', 'finite_difference_elastic')
-    asked = [word for name in same for word in ('--model', name)]
-    models = run_json(capsys, *EXACT, *asked, *options)['models']
-    exact = models['travelling_wave']
-    for name in same:
-        found = models[name]
-        missing = {'peak_strain', 'peak_strain_depth'} if name == 'stepper' else set()
-        assert exact.keys() - found.keys() == missing
-        if name != 'stepper':  # it is known to half a cell
-            depth = found.pop('peak_strain_depth')
-            assert depth == pytest.approx(exact['peak_strain_depth'], rel=1e-2)
-        assert found == pytest.approx({key: exact[key] for key in found}, rel=5e-4), name
-        assert found['recontacts'] == exact['recontacts']
+def test_models_of_one_throw_agree_on_every_line(capsys, args):
+    asked = [word for name in OF_ONE_THROW for word in ('--model', name)]
+    models = run_json(capsys, '--model', 'closed_form', *asked, *args)['models']
+    first = models['closed_form']
+    for name in OF_ONE_THROW:
+        assert models[name].keys() == models['travelling_wave'].keys()
+        assert models[name] == pytest.approx(models['travelling_wave'], rel=5e-4), name
+        assert {key: models[name][key] for key in first} == pytest.approx(first, rel=3e-4)
 
 
-def test_internal_loss_costs_energy_and_is_what_is_missing(capsys):
-    printed = run_json(capsys, '--loss-tangent', 0.05)
-    models = printed['models']
-    assert models['travelling_wave'] is None
-    assert printed['notes']['travelling_wave'].startswith('none, layer.loss_tangent must be 0')
-    lossy = models['finite_difference']
-    assert lossy['energy_transfer'] == pytest.approx(3.2556, abs=1e-4)
-    for name in ('stepper', 'finite_difference', 'finite_difference_glued'):
-        parts = ('layer_energy', 'projectile_energy', 'heat')
-        total = sum(models[name][part] for part in parts)
-        assert total == pytest.approx(models[name]['plate_work'], rel=1e-3)
-        assert models[name]['heat'] > 0.0
-    shared = {key: lossy[key] for key in models['stepper']}
-    assert models['stepper'] == pytest.approx(shared, rel=2e-3)
-    lines = run(capsys, '--loss-tangent', 0.05, '--model', 'finite_difference').splitlines()
-    (heat,) = [line for line in lines if line.startswith('  to heat')]
-    assert float(heat.split()[3]) == pytest.approx(1e3 * lossy['heat'], rel=5e-6)
-    assert 'to heat' not in run(capsys, '--model', 'finite_difference')
+def test_internal_loss_is_for_cells_and_shows_its_heat(capsys):
+    models = run_json(capsys, '--loss-tangent', 0.05)
+    for name in ('closed_form', 'travelling_wave'):
+        assert models['models'][name] is None
+        assert '0.05' in models['notes'][name]
+    found = models['models']['finite_difference']
+    parts = found['layer_energy'] + found['projectile_energy'] + found['heat']
+    assert parts == pytest.approx(found['plate_work'], rel=1e-3)
+    assert found['heat'] > 0.0
 
 
-def test_stepper_is_that_of_the_twin(capsys, write):
-    path = write('twin: {ros__parameters: {model: finite_difference_glued}}', 'a.yaml')
-    asked = ('--model', 'stepper', '--model', 'finite_difference_glued')
-    models = run_json(capsys, '--config', path, *asked)['models']
-    assert models['stepper']['energy_transfer'] == pytest.approx(
-        models['finite_difference_glued']['energy_transfer'], rel=1e-3
-    )
-
-
-def test_table_lines_up_and_has_the_numbers_of_the_json(capsys):
+def test_table_has_the_models_side_by_side_as_in_the_json(capsys):
     lines = run(capsys).splitlines()
     models = run_json(capsys)['models']
     assert max(map(len, lines)) <= 100
@@ -145,16 +116,14 @@ def test_table_lines_up_and_has_the_numbers_of_the_json(capsys):
     columns = [28 + 12 * n for n in range(len(models))]
     words = ['_'.join(line[start : start + 12].strip() for line in head) for start in columns]
     assert [word.strip('_') for word in words] == list(models)
-    (alpha,) = [line for line in lines if line.startswith('energy transfer alpha')]
-    shown = [float(alpha[start : start + 12]) for start in columns]
-    assert shown == pytest.approx(
-        [model['energy_transfer'] for model in models.values()], rel=5e-6
-    )
-    (time,) = [line for line in lines if line.startswith('ejection time t_e')]
-    assert time.split()[3] == 'ms'
-    assert float(time.split()[4]) == pytest.approx(
-        1e3 * models['travelling_wave']['ejection_time'], rel=5e-6
-    )
+    for title, name, scale in (
+        ('energy transfer alpha', 'energy_transfer', 1.0),
+        ('ejection time t_e', 'ejection_time', 1e3),
+    ):
+        (shown,) = [line for line in lines if line.startswith(title)]
+        numbers = [float(shown[start : start + 12]) for start in columns]
+        expected = [scale * model[name] for model in models.values()]
+        assert numbers == pytest.approx(expected, rel=5e-6)
 
 
 def test_uncertainty_of_the_rig_is_shown(capsys):
@@ -179,35 +148,13 @@ def test_uncertainty_of_the_rig_is_shown(capsys):
 def test_uncertainty_that_is_too_large_says_so_and_leaves_the_models(capsys):
     printed = run_json(capsys, *EXACT, '--thickness', 0.002, '--uncertain-thickness', 0.002)
     assert printed['uncertainty'] is None
-    assert 'uncertainty.thickness must be below' in printed['notes']['uncertainty']
+    assert '0.002' in printed['notes']['uncertainty']
     assert printed['models']['travelling_wave'] is not None
 
 
-def test_table_warns_beyond_the_linear_range_only(capsys):
-    assert 'Strain beyond 10 % leaves the linear range' in run(capsys, *EXACT)
-    assert 'linear range' not in run(capsys, *EXACT, '--max-strain', 0.2)
-    assert 'Strain beyond 1 %' in run(capsys, *EXACT, '--max-strain', 0.01)
-
-
-def test_model_that_refuses_a_rig_says_why_and_leaves_the_others(capsys):
-    # So light a projectile relaxes 40 times per step that real time can afford
-    options = (
-        '--mass', 1e-5, '--thickness', 0.1, '--diameter', 0.2, *EXACT, '--model', 'stepper',
-    )  # fmt: skip
-    printed = run_json(capsys, *options)
-    assert printed['models']['stepper'] is None
-    assert re.match(r'none, projectile\.mass 1e-05 kg', printed['notes']['stepper'])
-    assert printed['models']['travelling_wave']['energy_transfer'] > 1.0
-    table = run(capsys, *options)
-    assert printed['notes']['stepper'] in table
-    assert 'nan' not in table
-
-
-def test_plate_that_is_measured_is_for_the_twin(capsys):
-    assert refused(capsys, '--motion', 'measured') == (
-        "argument --motion: engine.motion must be one of 'underdamped', 'harmonic', "
-        "got 'measured'; what is measured is for the twin"
-    )
+@pytest.mark.parametrize(('args', 'warns'), [([], True), (['--max-strain', 0.2], False)])
+def test_table_warns_beyond_the_linear_range_only(capsys, args, warns):
+    assert ('linear range' in run(capsys, *EXACT, *args)) is warns
 
 
 def test_every_parameter_of_the_rig_is_an_option(capsys):
@@ -217,14 +164,8 @@ def test_every_parameter_of_the_rig_is_an_option(capsys):
     shown = ''.join(capsys.readouterr().out.split())
     for entry in TWIN.entries:
         if entry.group in ('engine', 'layer', 'projectile') or entry.name == 'gravity':
-            option = OPTIONS[entry.name]
-            assert f'{option}{entry.unit.upper()}' in shown
-            if entry.name != 'engine.motion':  # of which a command knows less
-                assert ''.join(entry.meaning.replace('`', '').split()) in shown
-    assert "oneof'underdamped','harmonic'(default" in shown
+            assert f'{OPTIONS[entry.name]}{entry.unit.upper()}' in shown
     assert len(set(OPTIONS.values())) == len(OPTIONS)
-    assert '--modelNAME' in shown
-    assert '--max-strainNUMBER' in shown
 
 
 def test_options_replace_what_the_file_says(capsys, write):
@@ -241,24 +182,19 @@ def test_options_replace_what_the_file_says(capsys, write):
     ('args', 'message'),
     [
         (('--thickness', '16.8'), 'argument --thickness: layer.thickness .* m, got 16.8'),
-        (('--thickness', 'nan'), 'argument --thickness: .* got nan'),
         (('--thickness', 'soft'), "argument --thickness: .* got 'soft'"),
-        (('--mass', '-1'), 'argument --mass: .* got -1'),
-        (('--frequency', '0'), 'argument --frequency: .* got 0'),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
-        (('--loss-tangent', '-0.1'), 'argument --loss-tangent: .* from 0 to 2, got -0.1'),
-        (('--model', 'magic'), "argument --model: invalid choice: 'magic'"),
+        (('--motion', 'measured'), "argument --motion: .* got 'measured'"),
+        (('--model', 'magic'), "argument --model: .* 'magic'"),
         (('--max-strain', '0'), 'max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),
-        (('--thicknes', '0.01'), 'unrecognized arguments: --thicknes 0.01'),
-        (('--config', 'no_such.yaml'), 'no_such.yaml: No such file'),
-        (('--cases', 'no_such.csv'), 'no_such.csv: No such file'),
-        (('--output', 'no_such/folder'), 'no_such/folder: No such file'),
-        (('--cases', 'a.csv', '--json'), 'argument --json: not allowed with argument --cases'),
-        (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: not allowed with argument --ca'),
-        (('--cases', 'a.csv', '--config', 'b'), 'argument --config: not allowed'),
-        (('--cases', 'a.csv', '--max-strain', '1'), 'argument --max-strain: not allowed'),
-        (('--cases', 'a.csv', *EXACT), 'argument --model: not allowed'),
+        (('--thicknes', '0.01'), '--thicknes 0.01'),
+        (('--config', 'no_such.yaml'), 'no_such.yaml: '),
+        (('--cases', 'no_such.csv'), 'no_such.csv: '),
+        (('--output', 'no_such/folder'), 'no_such/folder: '),
+        (('--cases', 'a.csv', '--json'), 'argument --json: '),
+        (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: '),
+        (('--cases', 'a.csv', *EXACT), 'argument --model: '),
     ],
 )
 def test_what_is_refused_is_quoted(capsys, args, message):
@@ -286,40 +222,50 @@ def test_cases_get_a_release_row_for_row(capsys, write):
         assert float(row['alpha']) == pytest.approx(exact.energy_transfer, rel=1e-12)
 
 
-def test_no_cases_give_no_rows(capsys, write):
-    assert run(capsys, '--cases', write('mu,kappa,zeta\n')) == 'mu,kappa,zeta,te_f,alpha\n'
+def test_no_cases_give_no_rows_and_a_hint(capsys, write):
+    path = write('mu,kappa,zeta\n')
+    assert throw.main(['--cases', str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert out == 'mu,kappa,zeta,te_f,alpha\n'
+    assert f'{path} has no rows' in err
 
 
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
         ('mu,kappa,zeta\n1,2,0\n\n1,soft,0\n', r":4: kappa must be .* got 'soft'"),
-        ('mu,kappa,zeta\n0,2,0\n', r":2: mu must be .* positive, got '0'"),
-        ('mu,kappa,zeta\n1,-2,0\n', r":2: kappa must be .* got '-2'"),
+        ('mu,kappa,zeta\n0,2,0\n', r":2: mu must be .* got '0'"),
         ('mu,kappa,zeta\n1,inf,0\n', r":2: kappa must be .* got 'inf'"),
         ('mu,kappa,zeta\n1,2,nan\n', r":2: zeta must be .* got 'nan'"),
-        ('mu,kappa,zeta\n1,2,1\n', r":2: zeta must be .* below 1, got '1'"),
-        ('mu,kappa,zeta\n1,2\n', r":2: must have 3 values, got \['1', '2'\]"),
-        ('mu,kappa\n1,2\n', r":1: must name the columns mu, kappa, zeta, got 'mu,kappa'"),
+        ('mu,kappa,zeta\n1,2,1\n', r":2: zeta must be .* got '1'"),
+        ('mu,kappa,zeta\n1,2\n', r":2: .* got \['1', '2'\]"),
+        ('mu,kappa\n1,2\n', r":1: .* mu, kappa, zeta, got 'mu,kappa'$"),
+        ('mu;kappa;zeta\n1;2;0\n', r":1: .* got 'mu;kappa;zeta'; .* commas"),
         ('', r':1: must name the columns'),
-        (b'mu,kappa,zeta\n1,\xff,0\n', r': is no UTF-8 text'),
+        (b'mu,kappa,zeta\n1,\xff,0\n', r': .*UTF-8'),
         # far outside of what can be resolved: a named error, and no wrong number
-        ('mu,kappa,zeta\n1,2,0\n1e6,1e5,0\n1e7,1e5,0\n', r':3: no release .* mass_ratio 1e\+06'),
+        ('mu,kappa,zeta\n1,2,0\n1e6,1e5,0\n1e7,1e5,0\n', r':3: .* 1e\+06'),
     ],
 )
 def test_bad_case_is_named_with_file_line_and_value(capsys, write, text, message):
     path = write(text)
-    said = refused(capsys, '--cases', path)
-    assert re.match(re.escape(str(path)) + message, said)
+    assert re.match(re.escape(str(path)) + message, refused(capsys, '--cases', path))
 
 
 def test_output_goes_to_the_file(capsys, write, tmp_path):
     path = tmp_path / 'result'
-    assert run(capsys, '--json', '--output', path, *EXACT) == ''
-    assert json.loads(path.read_text())['parameters'].keys() <= TWIN.defaults().keys()
     cases = write('mu,kappa,zeta\n1,2,0\n')
     assert run(capsys, '--cases', cases, '--output', path) == ''
     assert math.isfinite(float(path.read_text().splitlines()[1].split(',')[-1]))
+
+
+def test_slow_command_says_what_it_waits_for_and_a_fast_one_nothing(capsys):
+    with options.slow_notice('throw'):
+        pass
+    assert capsys.readouterr().err == ''
+    with options.slow_notice('throw', after=0.01):
+        time.sleep(0.2)
+    assert capsys.readouterr().err.startswith('throw: computing')
 
 
 def test_reader_that_has_seen_enough_gets_no_traceback():

@@ -1,0 +1,403 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers that the paper prints beside those that come out here, and some that it does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import functools
+import math
+from typing import NamedTuple
+
+from fits import SLOPE
+import limits
+from models import (
+    best_layer,
+    DAMPING_RATIO,
+    Engine,
+    first_release,
+    Layer,
+    period_of_free_layer,
+    Projectile,
+    PROJECTILE_DENSITY,
+    releases_at,
+    releases_of,
+    rig_of,
+    SERIES,
+    Series,
+    simulate,
+    spring_mass,
+    STANDARD_GRAVITY,
+    THICKNESSES,
+    Underdamped,
+)
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+Floats = NDArray[np.float64]
+
+_LOSS_TANGENT = 0.02
+_LIGHT = 1e-6  # mass ratio of a projectile that does not load the layer
+_NEARLY_LIGHT = 0.02  # the same for cells, whose steps get shorter with it
+
+
+class Published(NamedTuple):
+    """What is printed, the least and the largest value that it allows, and it if it is one."""
+
+    text: str
+    low: float
+    high: float
+    value: float | None = None
+
+
+def printed(digits: str) -> Published:
+    """Read a number as it is printed: it may be off by half a unit of its last digit."""
+    value, half = float(digits), 0.5 * 10.0 ** -len(digits.partition('.')[2])
+    return Published(digits, value - half, value + half, value)
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    A quantity of the paper.
+
+    Parameters
+    ----------
+    quantity, where : str
+        What it is, and where in the paper.
+    paper : Published
+        What is printed there.
+    ours : float or tuple of float
+        One value, or the least and the largest.
+    digits : int
+        Decimals of ours that are shown.
+    why : str
+        Why the two differ, or what is to be known about it.
+
+    """
+
+    quantity: str
+    where: str
+    paper: Published
+    ours: float | tuple[float, float]
+    digits: int
+    why: str = ''
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all of ours is within what the paper says."""
+        return bool(self.paper.low <= np.min(self.ours) and np.max(self.ours) <= self.paper.high)
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less the paper's, if it is one number there and here."""
+        if isinstance(self.ours, tuple) or self.paper.value is None:
+            return None
+        return self.ours - self.paper.value
+
+
+@functools.lru_cache(maxsize=1)
+def published() -> tuple[Row, ...]:
+    """Compute everything that the paper prints a number for."""
+    return (*_optimum(), *_thin_and_thick(), *_limits(), *_rig())
+
+
+def _optimum() -> tuple[Row, ...]:
+    """Secs. III and IV: the best layer, with projectile and layer equally dense."""
+    best = best_layer(0.0)
+    x = 1.0 / (1.0 + best.mass_ratio)
+    x_rig = 1.3 / (1.3 + best.mass_ratio)
+    mu, kappa = 0.32, 8.4
+    quoted = first_release(mass_ratio=mu, speed_ratio=kappa)
+    mixed = '8.4 = 6.7/0.8 is of equal densities, 0.32 = 1.3 x 0.25 of a ratio of 1.3'
+    crossings = best.ejection_phase * best.speed_ratio
+    return (
+        Row('best x = L_s/(L_s + L_r)', 'Sec. III, Figs. 3, 4', printed('0.8'), x, 4,
+            f'equal densities; {x_rig:.4f} for the 1.3 of the rig'),
+        Row('best C = c_s/(L_s + L_r)f', 'Sec. III, Figs. 3, 4', printed('6.7'),
+            x * best.speed_ratio, 3,
+            f'equal densities; {x_rig * best.speed_ratio:.3f} for the 1.3 of the rig'),
+        Row('largest alpha', 'Sec. III, Figs. 3, 4', printed('4.12'), best.energy_transfer, 4),
+        Row('its t_e/t_s', 'Sec. IV B', Published('between 3 and 5', 3.0, 5.0), crossings, 4),
+        Row('its m/(rho_s S L_s)', 'Sec. III', printed('0.32'), best.mass_ratio, 4, mixed),
+        Row('its c_s/(L_s f)', 'Sec. III', printed('8.4'), best.speed_ratio, 4, mixed),
+        Row('alpha at these two, (0.32, 8.4)', 'Sec. III', printed('4.12'),
+            float(quoted.energy_transfer), 4,
+            'as they do not belong together, they are not quite the optimum'),
+    )  # fmt: skip
+
+
+def _thin_and_thick() -> tuple[Row, ...]:
+    """Sec. III: the ends of the maps."""
+    plateau = first_release(mass_ratio=_LIGHT, speed_ratio=4.0).energy_transfer
+    edge = _end_of_plateau(_LIGHT)
+    near = 0.99 * _end_of_plateau(1.0 / 0.99 - 1.0)
+    factor, ridge = _ridge(1e-4)
+    harmonic = Underdamped.of(Engine(damping_ratio=0.0))
+    leaves = harmonic.peak_velocity_time
+    bare = float((harmonic.velocity(leaves) / harmonic.peak_velocity) ** 2)
+    last = 'of the last release; the first one tends to 0'
+    return (
+        Row('alpha of a thick soft layer, x = 1', 'Secs. III, IV A', printed('4'),
+            float(plateau), 4),
+        Row('largest C for that', 'Sec. III', printed('7.9'), edge, 3,
+            f'exactly 8 at x = 1; {near:.2f} at x = 0.99'),
+        Row('the same by the analysis', 'Sec. IV A', printed('8'), edge, 3),
+        Row('ridge for small x: C/sqrt(x)', 'Fig. 4', printed('10.2'), factor, 2,
+            f'equal densities; {math.sqrt(1.3) * factor:.2f} for the 1.3 of the rig'),
+        Row('alpha on it', 'Fig. 4', printed('3.13'), ridge, 4),
+        Row('alpha on the axes, C = 0 or x = 0', 'Fig. 3', printed('0'), _alpha_at_axes(), 4,
+            'of the first release; the last one tends to 1 for x = 0'),
+        Row('t_e f without a layer', 'Fig. 5', printed('0.25'), leaves * Engine().frequency, 4,
+            last),
+        Row('alpha without a layer', 'Fig. 5', printed('1'), bare, 4, last),
+    )  # fmt: skip
+
+
+def _limits() -> tuple[Row, ...]:
+    """Apps. A to C: the massless spring, the free layer, and thick layers."""
+    ratio = spring_mass.best_frequency_ratio()
+    spring = spring_mass.first_release(frequency_ratio=ratio)
+    small, medium, large = 0.01, 0.1, 1e5
+    lighter = limits.exact(small).energy_transfer
+    rest = limits.exact(medium).angle - 0.5 * math.pi - math.atan(medium)
+    return (
+        Row('best f0/f of a massless spring', 'App. A, Fig. 7', printed('1.62'), ratio, 4),
+        Row('its alpha', 'App. A, Fig. 7', printed('3.13'), float(spring.energy_transfer), 4),
+        Row('period of a free layer, T_0 c_s/L_s', 'App. B', printed('2'),
+            period_of_free_layer(1000), 4,
+            'free at both ends; a layer that is glued to the plate rings with twice that'),
+        Row('a = T_0/L_s (s/m)', 'App. B, Fig. 9', printed(f'{SLOPE:g}'),
+            2.0 / Layer().wave_speed, 3,
+            f'its unit can only be s/m: c_s = 2/a = {2.0 / SLOPE:.2f} m/s'),
+        Row('(4 - alpha)/(omega tau)^2 for small omega tau', 'App. C(i)', printed('2'),
+            float((4.0 - lighter) / small**2), 3,
+            'misprint: alpha -> 4 - 4 (omega tau - e^(-1 - pi/(2 omega tau)))^2'),
+        Row('factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)', 'App. C(i)', printed('1'),
+            float(rest * math.exp(math.pi / (2.0 * medium))), 3,
+            'misprint: it is -1/e, as omega (t_e - t_s) -> pi/2 + omega tau '
+            '- e^(-1 - pi/(2 omega tau))'),
+        Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', printed('16'),
+            float(limits.exact(large).energy_transfer * large**2), 2),
+    )  # fmt: skip
+
+
+def _rig() -> tuple[Row, ...]:
+    """Secs. II and III, App. D: what holds for the paper's rig."""
+    third = SERIES[2]
+    change = np.concatenate([_change_by_damping(series) for series in SERIES])
+    engines = [Engine(frequency=series.frequency) for series in (third, SERIES[0])]
+    plate = [
+        engine.speed_scale * engine.angular_frequency / STANDARD_GRAVITY for engine in engines
+    ]
+    return (
+        *(
+            Row(f'largest strain at {frequency:g} Hz (%)', 'text',
+                Published('below 10', 0.0, 10.0), _strains_at(frequency), 1,
+                'with A = 2 mm and without damping; proportional to A')
+            for frequency in (63.2, 31.1)
+        ),
+        Row('acceleration of the plate, A omega^2 (g)', 'text', Published('3 to 16', 2.5, 16.5),
+            (plate[0], plate[1]), 1,
+            'with A = 2 mm and 31.1 and 63.2 Hz; 16 g at 63.2 Hz would be 1 mm'),
+        Row('wave speed in the projectile, c_r (m/s)', 'text', printed('1700'),
+            math.sqrt(Projectile().youngs_modulus / PROJECTILE_DENSITY), 0,
+            'E_r = 3.6 GPa and 1300 kg/m3, rounded to hundreds'),
+        *(
+            Row(f'c_s/(L_r f) of the {name} series', 'Sec. III, Fig. 5',
+                printed(series.printed), series.speed, 2, why)
+            for name, series, why in zip(
+                ('first', 'second', 'third'), SERIES,
+                ('', '', 'misprint: 7.8 m/s, 8.2 mm and 31.1 Hz make 30.6'), strict=True)
+        ),
+        Row('lower frequency of the plate (Hz)', 'App. D',
+            Published('31.2 +- 0.1', 31.2 - 0.1, 31.2 + 0.1), third.frequency, 1,
+            '31.1 in the text, which is taken here'),
+        Row('change of alpha by the damping of 0.064 (%)', 'App. D',
+            Published('a few', -5.0, 5.0), _range(change), 1,
+            f'half of the throws are within {np.median(np.abs(change)):.1f}; most is where a '
+            'thin layer transfers little'),
+    )  # fmt: skip
+
+
+class Fact(NamedTuple):
+    """Something that the paper does not say, with our value as text."""
+
+    quantity: str
+    ours: str
+
+
+@functools.lru_cache(maxsize=1)
+def beyond() -> tuple[Fact, ...]:
+    """Compute what the paper leaves out and a builder has to know."""
+    optima = (
+        Fact(
+            f'best layer for zeta = {zeta:g}, any density',
+            f'mu = {found.mass_ratio:.4f}, kappa = {found.speed_ratio:.4f}: '
+            f't_e f = {found.ejection_phase:.4f}, alpha = {found.energy_transfer:.4f}',
+        )
+        for zeta in (0.0, DAMPING_RATIO, 0.2)
+        for found in [best_layer(zeta)]
+    )
+    best = best_layer(0.0)
+    lossy = _alpha_with_loss(best.mass_ratio, best.speed_ratio)
+    soft_ratio, soft = _best_with_loss()
+    thin = releases_of(SERIES[2].rig(THICKNESSES[0], damping_ratio=0.0), periods=3.0)
+    return (
+        *optima,
+        Fact(
+            f'alpha of the first of these with a loss tangent of {_LOSS_TANGENT:g} at f',
+            f'{lossy:.3f}',
+        ),
+        Fact(
+            'best layer with that loss',
+            f'thick and soft: mu -> 0, kappa = {soft_ratio:.1f}, alpha = {soft:.2f}',
+        ),
+        Fact(
+            'alpha of the third series with 2.0 mm',
+            f'{thin[0][1] ** 2:.3f} at the first release, {thin[-1][1] ** 2:.3f} at the last',
+        ),
+        *(_fact_of_gravity(frequency) for frequency in (63.2, 31.1)),
+        _fact_of_sag(),
+        Fact(
+            'an elastic projectile, E_r = 3.6 GPa, on the rig',
+            f't_e and V_e change by at most {_change_by_elasticity():.0e} as cells tell, 1e-5 '
+            'as an exact solution does: it may be taken as rigid',
+        ),
+    )
+
+
+def throws_of_the_rig() -> list[tuple[str, ...]]:
+    """List the throws of the three series from the six layers, with damping and no gravity."""
+    rows = []
+    for series in SERIES:
+        releases = series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO)
+        strains = series.peak_strains(damping_ratio=DAMPING_RATIO)
+        for i, thickness in enumerate(THICKNESSES):
+            rig = series.rig(thickness, damping_ratio=DAMPING_RATIO)
+            engine = rig.engine
+            phase, speed = (float(part[i]) for part in (releases.ejection_phase, releases.speed))
+            again = len(releases_of(rig, periods=3.0)) - 1
+            values = (
+                f'{engine.frequency:g}', f'{1e3 * series.projectile_length:g}',
+                f'{1e3 * thickness:.1f}', f'{series.x_of(thickness):.3f}',
+                f'{rig.mass_ratio:.3f}', f'{rig.speed_ratio:.2f}',
+                f'{1e3 * rig.crossing_time:.3f}', f'{1e3 * phase / engine.frequency:.2f}',
+                f'{phase:.3f}', f'{speed * engine.speed_scale:.3f}',
+                f'{float(np.asarray(releases.energy_transfer)[i]):.2f}',
+                f'{100.0 * strains[i]:.1f}', f'{again}',
+            )  # fmt: skip
+            rows.append(values)
+    return rows
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    return float(np.min(values)), float(np.max(values))
+
+
+def _strains_at(frequency: float) -> tuple[float, float]:
+    """Return the least and the largest peak strain of the throws at a frequency. [%]"""
+    found = [
+        100.0 * series.peak_strains(damping_ratio=0.0)
+        for series in SERIES
+        if series.frequency == frequency
+    ]
+    return _range(np.concatenate(found))
+
+
+def _end_of_plateau(mass_ratio: float) -> float:
+    """Find the speed ratio at which the release stops being one before the wave's return."""
+    low, high = 7.0, 9.0
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        found = first_release(mass_ratio=mass_ratio, speed_ratio=middle)
+        low, high = (middle, high) if found.ejection_phase * middle <= 3.0 else (low, middle)
+    return low
+
+
+def _ridge(x: float) -> tuple[float, float]:
+    """Find C / sqrt(x) of the largest energy transfer at a small x, and that."""
+
+    def loss(factor: float) -> float:
+        return -float(releases_at(x, factor * math.sqrt(x)).energy_transfer)
+
+    found = minimize_scalar(loss, bounds=(9.0, 12.0), method='bounded', options={'xatol': 1e-5})
+    return float(found.x), -float(found.fun)
+
+
+def _alpha_at_axes() -> float:
+    """Compute the largest energy transfer close to C = 0 and close to x = 0."""
+    x = np.array([0.2, 0.5, 0.8, 1e-5, 1e-5])
+    c = np.array([0.01, 0.01, 0.01, 3.0, 10.0])
+    return float(np.max(releases_at(x, c).energy_transfer))
+
+
+def _change_by_damping(series: Series) -> Floats:
+    """Compute by how much damping changes the energy transfer from the six layers. [%]"""
+    harmonic, damped = (
+        np.asarray(series.releases(THICKNESSES, damping_ratio=zeta).energy_transfer)
+        for zeta in (0.0, DAMPING_RATIO)
+    )
+    return np.asarray(100.0 * (damped / harmonic - 1.0))
+
+
+def _fact_of_gravity(frequency: float) -> Fact:
+    """Tell by how much gravity changes t_e and V_e from the six layers."""
+    engine = Engine(frequency=frequency)
+    ratio = STANDARD_GRAVITY / (engine.speed_scale * engine.angular_frequency)
+    later, slower = [], []
+    for series in SERIES:
+        if series.frequency == frequency:
+            without, under = (
+                series.releases(
+                    THICKNESSES, damping_ratio=DAMPING_RATIO, gravity_ratio=gravity_ratio
+                )
+                for gravity_ratio in (0.0, ratio)
+            )
+            later += list(100.0 * (under.ejection_phase / without.ejection_phase - 1.0))
+            slower += list(100.0 * (1.0 - under.speed / without.speed))
+    return Fact(
+        f'gravity of {STANDARD_GRAVITY:g} m/s2 on the rig at {frequency:g} Hz',
+        f't_e later by {min(later):.1f} to {max(later):.1f} %, V_e lower by up to '
+        f'{max(slower):.2f} %',
+    )
+
+
+def _fact_of_sag() -> Fact:
+    """Tell how far gravity presses the thickest layer down, by the projectile and by itself."""
+    layer = Layer(thickness=THICKNESSES[-1])
+    longest = max(series.projectile_length for series in SERIES)
+    per_length = STANDARD_GRAVITY * layer.thickness / layer.youngs_modulus
+    by_projectile = 1e3 * PROJECTILE_DENSITY * longest * per_length
+    by_itself = 1e3 * 0.5 * layer.density * layer.thickness * per_length
+    return Fact(
+        'its static sag of the thickest layer',
+        f'{by_projectile:.2f} mm by the projectile, {by_itself:.2f} mm by the layer, which the '
+        'models leave out',
+    )
+
+
+def _change_by_elasticity() -> float:
+    """Compute the largest relative change of t_e and V_e if the projectile is elastic."""
+    changes = []
+    for series in SERIES:
+        rigid = series.releases(THICKNESSES, damping_ratio=0.0)
+        for i, throw in enumerate(series.elastic_throws(damping_ratio=0.0)):
+            phase, speed = np.asarray(rigid.ejection_phase)[i], np.asarray(rigid.speed)[i]
+            changes.append(throw.ejection_time * series.frequency / phase - 1.0)
+            changes.append(throw.ejection_speed / throw.rig.engine.speed_scale / speed - 1.0)
+    return float(np.max(np.abs(changes)))
+
+
+def _alpha_with_loss(mass_ratio: float, speed_ratio: float) -> float:
+    """Compute the energy transfer of a lossy layer, by cells."""
+    rig = rig_of(mass_ratio=mass_ratio, speed_ratio=speed_ratio, loss_tangent=_LOSS_TANGENT)
+    return simulate(rig, model='finite_difference', max_events=1).energy_transfer
+
+
+def _best_with_loss() -> tuple[float, float]:
+    """Find the speed ratio of the largest energy transfer of a lossy thick layer, and that."""
+    found = minimize_scalar(
+        lambda speed_ratio: -_alpha_with_loss(_NEARLY_LIGHT, speed_ratio),
+        bounds=(5.0, 6.6), method='bounded', options={'xatol': 0.05},
+    )  # fmt: skip
+    return float(found.x), -float(found.fun)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+Two limits: a layer too thick for an echo (App. C), and a layer without mass (App. A, Fig. 7).
+
+The projectile on a thick layer is gone before the wave has been down and up again. Then one number
+decides, :math:`\omega \tau`, and what is asked for is the angle :math:`\omega (t_e - t_s)` that
+the plate has behind it when the wave of the release starts there, and the energy transfer factor.
+The plate is harmonic, and there is no gravity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from matplotlib.figure import Figure
+from models import first_releases, spring_mass
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from style import BLACK, BLUE, broken, GREEN, legend_below, new_figure, ORANGE, PAPER, RED, SKY
+
+Floats = NDArray[np.float64]
+
+_SPEED_RATIO = 1.0  # any below 4 will do: half a plate period is over before the wave returns
+
+
+class ThickLayer(NamedTuple):
+    r"""Angle :math:`\omega (t_e - t_s)` [rad] and energy transfer factor [-]."""
+
+    angle: Floats
+    energy_transfer: Floats
+
+
+def exact(omega_tau: ArrayLike) -> ThickLayer:
+    """Compute both without approximation, for given :math:`omega tau`."""
+    mass_ratio = np.asarray(omega_tau) * _SPEED_RATIO / (2.0 * math.pi)
+    releases = first_releases(mass_ratio=mass_ratio, speed_ratio=_SPEED_RATIO)
+    angle = 2.0 * math.pi * (np.asarray(releases.ejection_phase) - 1.0 / _SPEED_RATIO)
+    return ThickLayer(angle, np.asarray(releases.energy_transfer))
+
+
+def light_projectile(omega_tau: ArrayLike) -> ThickLayer:
+    r"""
+    Approximate both for small :math:`\omega \tau`: App. C(i), corrected.
+
+    Notes
+    -----
+    With :math:`d = \omega \tau - e^{-1 - \pi / (2 \omega \tau)}`, the angle is
+    :math:`\pi / 2 + d` and the transfer factor :math:`4 - 4 d^2`.
+
+    """
+    omega_tau = np.asarray(omega_tau, dtype=np.float64)
+    delay = omega_tau - np.exp(-1.0 - math.pi / (2.0 * omega_tau))
+    return ThickLayer(0.5 * math.pi + delay, 4.0 - 4.0 * delay**2)
+
+
+def light_projectile_as_printed(omega_tau: ArrayLike) -> ThickLayer:
+    r"""
+    Approximate both as App. C(i) is printed: with another sign, without 1/e, and with 2 for 4.
+
+    Notes
+    -----
+    With :math:`d = \omega \tau + e^{-\pi / (2 \omega \tau)}`, the angle is :math:`\pi / 2 + d`
+    and the transfer factor :math:`4 - 2 d^2`.
+
+    """
+    omega_tau = np.asarray(omega_tau, dtype=np.float64)
+    delay = omega_tau + np.exp(-math.pi / (2.0 * omega_tau))
+    return ThickLayer(0.5 * math.pi + delay, 4.0 - 2.0 * delay**2)
+
+
+def heavy_projectile(omega_tau: ArrayLike) -> ThickLayer:
+    r"""Approximate both for large :math:`\omega \tau`, App. C(ii): the plate is back at rest."""
+    omega_tau = np.asarray(omega_tau, dtype=np.float64)
+    return ThickLayer(np.full(omega_tau.shape, math.pi), 16.0 / omega_tau**2)
+
+
+def draw_thick_layer() -> Figure:
+    """Draw releases before the wave returns."""
+    figure = new_figure(
+        'App. C   Released from a thick layer before the wave comes back',
+        r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
+        r'prints $4 - 2\,(\omega\tau + e^{-\pi/2\omega\tau})^2$;'
+        '\n'
+        r'exact is $\alpha \to 4 - 4\,(\omega\tau - e^{-1-\pi/2\omega\tau})^2$.',
+        height=4.4,
+    )
+    panels = figure.subplots(1, 3)
+    near = np.linspace(0.02, 1.6, 400)
+    wide = np.geomspace(0.02, 200.0, 400)
+    for axes, values, curve in (
+        (panels[0], near, exact(near).angle / math.pi),
+        (panels[1], near, exact(near).energy_transfer),
+        (panels[2], wide, exact(wide).energy_transfer),
+    ):
+        axes.plot(values, curve, color=BLACK, lw=2.0, label='exact')
+    for approximate, color, style, label in (
+        (light_projectile, BLUE, '--', r'App. C(i) for small $\omega\tau$, corrected'),
+        (light_projectile_as_printed, RED, ':', 'the same as printed'),
+    ):
+        found = approximate(near)
+        panels[0].plot(near, found.angle / math.pi, color=color, ls=style, label=label)
+        panels[1].plot(near, found.energy_transfer, color=color, ls=style, label=label)
+    large = wide[wide > 3.0]
+    label = r'App. C(ii) for large $\omega\tau$: $16/(\omega\tau)^2$'
+    panels[2].plot(
+        large, heavy_projectile(large).energy_transfer, color=GREEN, ls='--', label=label
+    )
+    panels[0].set(title='(a) when', ylabel=r'$\omega\,(t_e - t_s)\,/\,\pi$', ylim=(0.45, 1.05))
+    panels[1].set(title='(b) how much', ylabel=r'energy transfer $\alpha$', ylim=(0.0, 4.2))
+    panels[2].set(
+        title='(c) over a wide range',
+        ylabel=r'energy transfer $\alpha$',
+        xscale='log',
+        yscale='log',
+        xlim=(0.02, 200.0),
+        ylim=(3e-4, 10.0),
+    )
+    for axes in panels:
+        axes.set_xlabel(r'$\omega\tau$')
+    for axes in panels[:2]:
+        axes.set_xlim(0.0, 1.6)
+    panels[1].plot(0.0, 4.0, **PAPER, clip_on=False, label=r'paper: $\alpha = 4$')
+    legend_below(figure, panels[1], panels[2], columns=3)
+    return figure
+
+
+def draw_spring() -> Figure:
+    """Draw Fig. 7: the massless spring, and layers with less and less mass beside it."""
+    figure = new_figure(
+        'Fig. 7   App. A: the massless spring, and layers that have mass',
+        'What is left of a layer much lighter than the projectile; lighter projectiles gain more '
+        'than any spring can give.',
+        height=4.5,
+    )
+    panels = figure.subplots(1, 2)
+    ratio = np.linspace(0.02, 5.0, 1200)
+    spring = spring_mass.first_release(frequency_ratio=ratio)
+    for mu, color in ((0.25, ORANGE), (1.0, SKY), (4.0, BLUE)):
+        layer = first_releases(
+            mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio, unresolved='nan'
+        )
+        label = rf'layer, $\mu = m/\rho_s S L_s$ = {mu:g}'
+        panels[0].plot(ratio, broken(layer.ejection_phase), color=color, label=label)
+        panels[1].plot(ratio, broken(layer.energy_transfer), color=color, label=label)
+    best = spring_mass.best_frequency_ratio()
+    for axes, values in (
+        (panels[0], spring.ejection_phase),
+        (panels[1], spring.energy_transfer),
+    ):
+        axes.plot(ratio, values, color=BLACK, ls='--', label=r'spring: $\mu \to \infty$')
+        axes.axvline(best, color='0.7', lw=0.8, zorder=0)
+        axes.set(xlabel='$f_0 / f$', xlim=(0.0, 5.0))
+    panels[0].set(title='(a) ejection time', ylabel='$t_e f$', ylim=(0.0, 1.2))
+    panels[1].set(title='(b) energy transfer factor', ylabel=r'$\alpha$', ylim=(0.0, 4.4))
+    panels[1].plot(1.62, 3.13, **PAPER, label=r'paper: $f_0/f$ = 1.62, $\alpha$ = 3.13')
+    legend_below(figure, panels[1], columns=3)
+    return figure

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The paper's rig and its throws: all that the figures take from the package.
+
+Without gravity, as all figures of the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigvalsh_tridiagonal
+from scipy.optimize import minimize
+from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.throw import simulate, Throw
+from soft_throw_ros.core.travelling_wave import first_release, first_releases, FirstRelease
+
+__all__ = [
+    'STANDARD_GRAVITY',
+    'Engine',
+    'FirstRelease',
+    'Layer',
+    'Projectile',
+    'Rig',
+    'Throw',
+    'Underdamped',
+    'first_release',
+    'first_releases',
+    'simulate',
+    'spring_mass',
+]
+
+Floats = NDArray[np.float64]
+
+THICKNESSES: Floats = np.array([2.0, 5.6, 9.5, 16.8, 23.4, 29.1]) * 1e-3
+"""Of the paper's layers. [m]"""
+
+DAMPING_RATIO = 0.064
+"""Of the paper's plate (App. D). [-]"""
+
+PROJECTILE_DENSITY = 1300.0
+"""Of the paper's projectiles. [kg/m3]"""
+
+# What the paper gives as errors
+WAVE_SPEED_ERROR = 0.3  # [m/s]
+THICKNESS_ERROR = 0.1e-3  # [m]
+FREQUENCY_ERROR = 0.1  # [Hz]
+DAMPING_ERROR = 0.003
+
+_DRAWS = 2000
+
+
+class Optimum(NamedTuple):
+    """The layer that transfers most energy, and what it does."""
+
+    mass_ratio: float
+    speed_ratio: float
+    ejection_phase: float
+    energy_transfer: float
+
+
+@functools.lru_cache(maxsize=8)
+def best_layer(damping_ratio: float) -> Optimum:
+    """Find the largest energy transfer over all layers; it is released between 3 and 5 t_s."""
+
+    def loss(ratios: Floats) -> float:
+        found = first_release(
+            mass_ratio=ratios[0], speed_ratio=ratios[1], damping_ratio=damping_ratio
+        )
+        return -float(found.energy_transfer)
+
+    start, precision = (0.25, 8.4), {'xatol': 1e-7, 'fatol': 1e-13}
+    mu, kappa = minimize(loss, start, method='Nelder-Mead', options=precision).x
+    best = first_release(mass_ratio=mu, speed_ratio=kappa, damping_ratio=damping_ratio)
+    return Optimum(mu, kappa, float(best.ejection_phase), float(best.energy_transfer))
+
+
+def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> FirstRelease:
+    """Compute first releases over the paper's axes, projectile and layer equally dense."""
+    x, c = np.broadcast_arrays(np.asarray(x, dtype=np.float64), c)
+    return first_releases(mass_ratio=(1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio)
+
+
+def rig_of(*, mass_ratio: float, speed_ratio: float, loss_tangent: float = 0.0) -> Rig:
+    """Make a rig with a harmonic plate of two ratios."""
+    layer = Layer(loss_tangent=loss_tangent)
+    return Rig(
+        engine=Engine(frequency=1.0 / (speed_ratio * layer.crossing_time), damping_ratio=0.0),
+        layer=layer,
+        projectile=Projectile(mass=mass_ratio * layer.mass),
+        gravity=0.0,
+    )
+
+
+def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
+    """Return phase t_e f and speed over A w of every release in some plate periods."""
+    stepper = Stepper(rig, field_points=2)
+    stepper.advance_to(periods / rig.engine.frequency + 4.0 * rig.crossing_time)
+    return [
+        (event.time * rig.engine.frequency, event.velocity / rig.engine.speed_scale)
+        for event in stepper.events()
+        if event.kind == 'release'
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """How far a value may be below and above the predicted one: shape (2, n), as error bars."""
+
+    x: Floats
+    ejection_phase: Floats
+    energy_transfer: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """
+    One projectile on one engine, thrown from layers of one material.
+
+    Parameters
+    ----------
+    frequency : float
+        Of the plate. [Hz]
+    projectile_length : float
+        [m]
+    printed : str
+        What the paper prints for `speed`.
+
+    """
+
+    frequency: float
+    projectile_length: float
+    printed: str
+
+    @property
+    def speed(self) -> float:
+        """:math:`c_s / (L_r f)`, by which the paper tells its series apart. [-]"""
+        return Layer().wave_speed / (self.projectile_length * self.frequency)
+
+    def x_of(self, thickness: ArrayLike) -> Floats:
+        """Tell where layers are on the paper's axis :math:`x = L_s / (L_s + L_r)`. [-]"""
+        thickness = np.asarray(thickness, dtype=np.float64)
+        return np.asarray(thickness / (thickness + self.projectile_length))
+
+    def thickness_of(self, x: ArrayLike) -> Floats:
+        """Tell how thick a layer at x is. [m]"""
+        x = np.asarray(x, dtype=np.float64)
+        return np.asarray(self.projectile_length * x / (1.0 - x))
+
+    def rig(self, thickness: float, *, damping_ratio: float) -> Rig:
+        """Return the rig with one of the layers."""
+        layer = Layer(thickness=thickness)
+        return Rig(
+            engine=Engine(frequency=self.frequency, damping_ratio=damping_ratio),
+            layer=layer,
+            projectile=Projectile(
+                mass=PROJECTILE_DENSITY * layer.section * self.projectile_length,
+                length=self.projectile_length,
+            ),
+            gravity=0.0,
+        )
+
+    def ratios(self, thickness: ArrayLike) -> tuple[Floats, Floats]:
+        """Return mass and speed ratio."""
+        thickness = np.asarray(thickness, dtype=np.float64)
+        mass_ratio = PROJECTILE_DENSITY / Layer().density * self.projectile_length / thickness
+        return mass_ratio, Layer().wave_speed / (thickness * self.frequency)
+
+    def releases(
+        self, thickness: ArrayLike, *, damping_ratio: float, gravity_ratio: float = 0.0
+    ) -> FirstRelease:
+        """Compute first releases of the rigid projectile, exactly."""
+        mass_ratio, speed_ratio = self.ratios(thickness)
+        return first_releases(
+            mass_ratio=mass_ratio,
+            speed_ratio=speed_ratio,
+            damping_ratio=damping_ratio,
+            gravity_ratio=gravity_ratio,
+        )
+
+    def elastic_throws(self, *, damping_ratio: float) -> list[Throw]:
+        """Throw from the six layers as the paper's simulation does, Eqs. (2)-(3)."""
+        return [
+            simulate(
+                self.rig(thickness, damping_ratio=damping_ratio),
+                model='finite_difference_elastic',
+                max_events=1,
+            )
+            for thickness in THICKNESSES
+        ]
+
+    def peak_strains(self, *, damping_ratio: float) -> Floats:
+        """Compute the largest strains in the six layers up to the first release. [-]"""
+        return np.array(
+            [
+                simulate(
+                    self.rig(thickness, damping_ratio=damping_ratio), max_events=1
+                ).peak_strain.value
+                for thickness in THICKNESSES
+            ]
+        )
+
+    def errors(self, *, damping_ratio: float) -> Errors:
+        """
+        Compute what the uncertainties of the rig make of the throws from the six layers.
+
+        Notes
+        -----
+        Of wave speed, thickness, frequency and, if there is any, damping, with the standard
+        deviations that the paper gives. Where times jump, errors do not simply add up; so this
+        takes random rigs, always the same ones, and the 16 % and 84 % quantiles.
+
+        """
+        drawn = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
+        thickness = THICKNESSES + THICKNESS_ERROR * drawn[0]
+        mass_ratio, speed_ratio = self.ratios(thickness)
+        speed_ratio = speed_ratio * (1.0 + WAVE_SPEED_ERROR / Layer().wave_speed * drawn[1])
+        thrown = first_releases(
+            mass_ratio=mass_ratio,
+            speed_ratio=speed_ratio / (1.0 + FREQUENCY_ERROR / self.frequency * drawn[2]),
+            damping_ratio=damping_ratio + (DAMPING_ERROR * drawn[3] if damping_ratio else 0.0),
+        )
+        expected = self.releases(THICKNESSES, damping_ratio=damping_ratio)
+
+        def around(values: ArrayLike, middle: ArrayLike) -> Floats:
+            low, high = np.quantile(np.asarray(values), (0.16, 0.84), axis=0)
+            return np.maximum([middle - low, high - middle], 0.0)
+
+        return Errors(
+            x=around(self.x_of(thickness), self.x_of(THICKNESSES)),
+            ejection_phase=around(thrown.ejection_phase, expected.ejection_phase),
+            energy_transfer=around(thrown.energy_transfer, expected.energy_transfer),
+        )
+
+
+SERIES = (
+    Series(frequency=63.2, projectile_length=16.3e-3, printed='7.57'),
+    Series(frequency=63.2, projectile_length=8.2e-3, printed='15.1'),
+    Series(frequency=31.1, projectile_length=8.2e-3, printed='34.5'),
+)
+"""Those of the paper; the last is its third set."""
+
+
+def period_of_free_layer(cells: int) -> float:
+    """Compute the longest period of a bar that is free at both ends, in crossings."""
+    # Masses at the ends are half a cell's; scaled so that the matrix is symmetric
+    mass = np.ones(cells + 1)
+    mass[[0, -1]] = 0.5
+    stiffness = np.full(cells + 1, 2.0)
+    stiffness[[0, -1]] = 1.0
+    coupling = -1.0 / np.sqrt(mass[:-1] * mass[1:])
+    _, lowest = eigvalsh_tridiagonal(stiffness / mass, coupling, select='i', select_range=(0, 1))
+    return 2.0 * math.pi / (math.sqrt(lowest) * cells)

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figs. 1 and 2, one throw as a strip of pictures and against time, and the README's picture."""
+
+from __future__ import annotations
+
+import functools
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from models import DAMPING_RATIO, Rig, SERIES, simulate, Throw, Underdamped
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from style import BLACK, BLUE, GREEN, legend_below, new_figure, WIDTH
+
+Floats = NDArray[np.float64]
+
+PLATE = BLACK
+PROJECTILE = BLUE
+BARE = GREEN
+
+_THICKNESS = 16.8e-3
+_END = 0.016  # [s]
+_MILLI = 1e3
+_GAP = 1.5  # between projectile and middle [mm]
+
+
+@functools.lru_cache(maxsize=1)
+def shown_throw() -> Throw:
+    """Throw the short projectile at the higher frequency from the layer of Figs. 1 and 2."""
+    return simulate(SERIES[1].rig(_THICKNESS, damping_ratio=DAMPING_RATIO), until=_END)
+
+
+def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
+    """Compute heights of material points of the layer, and its strain there: (time, points)."""
+    fields = throw.fields(time, points=points)
+    rest = fields.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
+    return rest + cumulative_trapezoid(fields.velocity, time, axis=0, initial=0.0), fields.strain
+
+
+def _time_of_peak_strain(throw: Throw) -> float:
+    """Find when the layer is strained most before the release, to the step of the strip."""
+    time = np.arange(0.0, throw.ejection_time, 1e-5)
+    strain = np.abs(throw.fields(time, points=97).strain)
+    return float(time[strain.max(axis=1).argmax()])
+
+
+def bare_flight(throw: Throw, time: Floats) -> Floats:
+    """Compute how high the plate alone lifts and throws: with it, and then at its top speed."""
+    motion = Underdamped.of(throw.rig.engine)
+    leaves = motion.peak_velocity_time
+    flight = np.maximum(time - leaves, 0.0)
+    lifted = motion.position(np.minimum(time, leaves))
+    flown = motion.peak_velocity * flight - 0.5 * throw.rig.gravity * flight**2
+    return np.asarray(lifted + flown)
+
+
+def draw_states() -> Figure:
+    """Draw Fig. 1: what the throw looks like, beside one from the bare plate."""
+    throw = shown_throw()
+    rig = throw.rig
+    release = throw.ejection_time
+    bare = Underdamped.of(rig.engine).peak_velocity_time
+    moments = (
+        (0.0, 'at rest'),
+        (rig.crossing_time, 'wave is at the top'),
+        (bare, 'bare plate throws'),
+        (_time_of_peak_strain(throw), 'pressed hardest'),
+        (release, 'layer throws'),
+        (0.0125, 'in flight'),
+    )
+    figure = new_figure(
+        'Fig. 1   A projectile on the bare plate, and one on a soft layer',
+        f"The paper's rig: $f$ = {rig.engine.frequency:g} Hz, $\\zeta$ = "
+        f'{rig.engine.damping_ratio:g}, $A$ = {_MILLI * rig.engine.amplitude:g} mm, $L_s$ = '
+        f'{_MILLI * rig.layer.thickness:g} mm, $L_r$ = {_MILLI * rig.projectile.length:g} mm. '
+        'To scale.',
+        height=3.15,
+    )
+    panels = figure.subplots(1, len(moments), sharex=True, sharey=True)
+    time = np.linspace(0.0, _END, 1601)
+    heights, strain = heights_of_layer(throw, time, points=41)
+    shown = np.searchsorted(time, [moment for moment, _ in moments])
+    limit = 100.0 * np.abs(strain[shown]).max()
+    for axes, (moment, what), row in zip(panels, moments, shown, strict=True):
+        image = _draw_state(axes, throw, moment, heights[row], strain[row], limit)
+        axes.set_title(f'{what}\n$t$ = {_MILLI * moment:.1f} ms', fontsize='small', loc='center')
+        axes.set(xlim=(-15.5, 15.5), ylim=(-1.5, 37.5), xticks=[], aspect='equal')
+        axes.spines[['bottom', 'left']].set_visible(False)
+        axes.tick_params(left=False)
+    panels[0].spines['left'].set_visible(True)
+    panels[0].tick_params(left=True)
+    panels[0].set_ylabel('height $z$ (mm)')
+    panels[0].text(-7.5, 9.5, 'on the\nplate', ha='center', fontsize='small', color=BARE)
+    panels[0].text(7.5, 26.3, 'on the\nlayer', ha='center', fontsize='small', color=PROJECTILE)
+    figure.colorbar(
+        image,
+        ax=list(panels),
+        label='strain of the layer (%)',
+        location='bottom',
+        shrink=0.5,
+        aspect=40,
+        pad=0.02,
+    )
+    return figure
+
+
+def _draw_state(
+    axes: Axes, throw: Throw, moment: float, heights: Floats, strain: Floats, limit: float
+) -> QuadMesh:
+    """Draw plate, layer and both projectiles at a moment, strain in percent up to a limit."""
+    rig = throw.rig
+    width = _MILLI * rig.layer.diameter
+    plate = _MILLI * float(Underdamped.of(rig.engine).position(moment))
+    image = axes.pcolormesh(
+        np.array([_GAP, _GAP + width]),
+        _MILLI * heights,
+        50.0 * (strain[:-1] + strain[1:])[:, None],
+        cmap='PuOr',
+        vmin=-limit,
+        vmax=limit,
+    )
+    axes.plot(
+        [_GAP, _GAP, _GAP + width, _GAP + width],
+        _MILLI * heights[[0, -1, -1, 0]],
+        color='0.35',
+        lw=0.8,
+    )
+    path = throw.trajectory(np.array([moment]))
+    for left, bottom, color in (
+        (_GAP, float(path.projectile_position[0]), PROJECTILE),
+        (-_GAP - width, float(bare_flight(throw, np.array([moment]))[0]), BARE),
+    ):
+        size = (width, _MILLI * rig.projectile.length)
+        axes.add_patch(Rectangle((left, _MILLI * bottom), *size, color=color, lw=0))
+    axes.add_patch(Rectangle((-15.0, plate - 1.2), 30.0, 1.2, color=PLATE, lw=0))
+    return image
+
+
+def draw_traces() -> Figure:
+    """Draw Fig. 2: positions and velocities of plate and projectile against time."""
+    throw = shown_throw()
+    release, bare = throw.ejection_time, Underdamped.of(throw.rig.engine).peak_velocity_time
+    figure = new_figure(
+        'Fig. 2   The same throw against time',
+        'The projectile moves once the first wave has crossed the layer, in $t_s$, and leaves '
+        'when the layer no longer pushes.\nHeights count from rest, so that they are those of its '
+        'centre, too, which the paper gives.',
+        height=6.2,
+    )
+    panels = figure.subplots(2, 1, sharex=True)
+    time = np.linspace(0.0, _END, 1601)
+    path = throw.trajectory(time)
+    top = path.top_position - throw.rig.layer.thickness
+    projectile = path.projectile_position - throw.rig.layer.thickness
+    lifted = bare_flight(throw, time)
+    bare_speed = np.where(time < bare, path.plate_velocity, throw.peak_plate_speed)
+    ahead = time >= bare
+    for axes, plate, layer, thrown, alone in (
+        (
+            panels[0],
+            _MILLI * path.plate_position,
+            _MILLI * top,
+            _MILLI * projectile,
+            _MILLI * lifted,
+        ),
+        (
+            panels[1],
+            path.plate_velocity,
+            None,
+            path.projectile_velocity,
+            bare_speed,
+        ),
+    ):
+        if layer is not None:
+            loose = time >= release
+            axes.plot(
+                _MILLI * time[loose], layer[loose], color='0.5', lw=1.2, label='top of the layer'
+            )
+        axes.plot(
+            _MILLI * time[ahead],
+            alone[ahead],
+            color=BARE,
+            ls='--',
+            label='projectile on bare plate',
+        )
+        axes.plot(_MILLI * time, plate, color=PLATE, lw=2.0, label='plate')
+        axes.plot(_MILLI * time, thrown, color=PROJECTILE, lw=2.6, label='projectile on layer')
+        axes.axvline(_MILLI * release, color='0.5', lw=0.9, ls=':')
+        axes.set_xlim(0.0, _MILLI * _END)
+    panels[0].set(title='(a) positions', ylabel='height from rest (mm)', ylim=(-2.0, 16.5))
+    panels[1].set(
+        title='(b) velocities', xlabel='time $t$ (ms)', ylabel='velocity (m/s)', ylim=(-0.75, 1.75)
+    )
+    crossing = _MILLI * throw.rig.crossing_time
+    for axes in panels:
+        for k in range(1, int(_MILLI * _END / crossing) + 1):
+            axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
+    for k in range(1, int(_MILLI * _END / crossing) + 1):
+        name = '$t_s$' if k == 1 else f'${k}\\,t_s$'
+        panels[0].text(k * crossing, 16.4, name, color='0.5', ha='center', va='top')
+    panels[1].annotate(
+        f'$t_e$ = {_MILLI * release:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
+        rf'$\alpha = (V_e / V_p^*)^2$ = {throw.energy_transfer:.3f}',
+        xy=(_MILLI * release, throw.ejection_speed),
+        xytext=(1.2, 1.3),
+        va='center',
+        arrowprops={'arrowstyle': '->', 'color': '0.3'},
+    )
+    panels[1].text(
+        15.9,
+        throw.peak_plate_speed + 0.05,
+        f'$V_p^*$ = {throw.peak_plate_speed:.3f} m/s',
+        color=BARE,
+        ha='right',
+    )
+    legend_below(figure, panels[0], columns=4)
+    return figure
+
+
+def draw_throw() -> Figure:
+    """Draw the README's picture: a throw of the default rig, with what happens in the layer."""
+    rig = Rig()
+    throw = simulate(rig, until=0.022)
+    time = np.linspace(0.0, 0.022, 1101)
+    path = throw.trajectory(time)
+    heights, strain = heights_of_layer(throw, time, points=97)
+    release = throw.ejection_time
+
+    figure = Figure(figsize=(WIDTH, 4.8), layout='constrained')
+    axes = figure.subplots()
+    limit = 100.0 * np.abs(strain).max()
+    corners = 0.5 * (strain[:-1] + strain[1:])
+    image = axes.pcolormesh(
+        np.broadcast_to(_MILLI * time[:, None], heights.shape),
+        _MILLI * heights,
+        50.0 * (corners[:, :-1] + corners[:, 1:]),
+        cmap=mpl.colormaps['PuOr'].resampled(48),  # bands make the file half as large
+        vmin=-limit,
+        vmax=limit,
+        rasterized=True,
+    )
+    figure.colorbar(image, label='strain of the layer (%)', pad=0.01)
+    for material in (24, 48, 72):
+        axes.plot(_MILLI * time, _MILLI * heights[:, material], color='0.35', lw=0.6)
+    axes.plot(_MILLI * time, _MILLI * heights[:, -1], color='0.35', lw=1.0)
+    axes.plot(_MILLI * time, _MILLI * path.plate_position, color=PLATE, lw=2.5)
+    lower = _MILLI * path.projectile_position
+    upper = lower + _MILLI * rig.projectile.length
+    axes.fill_between(_MILLI * time, lower, upper, color=PROJECTILE, alpha=0.85)
+    # The same projectile lying on the plate itself leaves at the plate's largest speed
+    after = time >= Underdamped.of(rig.engine).peak_velocity_time
+    bare = rig.layer.thickness + bare_flight(throw, time[after])
+    axes.plot(_MILLI * time[after], _MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
+    axes.axvline(_MILLI * release, color='0.5', lw=0.8, ls=':')
+    axes.annotate(
+        f'leaves at $t_e$ = {_MILLI * release:.2f} ms\n'
+        f'with $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
+        rf'$\alpha = (V_e/V_p^*)^2$ = {throw.energy_transfer:.2f}',
+        xy=(_MILLI * release, _MILLI * throw.first_release.position),
+        xytext=(3.4, 39.0),
+        ha='center',
+        arrowprops={'arrowstyle': '->', 'color': '0.3'},
+    )
+    for text, x, y, color, angle in (
+        ('projectile', 13.6, 32.2, 'white', 27.0),
+        ('from a bare plate, $\\alpha$ = 1', 15.6, 23.9, BARE, 10.5),
+        ('soft layer', 17.4, 12.9, '0.1', 0.0),
+        ('plate', 19.3, -0.3, PLATE, 0.0),
+    ):
+        axes.text(x, y, text, color=color, rotation=angle, rotation_mode='anchor')
+    axes.set(
+        xlabel='time $t$ (ms)',
+        ylabel='height $z$ (mm)',
+        xlim=(0.0, 22.0),
+        ylim=(-1.0, 47.0),
+    )
+    return figure

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Take messages from topics as the bytes that came, and know how many did not come.
+
+Subscriptions are not served by an executor, which costs more than all the rest: they are drained
+every few milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from importlib import import_module, metadata
+import os
+import sys
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ROSClock
+from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.conversions import profile_to_qos
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording.schemas import find_schema, SchemaError
+
+EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
+
+DEPTH = 10_000
+"""How many messages of a topic may wait to be drained."""
+
+_DISTRIBUTIONS = {'7': 'jazzy', '9': 'kilted'}
+
+_UNKNOWN = 2**64 - 1
+"""What stands for a number that the middleware does not know."""
+
+
+class _NotExecuted(ReentrantCallbackGroup):
+    """Keeps subscriptions away from executors."""
+
+    def can_execute(self, _entity: Any) -> bool:
+        """Nothing of it."""
+        return False
+
+
+class RawSubscription:
+    """
+    A subscription to a topic, for the bytes that come.
+
+    Parameters
+    ----------
+    node : Node
+        Which subscribes.
+    channel : Channel
+        What the messages belong to.
+    profile : QoSProfile
+        Which fits the publishers.
+
+    Attributes
+    ----------
+    received : int
+        How many messages came.
+    is_shared : bool
+        Whether the topic has several publishers.
+
+    Raises
+    ------
+    ImportError
+        If messages of this type are not installed.
+
+    Notes
+    -----
+    A publisher numbers its messages from 1 on, so a gap is a loss. If the middleware does not tell
+    the publishers of a topic apart (before ROS 2 Kilted), the numbers of several say nothing; then
+    there is what the middleware says of losses, which knows of less.
+
+    """
+
+    def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
+        self.channel = channel
+        self.received = 0
+        self.is_shared = False
+        self._node = node
+        self._gaps = 0
+        self._earlier = 0
+        self._lost_by_event = 0
+        self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
+        self._type = message_type(channel.type)
+        self._subscription = node.create_subscription(
+            self._type,
+            channel.topic,
+            lambda _message: None,
+            profile,
+            callback_group=_NotExecuted(),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            raw=True,
+        )
+        # An executor that waits for this event wakes for every message as well
+        handle = self._subscription.handle
+        with handle:
+            self._loss_event = EventHandle(
+                handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+            )
+
+    @property
+    def lost(self) -> int:
+        """How many messages did not come, though they were published."""
+        return self._gaps if self._has_numbers else self._lost_by_event
+
+    @property
+    def earlier(self) -> int:
+        """How many messages were published before the first that came: it joined late."""
+        return self._earlier if self._has_numbers else 0
+
+    def drain(self) -> list[Message]:
+        """Return what has come since the last call."""
+        messages = []
+        handle, kind = self._subscription.handle, self._type
+        with handle:
+            while (taken := handle.take_message(kind, True)) is not None:
+                data, info = taken
+                sequence = info['publication_sequence_number']
+                if sequence is None or sequence == _UNKNOWN:
+                    sequence = 0
+                else:
+                    self._count(sequence, info.get('publisher_gid'))
+                messages.append(
+                    Message(
+                        self.channel,
+                        data,
+                        info['received_timestamp'],
+                        info['source_timestamp'],
+                        sequence,
+                    )
+                )
+        self.received += len(messages)
+        return messages
+
+    def read_loss_event(self) -> None:
+        """Hear from the middleware what it has lost."""
+        with self._loss_event:
+            event = self._loss_event.take_event()
+        if event is not None:
+            self._lost_by_event = event.total_count
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self.read_loss_event()
+        self._loss_event.destroy_when_not_in_use()
+        self._node.destroy_subscription(self._subscription)
+
+    @property
+    def _has_numbers(self) -> bool:
+        """Whether the numbers of messages are those of one publisher each."""
+        return not self.is_shared or None not in self._last_numbers
+
+    def _count(self, sequence: int, publisher: Any) -> None:
+        if publisher is not None:
+            publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
+        last = self._last_numbers.get(publisher)
+        if last is None:
+            self._earlier += sequence - 1
+        elif sequence > last + 1:
+            self._gaps += sequence - last - 1
+        self._last_numbers[publisher] = sequence
+
+
+class RawSubscriptions:
+    """
+    Subscriptions to all topics that are asked for, as they appear.
+
+    Parameters
+    ----------
+    node : Node
+        Which subscribes.
+    wanted : collection of str
+        Topics, and namespaces with all that is in them.
+
+    Attributes
+    ----------
+    refused : dict of str to str
+        Topics that cannot be had, and why.
+
+    """
+
+    def __init__(self, node: Node, wanted: Collection[str]) -> None:
+        self.refused: dict[str, str] = {}
+        self._node = node
+        self._wanted = wanted
+        self._subscriptions: dict[str, RawSubscription] = {}
+
+    def __iter__(self) -> Iterator[RawSubscription]:
+        return iter(list(self._subscriptions.values()))
+
+    def discover(self) -> list[str]:
+        """Subscribe to what is there and wanted; return the topics that are newly refused."""
+        refused = []
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self.refused or not is_wanted(topic, self._wanted):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if topic in self._subscriptions:
+                self._subscriptions[topic].is_shared |= len(publishers) > 1
+                self._subscriptions[topic].read_loss_event()
+            elif publishers:
+                try:
+                    self._subscriptions[topic] = self._subscribe(topic, types, publishers)
+                except (ImportError, AttributeError, SchemaError, ValueError) as error:
+                    self.refused[topic] = str(error)
+                    refused.append(topic)
+        return refused
+
+    def drain(self, clock: Clock) -> list[Message]:
+        """
+        Return what has come since the last call, in the order in which it was received.
+
+        If the node follows `/clock`, that tells the time of receiving, and nothing is taken
+        before it goes.
+
+        """
+        now = None
+        if isinstance(clock, ROSClock) and clock.ros_time_is_active:
+            now = clock.now().nanoseconds
+            if not now:
+                return []
+        messages = [message for subscription in self for message in subscription.drain()]
+        if now is not None:
+            return [message._replace(log_time=now, publish_time=now) for message in messages]
+        messages.sort(key=lambda message: message.log_time)
+        return messages
+
+    def close(self) -> None:
+        """Unsubscribe from everything; what was counted stays."""
+        for subscription in self:
+            subscription.close()
+
+    def _subscribe(
+        self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]
+    ) -> RawSubscription:
+        if len(types) > 1:
+            raise ValueError(f'it has messages of several types, {", ".join(types)}')
+        schema = find_schema(types[0], prefixes())
+        channel = Channel(
+            topic=topic,
+            type=types[0],
+            schema=schema.text,
+            type_hash=schema.type_hash,
+            qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
+        )
+        subscription = RawSubscription(self._node, channel, fitting_profile(publishers))
+        subscription.is_shared = len(publishers) > 1
+        return subscription
+
+
+def is_wanted(topic: str, wanted: Collection[str]) -> bool:
+    """
+    Tell whether a topic, or a namespace that it is in, is among those wanted.
+
+    Hidden topics, which have a name with an underscore first, must be named themselves.
+
+    Examples
+    --------
+    >>> is_wanted('/twin/layer/strain', ['/twin']), is_wanted('/twins', ['/twin'])
+    (True, False)
+    >>> is_wanted('/rosout', ['/']), is_wanted('/twin/_hidden', ['/'])
+    (True, False)
+
+    """
+    if topic in wanted:
+        return True
+    is_hidden = '/_' in topic
+    return not is_hidden and any(topic.startswith(f'{name.rstrip("/")}/') for name in wanted)
+
+
+def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
+    """Ask for no more than every one of the publishers offers."""
+    profiles = [publisher.qos_profile for publisher in publishers]
+    reliable = all(item.reliability is ReliabilityPolicy.RELIABLE for item in profiles)
+    latched = all(item.durability is DurabilityPolicy.TRANSIENT_LOCAL for item in profiles)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+    )
+
+
+def message_type(name: str) -> Any:
+    """
+    Return the class of messages, such as std_msgs/msg/String.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed.
+
+    """
+    package, _, kind = name.partition('/msg/')
+    try:
+        return getattr(import_module(f'{package}.msg'), kind)
+    except (ImportError, AttributeError) as error:
+        raise ImportError(f'messages {name} are not installed here') from error
+
+
+def prefixes() -> list[str]:
+    """Return where packages of ROS are installed."""
+    paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    return [path for path in paths if path] + [sys.prefix]  # the latter with ROS from PyPI
+
+
+def distribution() -> str:
+    """Return the name of the ROS distribution, empty if it is not known."""
+    version = metadata.version('rclpy').partition('.')[0]
+    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(version, ''))
+
+
+def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> Qos:
+    """Return what a publisher offers; its history is not told to others, but may be ours."""
+    qos = profile_to_qos(publisher.qos_profile)
+    if qos.history != 'unknown':
+        return qos
+    for known in topics.TOPICS:
+        type_name = known.type_name
+        if topic.endswith(known.name.lstrip('~')) and kind == type_name:
+            return replace(qos, history='keep_last', depth=known.qos.depth)
+    return qos

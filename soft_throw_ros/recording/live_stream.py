@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Show messages as they come, by another process that reads them as an MCAP stream from a pipe.
+
+Whatever becomes of that process and its viewer, nobody here waits for it: the pipe does not block,
+and of what waits for it the oldest goes first.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+import fcntl
+from io import BytesIO
+import os
+import subprocess
+import threading
+import time
+from typing import NamedTuple
+
+from mcap.writer import IndexType, Writer
+from soft_throw_ros.recording.bag_writer import LIBRARY, PROFILE, register_channel
+from soft_throw_ros.recording.message import Channel, Message
+
+SEND_PERIOD = 1.0 / 30.0
+"""How often messages are sent. [s]"""
+
+RESTART_TIME = 1.0
+"""Wait before a process that has ended is started again. [s]"""
+
+DRAIN_TIMEOUT = 0.3
+"""How long, in the end, what waits may take to be sent. [s]"""
+
+EXIT_TIMEOUT = 1.0
+"""How long the process has to end, once its input has. [s]"""
+
+_LATCHED_DEPTH = 10  # messages of a latched topic that a new process gets, if they went before it
+
+_PIPE_SIZE = 2**20  # where the system allows it [bytes]
+
+
+class StreamWriter:
+    """
+    Makes an MCAP stream for a pipe: nothing is compressed, indexed or kept.
+
+    Every method returns whole records. What comes from `start` goes first; what comes from
+    `define` must arrive before messages of these channels; blocks of messages may be left out.
+
+    Examples
+    --------
+    >>> from io import BytesIO
+    >>> from soft_throw_ros.recording.bag_reader import read_stream
+    >>> channel = Channel(topic='/phase', type='std_msgs/msg/String', schema='string data')
+    >>> writer = StreamWriter()
+    >>> stream = writer.start() + writer.define(channel)
+    >>> stream += writer.block([Message(channel, b'0123', log_time=7, publish_time=7)])
+    >>> [message.log_time for message in read_stream(BytesIO(stream))]
+    [7]
+
+    """
+
+    def __init__(self) -> None:
+        self._ids: dict[Channel, int] = {}
+        self._begin()
+
+    def start(self) -> bytes:
+        """Begin a stream, for a first reader or the next one, with all channels so far."""
+        self._begin()
+        self._writer.start(PROFILE, LIBRARY)
+        for channel in self._ids:
+            register_channel(self._writer, channel, self._schemas)
+        return self._take()
+
+    def define(self, channel: Channel) -> bytes:
+        """Define a channel; nothing if it has been."""
+        if channel in self._ids:
+            return b''
+        *_, record = register_channel(self._writer, channel, self._schemas)
+        self._ids[channel] = record.id
+        return self._take()
+
+    def block(self, messages: Iterable[Message]) -> bytes:
+        """Write messages of channels that are defined."""
+        for channel, data, log_time, publish_time, sequence in messages:
+            self._writer.add_message(
+                self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
+            )
+        return self._take()
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
+        """Write named texts."""
+        self._writer.add_metadata(name, dict(values))
+        return self._take()
+
+    def end(self) -> bytes:
+        """End the stream, as a file that has no index."""
+        self._writer.finish()
+        return self._take()
+
+    def _begin(self) -> None:
+        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._output = BytesIO()
+        self._writer = Writer(
+            self._output,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_chunking=False,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+
+    def _take(self) -> bytes:
+        """Return what has been written since the last call."""
+        self._writer.flush()
+        data = self._output.getvalue()
+        self._output.seek(0)
+        self._output.truncate()
+        return data
+
+
+class _Block(NamedTuple):
+    """A part of the stream; one without messages is needed by all that follow."""
+
+    data: bytes
+    messages: int
+
+
+class LiveStream:
+    """
+    A process that shows messages, and is started again if it ends.
+
+    Parameters
+    ----------
+    command : sequence of str
+        What to start; it reads MCAP from its standard input, and ends when that does.
+    capacity : int
+        How much may wait for it. [bytes]
+
+    Attributes
+    ----------
+    dropped : int
+        How many messages it did not get.
+    starts : int
+        How often it was started.
+    error : str
+        Why it does not run; empty if it does.
+
+    """
+
+    def __init__(self, command: Sequence[str], *, capacity: int = 32 * 2**20) -> None:
+        self.dropped = 0
+        self.starts = 0
+        self.error = ''
+        self._command = command
+        self._capacity = capacity
+        self._incoming: deque[Message] = deque()
+        self._latched: dict[Channel, deque[Message]] = {}
+        self._stream = StreamWriter()
+        self._blocks: deque[_Block] = deque()
+        self._size = 0
+        self._rest = memoryview(b'')  # of the block that is being sent
+        self._process: subprocess.Popen[bytes] | None = None
+        self._restart = 0.0
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(name='live stream', target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, messages: Iterable[Message]) -> None:
+        """Have messages shown."""
+        self._incoming.extend(messages)
+
+    def close(self) -> None:
+        """End the process, within `DRAIN_TIMEOUT` and `EXIT_TIMEOUT`."""
+        self._is_closing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._is_closing.wait(SEND_PERIOD):
+            self._start_if_due()
+            self._take_messages()
+            self._send()
+        self._take_messages()
+        deadline = time.monotonic() + DRAIN_TIMEOUT
+        while self._send() and time.monotonic() < deadline:
+            time.sleep(SEND_PERIOD)
+        if self._process is not None:
+            _end(self._process)
+
+    def _start_if_due(self) -> None:
+        """Start the process if there is none, and begin the stream anew for it."""
+        if self._process is not None or time.monotonic() < self._restart:
+            return
+        self._restart = time.monotonic() + RESTART_TIME
+        try:
+            # in a session of its own: Ctrl-C is for us, and its end follows from ours
+            self._process = subprocess.Popen(
+                self._command, stdin=subprocess.PIPE, start_new_session=True
+            )
+        except OSError as error:
+            self.error = f'{self._command[0]}: {error.strerror}'
+            return
+        assert self._process.stdin is not None
+        pipe = self._process.stdin.fileno()
+        os.set_blocking(pipe, False)
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
+        self.starts += 1
+        self.error = ''
+        self._drop_all()
+        self._append(self._stream.start(), 0)
+        for messages in self._latched.values():
+            self._append(self._stream.block(messages), len(messages))
+
+    def _take_messages(self) -> None:
+        """Make a block of what has come."""
+        messages = [self._incoming.popleft() for _ in range(len(self._incoming))]
+        if not messages:
+            return
+        for message in messages:
+            channel = message.channel
+            self._append(self._stream.define(channel), 0)
+            if any(qos.durability == 'transient_local' for qos in channel.qos):
+                self._latched.setdefault(channel, deque(maxlen=_LATCHED_DEPTH)).append(message)
+        self._append(self._stream.block(messages), len(messages))
+        if self._process is None:
+            self._drop_all()
+
+    def _append(self, data: bytes, messages: int) -> None:
+        """Have a block sent, and drop the oldest ones that messages are in if it is too much."""
+        if not data:
+            return
+        self._blocks.append(_Block(data, messages))
+        self._size += len(data)
+        while self._size > self._capacity:
+            oldest = next((block for block in self._blocks if block.messages), None)
+            if oldest is None:
+                return
+            self._blocks.remove(oldest)
+            self._size -= len(oldest.data)
+            self.dropped += oldest.messages
+
+    def _drop_all(self) -> None:
+        """Drop all that waits."""
+        self.dropped += sum(block.messages for block in self._blocks)
+        self._blocks.clear()
+        self._size = 0
+        self._rest = memoryview(b'')
+
+    def _send(self) -> bool:
+        """Send what the pipe takes; tell whether something is left."""
+        if self._process is None or self._process.stdin is None:
+            return False
+        pipe = self._process.stdin.fileno()
+        try:
+            while self._rest or self._blocks:
+                if not self._rest:
+                    block = self._blocks.popleft()
+                    self._size -= len(block.data)
+                    self._rest = memoryview(block.data)
+                self._rest = self._rest[os.write(pipe, self._rest) :]
+        except BlockingIOError:
+            return True
+        except OSError:
+            _end(self._process)
+            self.error = f'it ended with exit code {self._process.returncode}'
+            self._process = None
+        return False
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the input of a process, and, if that does not end it, the process."""
+    assert process.stdin is not None
+    with contextlib.suppress(OSError):
+        process.stdin.close()
+    try:
+        process.wait(EXIT_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+When the messages of a recording are due; nothing here reads a clock or sleeps.
+
+Whoever plays a recording asks with the time of a clock of its own, in nanoseconds, which must not
+go back. Deadlines are absolute: being late once makes nothing late later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+import math
+from typing import Generic, TypeVar
+
+MAX_CATCH_UP = 100_000_000
+"""What is later than this, after a stall, has the rest wait and not come all at once. [ns]"""
+
+SHORTEST_LOOP = 1_000_000
+"""A recording is not repeated more often than this, however short it is. [ns]"""
+
+Item = TypeVar('Item')
+
+
+class PlaybackSchedule(Generic[Item]):
+    """
+    Have the items of a recording come in its own time, or faster, or again and again.
+
+    Parameters
+    ----------
+    items : callable
+        Returns the items from the beginning, in order.
+    time_of : callable
+        Returns the time of an item, by the clock of the recording. [ns]
+    begin_ns, end_ns : int
+        The recording goes from one to the other. [ns]
+    rate : float
+        Time of the recording over time of the caller. [-]
+    is_looping : bool
+        Whether the end is followed by the beginning.
+    is_paused : bool
+        Whether it is to be resumed before anything comes.
+    now : int
+        When to begin. [ns]
+
+    Raises
+    ------
+    ValueError
+        If the rate is not finite and positive.
+
+    Examples
+    --------
+    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
+    >>> schedule.next_due(100), schedule.next_due(100), schedule.deadline(), schedule.time(110)
+    (5, None, 120, 6)
+    >>> schedule.next_due(120), schedule.is_over
+    (7, True)
+
+    """
+
+    def __init__(
+        self,
+        items: Callable[[], Iterable[Item]],
+        time_of: Callable[[Item], int],
+        *,
+        begin_ns: int,
+        end_ns: int,
+        now: int,
+        rate: float = 1.0,
+        is_looping: bool = False,
+        is_paused: bool = False,
+    ) -> None:
+        if not 0.0 < rate < math.inf:
+            raise ValueError(f'a rate must be positive and finite, got {rate!r}')
+        self.rate = rate
+        self.is_paused = is_paused
+        self._items = items
+        self._time_of = time_of
+        self._begin = begin_ns
+        self._loop_length = end_ns - begin_ns
+        if is_looping:  # the beginning comes after the end, not with it
+            self._loop_length = max(self._loop_length + 1, SHORTEST_LOOP)
+        self._is_looping = is_looping
+        # Times of the recording count from its beginning, and go on counting in further loops:
+        # when the caller's clock showed `_now`, so much of it had `_passed`
+        self._now = now
+        self._passed = 0
+        self._stepped_to = -math.inf  # what is not later comes while paused
+        self._loop = 0
+        self._coming: Iterator[Item] = iter(items())
+        self._next: Item | None = None
+        self._next_time = 0
+        self._fetch()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing comes any more."""
+        return self._next is None
+
+    def time(self, now: int) -> int:
+        """Return the time of the recording: at most that of what comes next. [ns]"""
+        passed = self._passed_by(now)
+        if self.is_over:
+            passed = min(passed, self._loop_length)
+        elif self._is_looping:
+            passed %= self._loop_length
+        return self._begin + passed
+
+    def deadline(self) -> int | None:
+        """Return when the next item is due, None if it is not, being paused or over. [ns]"""
+        if self.is_over or (self.is_paused and self._next_time > self._stepped_to):
+            return None
+        return self._now + round((self._next_time - self._passed) / self.rate)
+
+    def next_due(self, now: int) -> Item | None:
+        """Return the next item, and have done with it, if it is due."""
+        deadline = self.deadline()
+        if deadline is None or deadline > now:
+            return None
+        if not self.is_paused:
+            self._now += max(now - deadline - MAX_CATCH_UP, 0)
+        item = self._next
+        self._fetch()
+        return item
+
+    def pause(self, now: int) -> None:
+        """Let nothing come from now on."""
+        if not self.is_paused:
+            self._now, self._passed = now, self._passed_by(now)
+            self._stepped_to = -math.inf
+            self.is_paused = True
+
+    def resume(self, now: int) -> None:
+        """Go on where it was paused."""
+        if self.is_paused:
+            self._now = now
+            self.is_paused = False
+
+    def step(self, now: int) -> bool:
+        """
+        Have the next item come while paused, with all others of the same time.
+
+        Returns
+        -------
+        bool
+            Whether there is one, and it is paused.
+
+        """
+        if not self.is_paused or self.is_over:
+            return False
+        self._now, self._passed = now, self._next_time
+        self._stepped_to = self._next_time
+        return True
+
+    def _passed_by(self, now: int) -> int:
+        passed = self._passed
+        if not self.is_paused:
+            passed += max(int((now - self._now) * self.rate), 0)
+        return max(passed if self.is_over else min(passed, self._next_time), 0)
+
+    def _fetch(self) -> None:
+        """Get the next item, from the next loop if need be."""
+        self._next = next(self._coming, None)
+        if self._next is None and self._is_looping:
+            self._loop += 1
+            self._coming = iter(self._items())
+            self._next = next(self._coming, None)
+        if self._next is not None:
+            since_begin = self._time_of(self._next) - self._begin
+            self._next_time = self._loop * self._loop_length + since_begin

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Raw messages from real publishers, and the count of those that did not come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import sys
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from soft_throw_ros.nodes import topics
+from soft_throw_ros.nodes.conversions import time_to_msg
+from soft_throw_ros.nodes.raw_subscriptions import (
+    fitting_profile,
+    is_wanted,
+    message_type,
+    RawSubscription,
+    RawSubscriptions,
+)
+from soft_throw_ros.recording.message import Channel, Message
+from std_msgs.msg import String
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.fixture
+def talker(ros: Any) -> Node:
+    return ros.node(Node, 'talker')
+
+
+@pytest.fixture
+def listener(ros: Any) -> Node:
+    return ros.node(Node, 'listener')
+
+
+@pytest.fixture
+def subscribe(listener: Node) -> Iterator[Callable[..., RawSubscriptions]]:
+    """Give a function that subscribes to topics, until the test is over."""
+    made: list[RawSubscriptions] = []
+
+    def subscribe(*wanted: str, node: Node = listener) -> RawSubscriptions:
+        made.append(RawSubscriptions(node, wanted))
+        return made[-1]
+
+    yield subscribe
+    for item in made:
+        item.close()
+
+
+def take(ros: Any, subscriptions: RawSubscriptions, node: Node, count: int) -> list[Message]:
+    """Find topics and drain them until so many messages have come."""
+    taken: list[Message] = []
+
+    def is_enough() -> bool:
+        subscriptions.discover()
+        taken.extend(subscriptions.drain(node.get_clock()))
+        return len(taken) >= count
+
+    ros.spin_until(is_enough, f'{count} messages')
+    return taken
+
+
+def test_messages_are_the_bytes_that_were_published(ros, talker, listener, subscribe) -> None:
+    publisher = talker.create_publisher(String, '/talk', LATCHED)
+    for number in range(5):
+        publisher.publish(String(data=f'number {number}'))
+    subscriptions = subscribe('/talk')
+    messages = take(ros, subscriptions, listener, 5)
+    assert [deserialize_message(item.data, String).data for item in messages] == [
+        f'number {number}' for number in range(5)
+    ]
+    assert [item.sequence for item in messages] == [1, 2, 3, 4, 5]
+    now = listener.get_clock().now().nanoseconds
+    for item in messages:
+        assert now - 60 * 10**9 < item.publish_time <= item.log_time <= now
+    channel = messages[0].channel
+    assert (channel.topic, channel.type) == ('/talk', 'std_msgs/msg/String')
+    assert 'string data' in channel.schema
+    assert channel.type_hash.startswith('RIHS01_')
+    assert [(qos.reliability, qos.durability) for qos in channel.qos] == [
+        ('reliable', 'transient_local')
+    ]
+
+
+def test_topics_of_the_twin_are_known_in_full(ros, talker, listener, subscribe) -> None:
+    publisher = talker.create_publisher(String, '/rig1/twin/journal', topics.JOURNAL.qos)
+    publisher.publish(String())
+    subscriptions = subscribe('/rig1')
+    (message,) = take(ros, subscriptions, listener, 1)
+    assert message.channel.qos[0].history == 'keep_last'
+    assert message.channel.qos[0].depth == 1000
+
+
+def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> None:
+    subscriptions = subscribe('/talk')
+    assert subscriptions.discover() == []
+    talker.create_publisher(String, '/talk/one', LATCHED).publish(String(data='1'))
+    assert [item.channel.topic for item in take(ros, subscriptions, listener, 1)] == ['/talk/one']
+    talker.create_publisher(String, '/talk/two', LATCHED).publish(String(data='2'))
+    talker.create_publisher(String, '/talker', LATCHED).publish(String(data='3'))
+    assert [item.channel.topic for item in take(ros, subscriptions, listener, 1)] == ['/talk/two']
+
+
+def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
+    ros, talker, listener
+) -> None:
+    publisher = talker.create_publisher(String, '/talk', 100)
+    for _ in range(7):
+        publisher.publish(String(data='too early'))
+    channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
+    subscription = RawSubscription(listener, channel, QoSProfile(depth=5))
+    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
+    taken: list[Message] = []
+    while not taken:
+        publisher.publish(String(data='first'))
+        taken += subscription.drain()
+    for number in range(100):  # and nobody takes them
+        publisher.publish(String(data=str(number)))
+    last = taken[-1].sequence + 100
+
+    def is_over() -> bool:
+        publisher.publish(String(data='last'))
+        taken.extend(subscription.drain())
+        return taken[-1].sequence > last
+
+    ros.spin_until(is_over, 'the last one')
+    assert subscription.received == len(taken)
+    assert subscription.earlier == taken[0].sequence - 1 >= 7
+    assert subscription.lost == taken[-1].sequence - taken[0].sequence + 1 - len(taken) > 0
+    subscription.close()
+
+
+def test_publisher_that_begins_anew_has_lost_nothing(ros, talker, listener, subscribe) -> None:
+    subscriptions = subscribe('/talk')
+    for _ in range(2):
+        publisher = talker.create_publisher(String, '/talk', LATCHED)
+        for number in range(3):
+            publisher.publish(String(data=str(number)))
+        assert len(take(ros, subscriptions, listener, 3)) == 3
+        talker.destroy_publisher(publisher)
+    (subscription,) = subscriptions
+    assert subscription.lost == 0
+
+
+def test_numbers_of_several_publishers_are_not_taken_for_losses(
+    ros, talker, listener, subscribe
+) -> None:
+    first = talker.create_publisher(String, '/talk', LATCHED)
+    for _ in range(8):
+        first.publish(String())
+    second = talker.create_publisher(String, '/talk', LATCHED)
+    subscriptions = subscribe('/talk')
+    ros.spin_until(lambda: len(listener.get_publishers_info_by_topic('/talk')) == 2, 'both')
+    take(ros, subscriptions, listener, 8)
+    for _ in range(3):
+        second.publish(String())
+        first.publish(String())
+    take(ros, subscriptions, listener, 6)
+    (subscription,) = subscriptions
+    assert subscription.lost == 0
+
+
+def test_no_more_is_asked_for_than_every_publisher_offers(ros, talker, listener) -> None:
+    for profile in (LATCHED, BEST_EFFORT):
+        talker.create_publisher(String, '/talk', profile)
+    ros.spin_until(lambda: len(listener.get_publishers_info_by_topic('/talk')) == 2, 'both')
+    publishers = listener.get_publishers_info_by_topic('/talk')
+    both = fitting_profile(publishers)
+    assert both.reliability is ReliabilityPolicy.BEST_EFFORT
+    assert both.durability is DurabilityPolicy.VOLATILE
+    (latched,) = [
+        item
+        for item in publishers
+        if item.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    ]
+    alone = fitting_profile([latched])
+    assert alone.reliability is ReliabilityPolicy.RELIABLE
+    assert alone.durability is DurabilityPolicy.TRANSIENT_LOCAL
+
+
+OTHER_TYPE = """
+import rclpy
+from std_msgs.msg import Float64MultiArray
+rclpy.init()
+node = rclpy.create_node('other')
+node.create_publisher(Float64MultiArray, '/talk', 1)
+rclpy.spin(node)
+"""
+
+
+def test_topic_of_two_types_is_refused_and_told_once(
+    ros, start, talker, listener, subscribe
+) -> None:
+    talker.create_publisher(String, '/talk', 1)
+    start(sys.executable, '-c', OTHER_TYPE)
+    ros.spin_until(lambda: dict(listener.get_topic_names_and_types()).get('/talk', [''])[1:], 'it')
+    subscriptions = subscribe('/talk')
+    assert subscriptions.discover() == ['/talk']
+    assert 'several types' in subscriptions.refused['/talk']
+    assert subscriptions.discover() == []
+
+
+def test_messages_that_are_not_installed_are_refused() -> None:
+    with pytest.raises(ImportError, match='no_such_msgs/msg/Thing'):
+        message_type('no_such_msgs/msg/Thing')
+    with pytest.raises(ImportError, match='std_msgs/msg/Thing'):
+        RawSubscription(
+            listener, Channel(topic='/a', type='std_msgs/msg/Thing', schema=''), LATCHED
+        )
+
+
+@pytest.mark.parametrize(
+    ('topic', 'wanted', 'answer'),
+    [
+        ('/twin/phase', ['/twin'], True),
+        ('/twin/phase', ['/twin/'], True),
+        ('/twins/phase', ['/twin'], False),
+        ('/rosout', ['/'], True),
+        ('/_hidden', ['/'], False),
+        ('/twin/_hidden/topic', ['/twin'], False),
+        ('/_hidden', ['/_hidden'], True),
+    ],
+)
+def test_namespaces_stand_for_what_is_in_them(topic, wanted, answer) -> None:
+    assert is_wanted(topic, wanted) is answer
+
+
+def test_nothing_is_taken_before_the_clock_goes(ros, talker, subscribe) -> None:
+    listener = ros.node(Node, 'follower', ros_args=('-p', 'use_sim_time:=true'))
+    publisher = talker.create_publisher(String, '/talk', LATCHED)
+    publisher.publish(String())
+    subscriptions = subscribe('/talk', node=listener)
+    ros.spin_until(lambda: not subscriptions.discover() and bool(list(subscriptions)), 'the topic')
+    assert subscriptions.drain(listener.get_clock()) == []
+    clock = talker.create_publisher(Clock, '/clock', 10)
+    ros.spin_until(lambda: clock.get_subscription_count() > 0, 'the follower')
+    clock.publish(Clock(clock=time_to_msg(5 * 10**9)))
+    (message,) = take(ros, subscriptions, listener, 1)
+    assert (message.log_time, message.publish_time) == (5 * 10**9, 5 * 10**9)

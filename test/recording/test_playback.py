@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is due when, by a clock that shows what the test says."""
+
+from __future__ import annotations
+
+from itertools import islice
+import math
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+from soft_throw_ros.recording.playback import MAX_CATCH_UP, PlaybackSchedule, SHORTEST_LOOP
+
+SECOND = 1_000_000_000
+START = 17 * SECOND
+"""When the caller begins, by its own clock."""
+
+
+def scheduled(*times: int, end: int | None = None, **kwargs: Any) -> PlaybackSchedule[int]:
+    """Schedule items that are their own times, of a recording that begins with the first."""
+    kwargs.setdefault('now', START)
+    last = max(times, default=0) if end is None else end
+    return PlaybackSchedule(
+        lambda: times, int, begin_ns=min(times, default=0), end_ns=last, **kwargs
+    )
+
+
+def play(
+    schedule: PlaybackSchedule[int], *, late: int = 0, limit: int = 1000
+) -> list[tuple[int, int]]:
+    """Ask at every deadline, or so much later; return what came with when it was due."""
+    came = []
+    while (deadline := schedule.deadline()) is not None and len(came) < limit:
+        assert schedule.next_due(deadline - 1) is None
+        item = schedule.next_due(deadline + late)
+        assert item is not None
+        came.append((item, deadline))
+    return came
+
+
+def due_now(schedule: PlaybackSchedule[int], now: int) -> list[int]:
+    return list(iter(lambda: schedule.next_due(now), None))
+
+
+@pytest.mark.parametrize('rate', [0.1, 1.0, 2.0, 1000.0])
+def test_items_are_due_at_their_time_over_the_rate(rate) -> None:
+    times = [5 * SECOND, 6 * SECOND, 6 * SECOND, 9 * SECOND]
+    assert play(scheduled(*times, rate=rate)) == [
+        (time, START + round((time - times[0]) / rate)) for time in times
+    ]
+
+
+@pytest.mark.parametrize('late', [0, 1, 999_999, MAX_CATCH_UP])
+def test_being_late_makes_nothing_late_later(late) -> None:
+    times = range(0, 100 * SECOND, SECOND // 3)
+    came = play(scheduled(*times, rate=3.0), late=late)
+    assert came == [(time, START + round(time / 3.0)) for time in times]
+
+
+def test_stall_has_the_rest_wait() -> None:
+    schedule = scheduled(*range(0, 100 * SECOND, SECOND))
+    stalled = START + 60 * SECOND
+    assert due_now(schedule, stalled) == [0]  # and not sixty at once
+    rest = [deadline for _, deadline in play(schedule)]
+    assert rest == [stalled - MAX_CATCH_UP + k * SECOND for k in range(1, 100)]
+
+
+def test_time_goes_on_between_items_and_stops_at_the_next_until_it_is_taken() -> None:
+    schedule = scheduled(1000, 3000, 5000, rate=2.0)
+    assert schedule.next_due(START) == 1000
+    assert [schedule.time(START + after) for after in (-5, 0, 1, 999, 1000, 5000)] == [
+        1000, 1000, 1002, 2998, 3000, 3000,
+    ]  # fmt: skip
+    assert schedule.next_due(START + 1000) == 3000
+    assert schedule.time(START + 1500) == 4000
+    assert schedule.next_due(START + 2000) == 5000
+    assert schedule.time(START + 9999) == 5000
+
+
+def test_pause_lets_nothing_come_and_resume_goes_on_there() -> None:
+    schedule = scheduled(0, 1000, 2000, 3000)
+    assert due_now(schedule, START + 1400) == [0, 1000]
+    schedule.pause(START + 1500)
+    assert schedule.is_paused
+    assert schedule.deadline() is None
+    assert due_now(schedule, START + 10 * SECOND) == []
+    assert schedule.time(START + 10 * SECOND) == 1500
+    schedule.resume(START + 20 * SECOND)
+    assert play(schedule) == [
+        (2000, START + 20 * SECOND + 500),
+        (3000, START + 20 * SECOND + 1500),
+    ]
+
+
+def test_step_gives_all_of_the_next_moment_while_paused() -> None:
+    schedule = scheduled(0, 0, 1000, 2000, 2000, 2000, 3000, is_paused=True)
+    assert schedule.deadline() is None
+    for moment in ([0, 0], [1000], [2000, 2000, 2000]):
+        assert due_now(schedule, START) == []
+        assert schedule.step(START)
+        assert schedule.deadline() == START
+        assert due_now(schedule, START) == moment
+        assert schedule.time(START + SECOND) == moment[0]
+    schedule.resume(START + 5 * SECOND)
+    assert play(schedule) == [(3000, START + 5 * SECOND + 1000)]
+    assert not schedule.step(START + 6 * SECOND)
+
+
+def test_loop_of_a_moment_does_not_come_all_at_once() -> None:
+    schedule = scheduled(7, 7, is_looping=True)
+    assert due_now(schedule, START + 10 * SHORTEST_LOOP) == [7, 7] * 11
+
+
+@pytest.mark.parametrize('is_looping', [False, True])
+@pytest.mark.parametrize('is_paused', [False, True])
+def test_nothing_is_over_at_once(is_looping, is_paused) -> None:
+    schedule = scheduled(is_looping=is_looping, is_paused=is_paused)
+    assert schedule.is_over
+    assert schedule.deadline() is None
+    assert schedule.next_due(START) is None
+    assert not schedule.step(START)
+    schedule.resume(START)
+    schedule.pause(START)
+    assert schedule.time(START + SECOND) in (0, 1)
+
+
+def test_recording_is_read_only_as_far_as_it_is_played() -> None:
+    asked = []
+
+    def endless():
+        for time in range(10**9):
+            asked.append(time)
+            yield time
+
+    schedule = PlaybackSchedule(endless, int, begin_ns=0, end_ns=10**9, now=START)
+    assert due_now(schedule, START + 3) == [0, 1, 2, 3]
+    assert asked == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize('rate', [0.0, -1.0, math.nan, math.inf])
+def test_rate_that_is_none_is_refused(rate) -> None:
+    with pytest.raises(ValueError, match=str(rate)):
+        scheduled(0, rate=rate)
+
+
+@given(
+    times=st.lists(st.integers(0, 10_000), max_size=30).map(sorted),
+    rate=st.sampled_from([0.3, 1.0, 7.0]),
+    calls=st.lists(
+        st.tuples(st.sampled_from(['pause', 'resume', 'step', 'look']), st.integers(0, 5_000)),
+        max_size=30,
+    ),
+)
+def test_whatever_is_asked_every_item_comes_once_in_order_and_time_goes_forward(
+    times, rate, calls
+) -> None:
+    schedule = scheduled(*times, rate=rate)
+    now, came, shown = START, [], [schedule.time(START)]
+    for name, wait in calls:
+        now += wait
+        if name != 'look':
+            getattr(schedule, name)(now)
+        came += due_now(schedule, now)
+        shown.append(schedule.time(now))
+    schedule.resume(now)
+    while (deadline := schedule.deadline()) is not None:
+        came += due_now(schedule, max(now, deadline))
+    assert came == times
+    assert shown == sorted(shown)
+
+
+@given(times=st.lists(st.integers(0, 10_000), min_size=1, max_size=10).map(sorted))
+def test_loop_repeats_the_recording(times) -> None:
+    loops = play(scheduled(*times, is_looping=True), limit=3 * len(times))
+    assert [item for item, _ in loops] == list(islice(times * 3, len(loops)))
+    deadlines = [deadline for _, deadline in loops]
+    assert deadlines == sorted(deadlines)

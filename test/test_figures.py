@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of docs/paper: what is drawn is what the models say, and is fit to be shown."""
+
+import functools
+import math
+from pathlib import Path
+import re
+import sys
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.travelling_wave import first_release
+
+pytest.importorskip('matplotlib', reason='the extra [plot]')
+
+from matplotlib import image
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
+
+from draw import DRAWINGS, main, path_of
+import fits
+from models import SERIES, THICKNESSES
+import style
+
+DOCS = Path(__file__).parents[1] / 'docs'
+
+
+@functools.cache
+def drawn(name):
+    """Draw a figure, once for all tests, and lay it out."""
+    with style.settings():
+        figure = DRAWINGS[name].draw()
+        canvas = FigureCanvasAgg(figure)
+        figure.set_dpi(150)
+        canvas.draw()
+    return figure
+
+
+@functools.cache
+def pixels(name):
+    """Return what is on the canvas: (height, width, red green blue) from 0 to 1."""
+    return np.asarray(drawn(name).canvas.buffer_rgba())[:, :, :3] / 255.0
+
+
+def panels(name):
+    """Return the axes that are no colour bars."""
+    return [axes for axes in drawn(name).axes if axes.get_label() != '<colorbar>']
+
+
+def line(axes, label):
+    """Return x and y of the only line whose label begins so."""
+    (found,) = [each for each in axes.lines if each.get_label().startswith(label)]
+    return found.get_data()
+
+
+def release_at(x, c, damping_ratio=0.0, density_ratio=1.0):
+    return first_release(
+        mass_ratio=density_ratio * (1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio
+    )
+
+
+# How they look
+
+
+@pytest.mark.parametrize('name', DRAWINGS)
+def test_figure_in_docs_is_current_small_and_not_empty(name):
+    path = path_of(name, DOCS)
+    assert path.stat().st_size < 250_000
+    shown = image.imread(path)[:, :, :3]
+    picture = pixels(name)
+    assert shown.shape == picture.shape
+    # Letters and edges may come out a little different with another matplotlib
+    assert np.abs(shown - picture).mean() < 0.01
+    assert 0.1 < (picture > 0.99).all(axis=2).mean() < 0.97
+    assert (np.ptp(picture, axis=2) > 0.2).mean() > 0.002
+
+
+@pytest.mark.parametrize('name', DRAWINGS)
+def test_nothing_is_cut_off_or_too_small_and_no_legend_hides_data(name):
+    figure = drawn(name)
+    shown = figure.get_window_extent()
+    texts = [figure._suptitle] if figure._suptitle else []
+    for axes in figure.axes:
+        texts += [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label, *axes.texts]
+    for text in texts:
+        if text.get_text() and text.get_visible():
+            assert text.get_size() >= 8.0  # a README shows 1260 dots as some 830
+            box = text.get_window_extent()
+            assert shown.x0 <= box.x0 < box.x1 <= shown.x1 + 1.0, text.get_text()
+            assert shown.y0 <= box.y0 < box.y1 <= shown.y1 + 1.0, text.get_text()
+    for legend in figure.legends:
+        box = legend.get_window_extent()
+        assert shown.x0 <= box.x0 < box.x1 <= shown.x1
+        assert not any(axes.get_window_extent().overlaps(box) for axes in figure.axes)
+
+
+@pytest.mark.parametrize('name', [name for name in DRAWINGS if name != 'throw'])
+def test_figure_has_a_caption_and_symbols_or_units_at_its_axes(name):
+    title, _, caption = drawn(name)._suptitle.get_text().partition('\n')
+    number = re.match(r'fig(\d+)', name)
+    assert not number or re.search(rf'Figs?\.\\ {number[1]}\\ ', title)
+    assert len(caption) > 40
+    for axes in panels(name):
+        if axes.get_subplotspec().is_first_col():
+            assert re.search(r'\$|\(.*\w|over', axes.get_ylabel()), axes.get_title()
+        if name != 'fig1' and axes.get_subplotspec().is_last_row():
+            assert '$' in axes.get_xlabel(), axes.get_title()
+
+
+def test_figure_is_the_same_bytes_every_time(tmp_path, capsys):
+    written = []
+    for folder in (tmp_path / 'a', tmp_path / 'b' / 'c'):
+        assert main(['--output', str(folder), 'fig7']) == 0
+        assert capsys.readouterr().out == f'{folder}/paper/fig7.png\n'
+        written.append((folder / 'paper' / 'fig7.png').read_bytes())
+    assert written[0] == written[1]
+
+
+def test_unknown_figure_is_refused_by_name(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(['fig99'])
+    assert end.value.code == 2
+    assert "'fig99'" in capsys.readouterr().err
+
+
+# What they show
+
+
+def test_fig1_shows_plate_layer_and_projectiles_where_they_are():
+    throw = simulate(SERIES[1].rig(16.8e-3, damping_ratio=0.064), until=0.016)
+    for axes in panels('fig1'):
+        moment = 1e-3 * float(re.search(r't\$ = ([\d.]+) ms', axes.get_title()).group(1))
+        on_layer, _, plate = axes.patches
+        path = throw.trajectory(np.array([moment]))
+        height, top = 1e3 * path.plate_position[0], 1e3 * path.top_position[0]
+        assert on_layer.get_y() == pytest.approx(1e3 * path.projectile_position[0], abs=0.1)
+        assert plate.get_y() + plate.get_height() == pytest.approx(height, abs=0.05)
+        (layer,) = axes.collections
+        heights = layer.get_coordinates()[:, 0, 1]
+        assert (heights[0], heights[-1]) == pytest.approx((height, top), abs=0.1)
+
+
+def test_fig2_follows_the_throw():
+    throw = simulate(SERIES[1].rig(16.8e-3, damping_ratio=0.064), until=0.016)
+    heights, speeds = panels('fig2')
+    for axes, plate, projectile in (
+        (heights, 'plate_position', 'projectile_position'),
+        (speeds, 'plate_velocity', 'projectile_velocity'),
+    ):
+        for label, name in (('plate', plate), ('projectile on layer', projectile)):
+            time, values = line(axes, label)
+            expected = getattr(throw.trajectory(1e-3 * time), name)
+            if axes is heights:
+                expected = 1e3 * (expected - expected[0])
+            np.testing.assert_allclose(values, expected, atol=1e-12)
+    assert f'= {throw.energy_transfer:.3f}' in speeds.texts[0].get_text()
+
+
+@pytest.mark.parametrize(('name', 'damping_ratio'), [('fig3', 0.0), ('fig11', 0.064)])
+def test_maps_are_the_exact_releases_of_equal_densities(name, damping_ratio):
+    places = np.random.default_rng(4).uniform((0.02, 0.3), (0.98, 13.9), size=(40, 2))
+    for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
+        (shown,) = axes.images
+        values = shown.get_array()
+        assert shown.get_extent() == pytest.approx((0.0, 1.0, 0.0, 14.0), abs=1e-12)
+        for x, c in places:
+            row, column = int(c / 14.0 * len(values)), int(x * len(values))
+            middle = (column + 0.5) / len(values), 14.0 * (row + 0.5) / len(values)
+            expected = getattr(release_at(*middle, damping_ratio), result)
+            assert values[row, column] == pytest.approx(expected, rel=1e-9)
+
+
+def test_fig3_marks_what_the_paper_says_and_the_highest_point():
+    axes = panels('fig3')[1]
+    x, c = line(axes, 'paper: ridge')
+    np.testing.assert_allclose(c, 10.2 * np.sqrt(x))
+    assert line(axes, r'paper: $\alpha$ = 4.12') == ([0.8], [6.7])
+    (x,), (c,) = line(axes, 'largest of all')
+    assert (x, c) == pytest.approx((0.8102, 6.678), abs=5e-4)
+
+
+def test_fig4_has_the_largest_alpha_at_every_x():
+    best, largest = panels('fig4')
+    x, alpha = line(largest, 'largest over')
+    _, c = line(best, 'largest over')
+    for i in (20, 150, 300, 404, 480):
+        assert release_at(x[i], c[i]).energy_transfer == pytest.approx(alpha[i], rel=1e-9)
+        others = [release_at(x[i], each).energy_transfer for each in np.linspace(0.3, 12.0, 60)]
+        assert max(others) <= alpha[i] + 1e-12
+    assert alpha.max() == pytest.approx(4.1232, abs=1e-4)
+    assert alpha[0] == pytest.approx(3.13, abs=5e-3)
+
+
+@pytest.mark.parametrize(('name', 'damping_ratio'), [('fig5', 0.0), ('fig12', 0.064)])
+def test_series_are_the_exact_releases_and_its_points_throws_by_cells(name, damping_ratio):
+    for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
+        for series, color, bars in zip(
+            SERIES, (style.BLUE, style.ORANGE, style.GREEN), axes.containers, strict=True
+        ):
+            curves = [
+                each.get_data()
+                for each in axes.lines
+                if each.get_color() == color and len(each.get_xdata()) > 1000
+            ]
+            x, values = curves[-1]
+            for i in (40, 301, 700, 1100):
+                release = release_at(x[i], series.speed * (1.0 - x[i]), damping_ratio, 1.3)
+                assert values[i] == pytest.approx(getattr(release, result), rel=1e-9)
+            x, values = np.asarray(bars.lines[0].get_data(), dtype=np.float64)
+            np.testing.assert_allclose(x, THICKNESSES / (THICKNESSES + series.projectile_length))
+            rigid = series.releases(THICKNESSES, damping_ratio=damping_ratio)
+            np.testing.assert_allclose(values, getattr(rigid, result), rtol=4e-4)
+
+
+def test_error_bars_are_those_of_linear_propagation_where_nothing_jumps():
+    # 5.6 mm of the second series: wave speed, thickness and frequency one by one
+    series = SERIES[1]
+    base = {'thickness': 5.6e-3, 'wave_speed': 7.8, 'frequency': 63.2}
+
+    def transfer(thickness, wave_speed, frequency):
+        return first_release(
+            mass_ratio=1.3 * series.projectile_length / thickness,
+            speed_ratio=wave_speed / (thickness * frequency),
+        ).energy_transfer
+
+    variance = sum(
+        (0.5 * (transfer(**base | {k: base[k] + d}) - transfer(**base | {k: base[k] - d}))) ** 2
+        for k, d in (('thickness', 1e-4), ('wave_speed', 0.3), ('frequency', 0.1))
+    )
+    bars = series.errors(damping_ratio=0.0).energy_transfer[:, 1]
+    # quantiles of 2000 draws are known to 4 %
+    np.testing.assert_allclose(bars, math.sqrt(variance), rtol=0.15)
+
+
+def test_dots_of_fig5_are_last_releases():
+    series = SERIES[2]
+    for axes, result in zip(panels('fig5'), ('phase', 'transfer'), strict=True):
+        dots = [
+            (each.get_xdata()[0], each.get_ydata()[0])
+            for each in axes.lines
+            if each.get_marker() == '.' and each.get_color() == style.GREEN
+        ]
+        x, value = dots[len(dots) // 2]
+        thickness = series.projectile_length * x / (1.0 - x)
+        throw = simulate(series.rig(thickness, damping_ratio=0.0), until=2.0 / series.frequency)
+        expected = {
+            'phase': throw.last_release.time * series.frequency,
+            'transfer': throw.last_energy_transfer,
+        }
+        assert throw.recontacts > 0
+        assert value == pytest.approx(expected[result], abs=1e-3)
+
+
+def test_fig6_has_contours_at_whole_crossings():
+    for axes in panels('fig6'):
+        (contours,) = [each for each in axes.collections if hasattr(each, 'levels')]
+        np.testing.assert_array_equal(contours.levels, np.arange(2.0, 9.0))
+        for crossings, path in zip(contours.levels, contours.get_paths(), strict=True):
+            x, c = path.vertices[len(path.vertices) // 2]
+            release = release_at(x, c)
+            # across 3 and 5 t_s the time jumps, by up to 0.27 t_s
+            assert release.ejection_phase * c / x == pytest.approx(crossings, abs=0.3)
+
+
+def test_fig7_has_the_spring_of_appendix_a_and_layers_above_it():
+    phases, transfers = panels('fig7')
+    q, alpha = line(transfers, 'spring')
+    expected = (q / (q - 1.0) * np.sin(2.0 * np.pi / (q + 1.0))) ** 2
+    np.testing.assert_allclose(alpha, expected, rtol=1e-9)
+    np.testing.assert_allclose(line(phases, 'spring')[1], 1.0 / (1.0 + q), rtol=1e-12)
+    highest = [
+        np.nanmax(line(transfers, rf'layer, $\mu = m/\rho_s S L_s$ = {mu}')[1])
+        for mu in ('0', 1, 4)
+    ]
+    assert highest == sorted(highest, reverse=True)
+    assert highest[-1] > alpha.max() == pytest.approx(3.1274, abs=1e-4)
+
+
+def test_free_layer_rings_with_the_period_of_a_wave_there_and_back():
+    time = np.array([0.0, 0.25, 0.5, 1.0])
+    # without loss a triangle
+    values = fits.ringing(time, 1.0, loss_tangent=0.0)
+    np.testing.assert_allclose(values, (1.0, 0.0, -1.0, 1.0), atol=0.02)
+
+
+def test_plate_fit_finds_what_the_track_was_made_with():
+    values, errors = fits.fit_plate(*fits.plate_track())
+    assert (np.abs(values - (0.0, 63.2, 2e-3, 0.064)) < 4.0 * errors).all()
+    assert errors[1] < 0.05
+
+
+def test_thick_layer_is_the_first_interval_of_the_wave():
+    # In contact V_m = 2 A w (sin a - w cos a + w e^(-a/w)) / (1 + w^2), w for w tau, a for the
+    # angle: Eq. (11), which says nothing of how the others are computed. It leaves at the top.
+    def speed(a, w):
+        return 2.0 * (math.sin(a) - w * math.cos(a) + w * math.exp(-a / w)) / (1.0 + w * w)
+
+    def slope(a, w):
+        return math.cos(a) + w * math.sin(a) - math.exp(-a / w)
+
+    angles, transfers, wide = panels('thick_layer')
+    for axes in (transfers, wide):
+        w, alpha = line(axes, 'exact')
+        for i in (3, 100, 333):
+            leaves = brentq(slope, 0.5 * math.pi, math.pi, args=(w[i],))
+            assert alpha[i] == pytest.approx(speed(leaves, w[i]) ** 2, rel=1e-8)
+    w, angle = line(angles, 'exact')
+    leaves = brentq(slope, 0.5 * math.pi, math.pi, args=(w[200],))
+    assert angle[200] == pytest.approx(leaves / math.pi, rel=1e-9)
+
+
+def test_line_is_broken_where_values_jump_and_nowhere_else():
+    smooth = np.sin(np.linspace(0.0, 6.0, 300))
+    assert np.isfinite(style.broken(smooth)).all()
+    jumps = smooth + (np.arange(300) >= 120) * 0.1
+    (lost,) = np.flatnonzero(np.isnan(style.broken(jumps)))
+    assert lost == 120
