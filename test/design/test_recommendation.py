@@ -293,9 +293,11 @@ def test_intervals_end_where_the_energy_has_fallen_so_far():
 
 
 def test_edge_is_told_with_its_side():
-    """At the highest point of a cliff, a little less thickness loses a lot at once."""
-    rig = Rig(engine=Engine(damping_ratio=0.3), layer=Layer(thickness=10e-3, wave_speed=5.0))
-    best = recommend(rig, vary='thickness', limits=Limits(thickness_max=20e-3))
+    """At the highest point of a cliff, where a little less of it is held by gravity for longer."""
+    omega = math.sqrt(STANDARD_GRAVITY / (2e-3 * 1.404))
+    engine = Engine(frequency=omega / (2.0 * math.pi))
+    rig = Rig(engine=engine, projectile=Projectile(mass=3.96e-3))
+    best = recommend(rig, limits=Limits(thickness_min=2e-3, wave_speed_max=30.0))
     assert any(item.edge for item in best.sensitivities)
     for item in best.sensitivities:
         less, more = score_after(best.rig, item.name, item.value * np.array([0.999, 1.001]))
