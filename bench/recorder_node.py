@@ -17,7 +17,7 @@ import tempfile
 import time
 
 import numpy as np
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode_joint_states
 
 STATES = '/twin/joint_states'

@@ -20,7 +20,7 @@ from soft_throw_ros.identification.tracks import (
     Track,
     TrackError,
 )
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 

@@ -11,8 +11,8 @@ import time
 
 from soft_throw_ros.commands.identify_input import Growing, Source
 from soft_throw_ros.identification.tracks import ThrowTracks
+from soft_throw_ros.recording.follow import follow
 from soft_throw_ros.recording.message import BagError, Message
-from soft_throw_ros.recording.tail import tail
 
 Refresh = Callable[[Sequence[ThrowTracks]], None]
 
@@ -65,7 +65,7 @@ def watch(folder: str, source: Source, refresh: Refresh, *, last: int) -> None:
     print(f'identify: watching {folder} until it is complete; Ctrl-C ends it', file=sys.stderr)
     with contextlib.suppress(KeyboardInterrupt):
         try:
-            for item in tail(folder, look):
+            for item in follow(folder, look):
                 if isinstance(item, Message):
                     growing.record.add(item)
         except BagError as error:

@@ -31,9 +31,9 @@ from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
 import numpy as np
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.travelling_wave import first_releases
-from soft_throw_ros.recording.bag import BagError, BagReader, read_stream
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.digest import Floats, is_shown
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.viewer import (
     connect,
     has_display,

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from soft_throw_ros.recording.message import BagError
-from soft_throw_ros.recording.recovery import recover, Report
+from soft_throw_ros.recording.recovery import recover, Recovery
 
 _SHOWN = 10  # places that are named one by one
 
@@ -45,11 +45,11 @@ def main(args: list[str] | None = None) -> int:
     given = parser.parse_args(args)
     source = Path(given.bag)
     try:
-        report = recover(source, given.to or _beside(source))
+        recovery = recover(source, given.to or _beside(source))
     except BagError as error:
         parser.error(str(error))
-    print(text(report), end='')
-    return 1 if report.skipped else 0
+    print(describe(recovery), end='')
+    return 1 if recovery.skipped else 0
 
 
 def _beside(source: Path) -> Path:
@@ -59,12 +59,12 @@ def _beside(source: Path) -> Path:
     return path.with_name(f'{name}_recovered')
 
 
-def text(report: Report) -> str:
-    """Write a report for people to read."""
-    width = max(map(len, report.saved))
-    lines = [f'{report.target}: {report.message_count} messages recovered']
-    lines += [f'  {topic:{width}} {count:12}' for topic, count in report.saved.items()]
-    skipped = report.skipped
+def describe(recovery: Recovery) -> str:
+    """Say what was recovered, and what was not."""
+    width = max(map(len, recovery.saved))
+    lines = [f'{recovery.target}: {recovery.message_count} messages recovered']
+    lines += [f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()]
+    skipped = recovery.skipped
     if skipped:
         size = sum(gap.size for gap in skipped)
         places = '1 place' if len(skipped) == 1 else f'{len(skipped)} places'

@@ -74,6 +74,7 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
 from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
 from soft_throw_ros.core.rig import Rig
@@ -97,7 +98,6 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
 
 Floats = NDArray[np.float64]
 
@@ -130,6 +130,7 @@ _FEWEST_PER_RELAXATION = 4.0  # and for 1e-3
 _STEPS_PER_PERIOD = 120.0
 _FEWEST_PER_PERIOD = 80.0
 _SLOWEST = 8.0  # projectile in real time, whose waves take so many times longer than the layer's
+_UPDATE_COST = 4e-9  # of a cell in a step, of a processor [s]
 _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projectile
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
 _THROWS_PER_TASK = 16
@@ -700,9 +701,10 @@ def _move_nodes(s, nodes):
 
 
 @_jit
-def _read_layer(core, nodes, places, height, velocity, force):
-    """Read height, velocity and force of the layer from plate to top."""
+def _read_layer(core, nodes, places, out):
+    """Read heights, velocities and forces of the layer from plate to top."""
     s = core[1]
+    height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
     for n in range(places.size):
         j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
@@ -1066,8 +1068,8 @@ class CellStepper(Stepper):
         _reset(self._core, self._nodes, self._path)
         self._advance(0.0, *self._memory)
 
-    def _read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
-        _read_layer(self._core, self._nodes, self._places, height, velocity, force)
+    def _read_layer(self, out: Floats) -> None:
+        _read_layer(self._core, self._nodes, self._places, out)
 
     def _read_strain(self, strain: Floats) -> None:
         _read_strain(self._core, self._nodes, self._places, strain)
@@ -1082,6 +1084,11 @@ class CellStepper(Stepper):
         while steps * self.step > known:
             steps -= 1
         return steps * self.step
+
+    @property
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
+        return _UPDATE_COST * self._nodes.shape[1] / self.step
 
     @property
     def loads(self) -> Loads:
@@ -1118,7 +1125,7 @@ def warm_up() -> None:
     stepper = CellStepper(Rig(), 'measured', field_points=2)
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty(2), np.empty(2), np.empty(2))
+    stepper.read_layer(np.empty((3, 2)))
     stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
     stepper.fork().sync_from(stepper)

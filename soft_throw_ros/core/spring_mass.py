@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.travelling_wave import FirstRelease
+from soft_throw_ros.core.closed_form import FirstRelease
 
 
 def frequency_ratio(

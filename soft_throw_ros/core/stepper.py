@@ -188,7 +188,7 @@ class Stepper(ABC):
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
         self._is_measured = False
-        self._readable: Floats | None = None
+        self._readable = np.empty(0)  # the array that was checked last
 
     @abstractmethod
     def reset(self) -> None:
@@ -302,7 +302,6 @@ class Stepper(ABC):
         for name in self._changing:
             setattr(other, name, replaced[id(getattr(self, name))])
         other._memory = tuple(replaced.get(id(part), part) for part in self._memory)
-        other._readable = None
         other.state = other._core['state'][1]
         other.state.flags.writeable = False
         other._is_measured = False

@@ -93,7 +93,8 @@ MAX_STEP_RATE = 4e7
 _STEPS = 512  # per crossing, which later events need: see the tests of re-contacts
 _FEWEST_STEPS = 64
 _STEPS_PER_PERIOD = 160.0
-_STEPS_PER_RELAXATION = 8.0  # where first releases alone are wanted
+_STEPS_PER_RELAXATION = 8.0
+_MOST_FOR_RELAXATION = 2048
 _STEP_COST = 3e-9  # of a processor [s]
 
 _PAD = 8  # steps that are kept beyond the crossing time, for the cubics
@@ -152,7 +153,7 @@ _CORE = np.dtype(
         ('contact', '?'),
         ('landed', '?'),
         ('velocity', 'f8'),  # V in contact
-        ('integral', 'f8'),  # of p at the top [m]
+        ('sum', 'f8'),  # of p at the top by the trapezoidal rule, over h
         ('top', 'f8'),  # height of the top less 2 P - tau V, in flight less 2 P + g tau t
         ('launch_cell', 'i8'),
         ('launch_offset', 'f8'),
@@ -167,6 +168,7 @@ _CORE = np.dtype(
         ('queues', 'i8', (4,)),  # where the two queues of candidates begin and end
         ('first_work', 'f8'),
         ('work', 'f8'),  # sum of power over the impedance and h
+        ('front_work', 'f8'),  # what that sum misses where power jumps
         ('power', 'f8'),  # last addend
         # at `time`
         ('plus', 'f8', (2,)),  # p at plate and top
@@ -190,9 +192,10 @@ def steps_per_crossing(rig: Rig) -> int:
     Returns
     -------
     int
-        512, or more where the plate's period is short, or less where steps would be more than
-        `MAX_STEP_RATE` in a second; a relaxation time :math:`\tau` that is shorter than a step
-        does no harm, since the mass is solved for exactly. Errors in :math:`t f` and
+        512, or more where the relaxation time :math:`\tau` or the plate's period is short, or
+        less where steps would be more than `MAX_STEP_RATE` in a second. A relaxation time that is
+        shorter than a step does little harm, since the mass is solved for exactly. Errors in
+        :math:`t f` and
         :math:`V / (A \omega)`: 1e-6 at the first release, 1e-4 up to the fifth event, 1e-3 later.
 
     Raises
@@ -227,7 +230,8 @@ def steps_per_crossing(rig: Rig) -> int:
             f'{crossing:.4g} s needs {for_plate} steps per crossing of the wave, the limit is '
             f'{limit}; feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
         )
-    return min(max(_STEPS, for_plate), limit)
+    for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, _MOST_FOR_RELAXATION))
+    return min(max(_STEPS, for_mass, for_plate), limit)
 
 
 @_jit
@@ -398,7 +402,7 @@ def _cross_step(s, waves, events, target):
     else:
         aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
         a, b, c, e = _cubic(s, waves, i, aside)
-    V, P, offset, error = s.velocity, s.integral, 0.0, 0.0
+    V, P, offset, error = s.velocity, s.step * s.sum, 0.0, 0.0
     events_left = _EVENTS_PER_STEP
     while True:
         arrives = _next_front(s, waves, number) == cell
@@ -457,7 +461,7 @@ def _cross_step(s, waves, events, target):
                 error += (offset - 0.5) * echo
     if target == 1.0:
         s.cell += 1
-        s.integral = P
+        s.sum = P / s.step
         s.velocity = V if s.contact else 0.0
         j = s.cell - s.base
         p = waves[0, i + 1]
@@ -501,7 +505,7 @@ def _run_in_contact(s, waves, count, weights):
     behind, here, ahead = top[0], top[1], top[2]
     decay, threshold, offset = s.decay, s.release_threshold, s.gravity_offset
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
-    V, total = s.velocity, 0.0
+    V, total = s.velocity, s.sum
     peak_push, peak_stress, work, power = s.peak_push, s.peak_stress, s.work, s.power
     done = count
     for n in range(count):
@@ -522,8 +526,7 @@ def _run_in_contact(s, waves, count, weights):
         V = following
         behind, here, ahead = here, ahead, beyond
     s.cell += done
-    s.velocity, s.work, s.power = V, work, power
-    s.integral += s.step * total
+    s.velocity, s.sum, s.work, s.power = V, total, work, power
     if s.events == 0:
         s.peak_push, s.peak_stress = peak_push, peak_stress
     return done
@@ -535,9 +538,9 @@ def _run_in_flight(s, waves, count):
     first, N = s.cell - s.base, s.steps
     step, offset = s.step, s.gravity_offset
     speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
-    height = s.launch_height - s.top - 2.0 * s.integral
+    height = s.launch_height - s.top
     start = s.cell + 1 - s.launch_cell - s.launch_offset
-    here, total, work, power = waves[0, first - N], 0.0, s.work, s.power
+    here, total, work, power = waves[0, first - N], s.sum, s.work, s.power
     done = count
     for n in range(count):
         ahead = waves[0, first + 1 + n - N]
@@ -552,8 +555,7 @@ def _run_in_flight(s, waves, count):
         power = (p - m + offset) * (p + m)
         work += power
     s.cell += done
-    s.work, s.power = work, power
-    s.integral += step * total
+    s.sum, s.work, s.power = total, work, power
     return done
 
 
@@ -630,7 +632,7 @@ def _march(s, waves, path, events, goal):
             front = waves[_FRONTS, 3 * (s.front_passed % _MAX_FRONTS) :]
             j = int(front[0]) - s.steps - s.base
             plate_speed = waves[0, j] + waves[1, j - s.steps]
-            s.work += (1.0 - 2.0 * front[1]) * plate_speed * front[2]
+            s.front_work += (1.0 - 2.0 * front[1]) * plate_speed * front[2]
             s.front_passed += 1
 
 
@@ -944,7 +946,8 @@ class WaveStepper(Stepper):
     def work_so_far(self) -> float:
         """Work of the plate up to the last grid point, by the trapezoidal rule. [J]"""
         now = self._core[1]
-        return float(self._work_unit() * (now['work'] + (now['offset'] - 0.5) * now['power']))
+        part = (now['offset'] - 0.5) * now['power']
+        return float(self._work_unit() * (now['work'] + now['front_work'] + part))
 
     def _work_unit(self) -> float:
         """Return the work of one step at unit power. [J s2/m2]"""
@@ -1081,3 +1084,14 @@ def _first_throws(ratios, steps, core, waves, found, part, parts):
         found[3, n] = s.peak_push / (2.0 * math.pi * s.relaxation)
         found[4, n] = s.peak_stress
         found[5, n] = s.first_work * s.step / s.relaxation
+
+
+def warm_up() -> None:
+    """Compile or load all kernels that the twin needs."""
+    stepper = WaveStepper(Rig(), 'measured', field_points=2)
+    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.advance_to(stepper.horizon / 1024.0)
+    stepper.read_layer(np.empty((3, 2)))
+    stepper.stored_energy()
+    stepper.fork().sync_from(stepper)
+    assert stepper.loads

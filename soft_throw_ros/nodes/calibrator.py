@@ -31,7 +31,7 @@ from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import Program, run
-from soft_throw_ros.nodes.taps import Tap
+from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Channel
 from soft_throw_ros.twin.results import ThrowResult
@@ -243,12 +243,12 @@ class _Measured:
     def __init__(self, node: Program, topic: topics.Topic) -> None:
         channel = Channel(topic=topic.name, type=topic.type_name, schema='')
         self._log = node.get_logger()
-        self._tap = Tap(node, channel, topic.qos)
+        self._subscription = RawSubscription(node, channel, topic.qos)
         self._parts: deque[tuple[NDArray[np.int64], Floats]] = deque()
 
     def take(self) -> None:
         """Take what has come; it is to be called often."""
-        datas = [message.data for message in self._tap.drain()]
+        datas = [message.data for message in self._subscription.drain()]
         if not datas:
             return
         try:
@@ -290,7 +290,7 @@ class _Measured:
 
     def close(self) -> None:
         """Unsubscribe."""
-        self._tap.close()
+        self._subscription.close()
 
 
 def _ignore(_changes: dict[str, Any]) -> None:

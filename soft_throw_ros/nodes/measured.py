@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rclpy.node import Node
 from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.taps import Tap
+from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
 from soft_throw_ros.recording.message import Channel
 from soft_throw_ros.twin.measurement import Sample
@@ -71,7 +71,7 @@ class MeasuredSteps:
         topic = topics.MEASURED
         name = node.resolve_topic_name(topic.name)
         channel = Channel(topic=name, type=topic.type_name, schema='')
-        self._tap = Tap(node, channel, topic.qos)
+        self._subscription = RawSubscription(node, channel, topic.qos)
         self._read = JointStateReader().read
         self._leads: list[int] = []
         self._told = (0, 0, 0, 0)
@@ -94,7 +94,7 @@ class MeasuredSteps:
     def take(self) -> None:
         """Hand on all that has been measured until now."""
         if self._session.is_measured:
-            messages = self._tap.drain()
+            messages = self._subscription.drain()
             if messages:
                 self._session.measure(self._samples([message.data for message in messages]))
 
@@ -108,12 +108,12 @@ class MeasuredSteps:
 
     def account(self) -> Account:
         """Sum up since the last call; it may come from another thread."""
-        publishers = self._node.get_publishers_info_by_topic(self._tap.channel.topic)
-        self._tap.is_shared = len(publishers) > 1
-        self._tap.listen()
+        publishers = self._node.get_publishers_info_by_topic(self._subscription.channel.topic)
+        self._subscription.is_shared = len(publishers) > 1
+        self._subscription.read_loss_event()
         leads, self._leads = self._leads, []
-        session, tap = self._session, self._tap
-        now = (tap.received, session.taken, session.disordered, tap.lost)
+        session, subscription = self._session, self._subscription
+        now = (subscription.received, session.taken, session.disordered, subscription.lost)
         before, self._told = self._told, now
         refused = Counter(session.refused)
         news, self._refused = refused - self._refused, refused
@@ -124,7 +124,7 @@ class MeasuredSteps:
 
     def close(self) -> None:
         """Unsubscribe."""
-        self._tap.close()
+        self._subscription.close()
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
         """Read messages, and refuse and count what cannot be read."""

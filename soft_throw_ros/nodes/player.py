@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The node `replay`: what is in a bag comes again, as the bytes that it was.
+The node `replay`: publish what is in a bag again, as the bytes that it was.
 
 One thread publishes what is due; all else happens in the executor's.
 """
@@ -23,12 +23,12 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, Program
+from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
 from soft_throw_ros.nodes.realtime import be_punctual
-from soft_throw_ros.nodes.taps import message_type, prefixes
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schedule import Schedule
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
 from soft_throw_ros.twin.pace import Pace, SECOND
 from std_srvs.srv import Trigger
@@ -42,24 +42,24 @@ CLOCK = '/clock'
 DISCOVERY_TIME = 0.5
 """Before the first message, so that those who listen already get it. [s]"""
 
-FAREWELL_TIME = 0.5
+DRAIN_TIMEOUT = 0.5
 """Longest wait, after the last message, for those who acknowledge it. [s]"""
 
-STOP_TIME = 0.3
+STOP_TIMEOUT = 0.3
 """Longest wait for the thread to end. [s]"""
 
 DEPTH = 1000
 """How many messages a publisher keeps if the bag does not tell. A middleware seldom does."""
 
-SHOW_TIME = 0.1
+TERMINAL_PERIOD = 0.1
 """How often progress is shown on a terminal. [s]"""
 
-TELL_TIME = 10.0
-"""How often it is told elsewhere. [s]"""
+LOG_PERIOD = 10.0
+"""How often it is written elsewhere. [s]"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class PlaybackOptions:
     """
     What of a bag is to be played, and how.
 
@@ -91,13 +91,13 @@ class Choice:
 
 class Player(Program):
     """
-    What plays a bag.
+    Plays a bag.
 
     Parameters
     ----------
     reader : BagReader
         Of the bag.
-    choice : Choice
+    options : PlaybackOptions
         What of it, and how.
     **kwargs
         As for `rclpy.node.Node`.
@@ -111,17 +111,17 @@ class Player(Program):
 
     """
 
-    def __init__(self, reader: BagReader, choice: Choice, **kwargs: Any) -> None:
+    def __init__(self, reader: BagReader, options: PlaybackOptions, **kwargs: Any) -> None:
         super().__init__('replay', **kwargs)
         self.played = 0
         self.skipped: dict[Channel, str] = {}
         self._reader = reader
-        self._choice = choice
+        self._options = options
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
-        self._schedule: Schedule[Message] | None = None
-        self._beat: Pace | None = None
-        self._beats = 0
+        self._schedule: PlaybackSchedule[Message] | None = None
+        self._clock_pace: Pace | None = None
+        self._clock_ticks = 0
         self._code: int | None = None
         self._has_failed = False
         self._is_terminal = sys.stderr.isatty()
@@ -135,7 +135,7 @@ class Player(Program):
             self.create_service(Trigger, RESUME, self._on_resume)
             self.create_service(Trigger, STEP, self._on_step)
             self.create_timer(
-                SHOW_TIME if self._is_terminal else TELL_TIME,
+                TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD,
                 self._show,
                 clock=SteadyClock(clock_type=ClockType.STEADY_TIME),
             )
@@ -161,7 +161,7 @@ class Player(Program):
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._beat = Pace(step=0, time_ns=now, rate=self._choice.clock_rate)
+            self._clock_pace = Pace(step=0, time_ns=now, rate=self._options.clock_rate)
         self._thread.start()
 
     def close(self) -> None:
@@ -180,15 +180,15 @@ class Player(Program):
         self._is_stopping = True
         self._woken.set()
         if self._thread.is_alive():
-            self._thread.join(STOP_TIME)
+            self._thread.join(STOP_TIMEOUT)
 
     def _make_publishers(self) -> None:
-        choice = self._choice
-        if choice.clock_rate:
+        options = self._options
+        if options.clock_rate:
             self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
         for channel in self._reader.channels:
-            is_wanted = not choice.topics or channel.topic in choice.topics
-            if not is_wanted or (choice.clock_rate and channel.topic == CLOCK):
+            is_wanted = not options.topics or channel.topic in options.topics
+            if not is_wanted or (options.clock_rate and channel.topic == CLOCK):
                 continue
             try:
                 self._publishers_by_channel[channel] = self._publisher(channel)
@@ -205,12 +205,12 @@ class Player(Program):
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
         return self.create_publisher(kind, channel.topic, qos_to_profile(_offer(channel.qos)))
 
-    def _scheduled(self, now: int) -> Schedule[Message]:
-        choice, reader = self._choice, self._reader
-        begin = reader.start_time + round(choice.start * SECOND)
+    def _scheduled(self, now: int) -> PlaybackSchedule[Message]:
+        options, reader = self._options, self._reader
+        begin = reader.start_time + round(options.start * SECOND)
         end = reader.end_time
-        if choice.duration < math.inf:
-            end = min(end, begin + round(choice.duration * SECOND))
+        if options.duration < math.inf:
+            end = min(end, begin + round(options.duration * SECOND))
         topics = {channel.topic for channel in self._publishers_by_channel}
 
         def messages() -> Iterator[Message]:
@@ -218,15 +218,15 @@ class Player(Program):
                 if message.channel in self._publishers_by_channel:
                     yield message
 
-        return Schedule(
+        return PlaybackSchedule(
             messages,
             lambda message: message.log_time,
             begin_ns=begin,
             end_ns=end,
             now=now,
-            rate=choice.rate,
-            is_looping=choice.is_looping,
-            is_paused=choice.is_paused,
+            rate=options.rate,
+            is_looping=options.is_looping,
+            is_paused=options.is_paused,
         )
 
     # in the thread that plays
@@ -245,13 +245,14 @@ class Player(Program):
         if self._reader.damage:
             _say(f'damaged, so that something may be missing: {self._reader.damage}')
         is_bad = self._has_failed or self._reader.damage or not self._publishers_by_channel
-        self._code = 1 if is_bad else 0
+        if not self._is_stopping:
+            self._code = 1 if is_bad else 0
 
-    def _play_due(self, schedule: Schedule[Message]) -> int | None:
+    def _play_due(self, schedule: PlaybackSchedule[Message]) -> int | None:
         """Publish what is due by now; return when something is next, if that is known. [ns]"""
         with self._lock:
             now = time.monotonic_ns()
-            beat = self._tell_time(schedule, now)
+            clock_tick = self._publish_clock(schedule, now)
             try:
                 while (message := schedule.next_due(now)) is not None:
                     self._publishers_by_channel[message.channel].publish(message.data)
@@ -261,23 +262,23 @@ class Player(Program):
             except BagError as error:
                 self._fail(error)
             deadline = schedule.deadline()
-        return min((time for time in (beat, deadline) if time is not None), default=None)
+        return min((time for time in (clock_tick, deadline) if time is not None), default=None)
 
-    def _tell_time(self, schedule: Schedule[Message], now: int) -> int | None:
+    def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        beat = self._beat
-        if beat is None or self._clock_publisher is None:
+        pace = self._clock_pace
+        if pace is None or self._clock_publisher is None:
             return None
-        if beat.deadline(self._beats) <= now:
+        if pace.deadline(self._clock_ticks) <= now:
             clock = Clock(clock=time_to_msg(schedule.time(now)))
             self._clock_publisher.publish(clock)
-            passed = (now - beat.time_ns) * beat.rate / SECOND
-            self._beats = max(self._beats, math.floor(passed)) + 1
-        return beat.deadline(self._beats)
+            passed = (now - pace.time_ns) * pace.rate / SECOND
+            self._clock_ticks = max(self._clock_ticks, math.floor(passed)) + 1
+        return pace.deadline(self._clock_ticks)
 
     def _wait_for_acknowledgement(self) -> None:
         """Give those who acknowledge messages a moment."""
-        end = time.monotonic_ns() + round(FAREWELL_TIME * SECOND)
+        end = time.monotonic_ns() + round(DRAIN_TIMEOUT * SECOND)
         for publisher in self._publishers_by_channel.values():
             is_done = False
             while not is_done and not self._is_stopping and time.monotonic_ns() < end:
@@ -313,7 +314,7 @@ class Player(Program):
         return response
 
     @property
-    def _active(self) -> Schedule[Message]:
+    def _active(self) -> PlaybackSchedule[Message]:
         assert self._schedule is not None  # no service is served before the start
         return self._schedule
 

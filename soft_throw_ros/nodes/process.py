@@ -86,7 +86,7 @@ def run(
         code = 2
     finally:
         on_signals(signal.SIG_IGN)
-        _shut_down(node, code)
+        code = _shut_down(node, code)
     return code
 
 
@@ -126,10 +126,15 @@ def _spin(node: Program) -> int:
     return code or 0
 
 
-def _shut_down(node: Program | None, code: int) -> None:
-    """Let go of everything, in bounded time: the middleware may wait for a stopped subscriber."""
+def _shut_down(node: Program | None, code: int) -> int:
+    """
+    Let go of everything, and return the exit code, also of what fails only now.
+
+    That takes a bounded time: the middleware may wait for a stopped subscriber.
+    """
     if node is not None:
         node.close()
+        code = code or node.exit_code or 0
     deadline = threading.Timer(EXIT_TIME, os._exit, (code,))
     deadline.daemon = True
     deadline.start()
@@ -137,3 +142,4 @@ def _shut_down(node: Program | None, code: int) -> None:
         node.destroy_node()
     rclpy.try_shutdown()
     deadline.cancel()
+    return code

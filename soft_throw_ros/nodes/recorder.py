@@ -28,12 +28,12 @@ from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import status_to_msg, statuses_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import Program, run
-from soft_throw_ros.nodes.taps import distribution, Taps
-from soft_throw_ros.recording.background import BackgroundWriter
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.nodes.raw_subscriptions import distribution, RawSubscriptions
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
-from soft_throw_ros.recording.feed import Feed
+from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
 from std_srvs.srv import Trigger
 
@@ -59,29 +59,29 @@ class Recording:
 
     Attributes
     ----------
-    taps : Taps
+    subscriptions : RawSubscriptions
         What is taken.
-    writer : BackgroundWriter or None
+    writer : WriterThread or None
         Where it is written.
-    feed : Feed or None
+    live_stream : LiveStream or None
         Where it is shown.
 
     """
 
     def __init__(self, recorder: Node, settings: Settings) -> None:
-        self.taps = Taps(recorder, settings['topics'])
-        self.writer: BackgroundWriter | None = None
-        self.feed: Feed | None = None
+        self.subscriptions = RawSubscriptions(recorder, settings['topics'])
+        self.writer: WriterThread | None = None
+        self.live_stream: LiveStream | None = None
         self._settings = settings
         self._clock = recorder.get_clock()
         self._began = time.monotonic()
         self._twins: dict[str, Any] = {}
         if settings['storage'] == 'mcap':
-            self.writer = BackgroundWriter(self._open_bag, capacity=settings['buffer'])
+            self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
             self.writer.attach('recorder.yaml', text.encode(), 'application/yaml')
         if settings['rerun.sink'] != 'none':
-            self.feed = Feed(self._inspect_command())
+            self.live_stream = LiveStream(self._inspect_command())
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
@@ -93,9 +93,9 @@ class Recording:
         return written.folder if written is not None else None
 
     @property
-    def trouble(self) -> str:
+    def error(self) -> str:
         """Why nothing is written at present; empty if all is well."""
-        return self.writer.trouble if self.writer is not None else ''
+        return self.writer.error if self.writer is not None else ''
 
     @property
     def is_alive(self) -> bool:
@@ -105,11 +105,11 @@ class Recording:
     @property
     def received(self) -> int:
         """How many messages came."""
-        return sum(tap.received for tap in self.taps)
+        return sum(item.received for item in self.subscriptions)
 
     def losses(self) -> dict[str, int]:
         """Return how many messages of which topics were published and are not in the bag."""
-        lost = Counter({tap.channel.topic: tap.lost for tap in self.taps})
+        lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
         if self.writer is not None:
             for channel, count in self.writer.lost().items():
                 lost[channel.topic] += count
@@ -127,17 +127,24 @@ class Recording:
         """
         self._is_stopping.set()
         self._thread.join()
-        self.taps.close()
+        self.subscriptions.close()
         try:
             if self.writer is not None:
                 lost = {topic: str(count) for topic, count in self.losses().items()}
                 self.writer.add_metadata(
                     'losses', {'total': str(sum(self.losses().values())), **lost}
                 )
+                earlier = {
+                    item.channel.topic: str(item.earlier)
+                    for item in self.subscriptions
+                    if item.earlier
+                }
+                if earlier:
+                    self.writer.add_metadata('published before recording', earlier)
                 self.writer.close()
         finally:
-            if self.feed is not None:
-                self.feed.close()
+            if self.live_stream is not None:
+                self.live_stream.close()
 
     def summary(self) -> str:
         """Say what was recorded, and what was not."""
@@ -148,10 +155,10 @@ class Recording:
             text += f' ({", ".join(f"{topic} {count}" for topic, count in losses.items())})'
         if self.bag is not None:
             text += f', in {self.bag}'
-        if self.trouble:
-            text += f'; the end is missing: {self.trouble}'
-        if self.feed is not None and self.feed.dropped:
-            text += f'; {self.feed.dropped} not shown'
+        if self.error:
+            text += f'; the end is missing: {self.error}'
+        if self.live_stream is not None and self.live_stream.dropped:
+            text += f'; {self.live_stream.dropped} not shown'
         return text
 
     def _open_bag(self) -> BagWriter:
@@ -172,18 +179,18 @@ class Recording:
         self._take()
 
     def _take(self) -> None:
-        messages = self.taps.drain(self._clock)
+        messages = self.subscriptions.drain(self._clock)
         if not messages:
             return
-        if self.feed is not None:
-            self.feed.put(messages)
+        if self.live_stream is not None:
+            self.live_stream.put(messages)
         if self.writer is not None:
             self.writer.put(messages)
             for message in messages:
                 if message.channel.topic.endswith('/journal'):
                     self._read_journal(self.writer, message)
 
-    def _read_journal(self, writer: BackgroundWriter, message: Message) -> None:
+    def _read_journal(self, writer: WriterThread, message: Message) -> None:
         """Write down what a twin tells of itself, at first and on change."""
         channel = message.channel
         try:
@@ -247,6 +254,7 @@ class Recorder(Program):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None
+        self._is_bag_gone = False
         self._last = 'nothing has been recorded yet'
         try:
             self.parameters = NodeParameters(self, RECORDER, self._on_changed, arguments=arguments)
@@ -265,8 +273,9 @@ class Recorder(Program):
 
     @property
     def exit_code(self) -> int | None:
-        """1 if recording has come to an end by itself."""
-        return None if self.recording is None or self.recording.is_alive else 1
+        """1 if recording has come to an end by itself, or its bag is gone."""
+        is_alive = self.recording is None or self.recording.is_alive
+        return 1 if self._is_bag_gone or not is_alive else None
 
     def start(self) -> None:
         """Record, if that is wanted from the beginning."""
@@ -281,7 +290,9 @@ class Recorder(Program):
     def close(self) -> None:
         """Finish what is being recorded."""
         if self.recording is not None:
+            bag = self.recording.bag
             self.end()
+            self._is_bag_gone = bag is not None and not bag.exists()
 
     def destroy_node(self) -> None:
         """Finish what is being recorded, and let go of everything."""
@@ -302,8 +313,8 @@ class Recorder(Program):
         self.recording = Recording(self, self.parameters.settings)
         self._on_discovery()
         self._report()
-        if self.recording.trouble:
-            self.get_logger().error(self.recording.trouble)
+        if self.recording.error:
+            self.get_logger().error(self.recording.error)
         else:
             self.get_logger().info(self._message())
 
@@ -321,6 +332,11 @@ class Recorder(Program):
 
     def _check(self, settings: Settings) -> None:
         refuse_nothing(settings)
+        name = settings['name']
+        if name and (name != Path(name).name or name in ('.', '..')):
+            raise ParameterError(
+                f'the name of a bag must be that of a folder, got {name!r}', 'name'
+            )
         if settings['storage'] == 'mcap' and settings['name'] and _path(settings).exists():
             raise ParameterError(
                 f'{_path(settings)} exists, and a bag is never overwritten; choose another name, '
@@ -358,8 +374,8 @@ class Recorder(Program):
     def _on_discovery(self) -> None:
         recording = self.recording
         if recording is not None:
-            for topic in recording.taps.discover():
-                reason = recording.taps.refused[topic]
+            for topic in recording.subscriptions.discover():
+                reason = recording.subscriptions.refused[topic]
                 self.get_logger().warning(f'{topic} is not recorded: {reason}')
 
     def _on_second(self) -> None:
@@ -367,10 +383,10 @@ class Recorder(Program):
         now = self.get_clock().now().nanoseconds
         self._diagnostics.publish(statuses_to_msg(now, self._statuses()))
         recording = self.recording
-        if recording is not None and recording.writer is not None and recording.trouble:
+        if recording is not None and recording.writer is not None and recording.error:
             lost = sum(recording.losses().values())
             self.get_logger().error(
-                f'{recording.trouble}; {recording.writer.waiting} messages wait, {lost} are lost'
+                f'{recording.error}; {recording.writer.waiting} messages wait, {lost} are lost'
             )
 
     def _report(self) -> None:
@@ -396,24 +412,24 @@ class Recorder(Program):
         statuses = [
             self._status_of(
                 'bag',
-                recording.trouble or self._message(),
-                bad=bool(recording.trouble),
+                recording.error or self._message(),
+                bad=bool(recording.error),
                 is_recording=True,
                 bag=recording.bag or '',
                 messages=recording.received,
-                topics=len(list(recording.taps)),
+                topics=len(list(recording.subscriptions)),
             ),
             self._status_of('losses', f'{lost} messages lost', bad=lost > 0, lost=lost, **losses),
         ]
-        feed = recording.feed
-        if feed is not None:
+        live_stream = recording.live_stream
+        if live_stream is not None:
             statuses.append(
                 self._status_of(
                     'viewer',
-                    feed.trouble or f'{feed.dropped} messages not shown',
-                    bad=bool(feed.trouble or feed.dropped),
-                    dropped=feed.dropped,
-                    starts=feed.starts,
+                    live_stream.error or f'{live_stream.dropped} messages not shown',
+                    bad=bool(live_stream.error or live_stream.dropped),
+                    dropped=live_stream.dropped,
+                    starts=live_stream.starts,
                 )
             )
         return statuses

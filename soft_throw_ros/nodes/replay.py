@@ -13,7 +13,8 @@ import math
 import sys
 from typing import Any
 
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.check import BagCheck, CheckError, Report
 from soft_throw_ros.recording.message import BagError
 
@@ -119,17 +120,17 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         '--to', metavar='OTHER_BAG', default=None, help='write what it gives into a new bag'
     )
     given = parser.parse_args(arguments)
-    options = sorted(_choices(given))
+    options = sorted(_options(given))
     if given.check and options:
-        option = {'is_looping': 'loop', 'is_paused': 'paused', 'clock_rate': 'clock'}
-        name = option.get(options[0], options[0])
+        names = {'is_looping': 'loop', 'is_paused': 'paused', 'clock_rate': 'clock'}
+        name = names.get(options[0], options[0])
         parser.error(f'argument --{name}: not allowed with argument --check')
     if given.to is not None and not given.check:
         parser.error('argument --to: needs --check')
     return given
 
 
-def _choices(given: argparse.Namespace) -> dict[str, Any]:
+def _options(given: argparse.Namespace) -> dict[str, Any]:
     """Return what is said about playing."""
     return {
         name: value for name, value in vars(given).items() if name not in ('bag', 'check', 'to')
@@ -154,26 +155,26 @@ def _not_negative(text: str) -> float:
 
 
 def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]) -> int:
-    choices = _choices(given)
+    options = _options(given)
     topics = {channel.topic for channel in reader.channels}
-    unknown = sorted(set(choices.get('topics', ())) - topics)
+    unknown = sorted(set(options.get('topics', ())) - topics)
     if unknown:
         raise CheckError(
             f'{reader.path} has no topic {", ".join(unknown)}; there are: '
             f'{", ".join(sorted(topics)) or "none"}'
         )
     length = 1e-9 * (reader.end_time - reader.start_time)
-    if choices.get('start', 0.0) > length:
-        raise CheckError(f'{reader.path} lasts {length:.3f} s, got --start {choices["start"]:g}')
+    if options.get('start', 0.0) > length:
+        raise CheckError(f'{reader.path} lasts {length:.3f} s, got --start {options["start"]:g}')
     try:
-        from soft_throw_ros.nodes.player import Choice, Player
+        from soft_throw_ros.nodes.player import PlaybackOptions, Player
         from soft_throw_ros.nodes.process import run
     except ModuleNotFoundError as error:
         print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
         return 1
     return run(
         'replay',
-        lambda _arguments: Player(reader, Choice(**choices)),
+        lambda _arguments: Player(reader, PlaybackOptions(**options)),
         arguments,
         usage=_USAGE % {'prog': 'replay'},
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 import math
 from operator import itemgetter
 import struct
@@ -26,6 +27,10 @@ _SECOND = 1_000_000_000
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
+
+_SERIES = ('position', 'velocity', 'effort')
+
+_unpack_stamp = struct.Struct('<iI').unpack_from
 
 
 class MessageError(ValueError):
@@ -139,6 +144,77 @@ class ArrayEncoder:
         return bytes(self._data)
 
 
+class JointValues(NamedTuple):
+    """A message sensor_msgs/JointState, its series empty where it has none."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+class JointStateReader:
+    """
+    Read messages sensor_msgs/JointState as they come.
+
+    The last message tells where things stand in the next one, which takes two microseconds, and
+    more only when frame, joints or lengths change. Padding may hold anything.
+    """
+
+    def __init__(self) -> None:
+        self._layout: _Layout | None = None
+
+    def read(self, data: bytes) -> JointValues:
+        """
+        Read a message.
+
+        Raises
+        ------
+        MessageError
+            If it is none.
+
+        """
+        layout = self._layout
+        if layout is None or not layout.fits(data):
+            self._layout = None  # in case that it is no message
+            self._layout = layout = _Layout(data)
+        seconds, nanoseconds = _unpack_stamp(data, layout.stamp)
+        position, velocity, effort = [unpack(data, begin) for begin, _, unpack in layout.series]
+        stamp_ns = seconds * _SECOND + nanoseconds
+        return JointValues(stamp_ns, layout.names, position, velocity, effort)
+
+
+class _Layout:
+    """Where things stand in a message sensor_msgs/JointState."""
+
+    def __init__(self, data: bytes) -> None:
+        cursor = _Cursor(data)
+        self.size = len(data)
+        self.stamp = cursor.numbers('iI')
+        cursor.text()
+        self.names = tuple(cursor.text() for _ in range(cursor.number('I')))
+        self.series = [
+            (begin, count, struct.Struct(f'<{count}d').unpack_from)
+            for begin, count in (cursor.doubles() for _ in _SERIES)
+        ]
+        end = cursor.end()
+        varying = [(self.stamp, self.stamp + 8), *cursor.padding, (end, end)]
+        varying += [(begin, begin + 8 * count) for begin, count, _ in self.series]
+        varying.sort()
+        self.fixed = [
+            (last, begin, data[last:begin])
+            for (_, last), (begin, _) in pairwise([(0, 0), *varying])
+            if last < begin
+        ]
+
+    def fits(self, data: bytes) -> bool:
+        """Tell whether another message is of the same frame, joints and lengths."""
+        if len(data) != self.size:
+            return False
+        return all(data[begin:end] == content for begin, end, content in self.fixed)
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointStates:
     """
@@ -162,97 +238,9 @@ class JointStates:
     effort: Floats
 
 
-class JointValues(NamedTuple):
-    """A message sensor_msgs/JointState, its series empty where it has none."""
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
-
-
-class JointStateReader:
-    """
-    Read messages sensor_msgs/JointState as they come, of which the last tells where things stand.
-
-    So it takes two microseconds, and more only when frame, joints or lengths change. Padding may
-    hold anything.
-    """
-
-    def __init__(self) -> None:
-        self._length = -1
-        self._fixed: list[tuple[int, int, bytes]] = []  # from, to, and what stands there
-        self._names: tuple[str, ...] = ()
-        self._stamp = 0
-        self._series: list[tuple[Callable[..., tuple[Any, ...]], int]] = []
-
-    def read(self, data: bytes) -> JointValues:
-        """
-        Read a message.
-
-        Raises
-        ------
-        MessageError
-            If it is none.
-
-        """
-        if len(data) != self._length:
-            self._learn(data)
-        for begin, end, content in self._fixed:
-            if data[begin:end] != content:
-                self._learn(data)
-                break
-        seconds, nanoseconds = _STAMP(data, self._stamp)
-        values = [unpack(data, begin) for unpack, begin in self._series]
-        return JointValues(seconds * _SECOND + nanoseconds, self._names, *values)
-
-    def _learn(self, data: bytes) -> None:
-        """Find out where things stand."""
-        self._length = -1  # in case that it is no message
-        layout = _joint_state_layout(data)
-        varying = [(layout.stamp, layout.stamp + 8), *layout.padding]
-        varying += [(begin, begin + 8 * count) for begin, count in layout.series]
-        varying.sort()
-        ends = [0, *(end for _, end in varying)]
-        begins = [*(begin for begin, _ in varying), layout.end]
-        self._fixed = [
-            (end, begin, data[end:begin])
-            for end, begin in zip(ends, begins, strict=True)
-            if end < begin
-        ]
-        self._names, self._stamp = layout.names, layout.stamp
-        self._series = [
-            (struct.Struct(f'<{count}d').unpack_from, begin) for begin, count in layout.series
-        ]
-        self._length = len(data)
-
-
-_STAMP = struct.Struct('<iI').unpack_from
-
-
-class _Layout(NamedTuple):
-    """Where things stand in a message sensor_msgs/JointState."""
-
-    stamp: int
-    names: tuple[str, ...]
-    series: list[tuple[int, int]]  # where each begins, and how many there are
-    padding: list[tuple[int, int]]
-    end: int
-
-
-def _joint_state_layout(data: bytes) -> _Layout:
-    cursor = _Cursor(data)
-    stamp = cursor.numbers('iI')
-    cursor.text()
-    names = tuple(cursor.text() for _ in range(cursor.number('I')))
-    series = [cursor.doubles() for _ in _SERIES]
-    return _Layout(stamp, names, series, cursor.padding, cursor.end())
-
-
 def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
     """
-    Read messages sensor_msgs/JointState of the same joints, at least one.
+    Read messages sensor_msgs/JointState of the same joints, at least one, in one go.
 
     Raises
     ------
@@ -260,43 +248,22 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
         If one is none, or its frame, joints or lengths are not those of the first.
 
     """
-    first = datas[0]
-    stamp, names, series, padding, _ = _joint_state_layout(first)
-    begins, counts = zip(*series, strict=True)
-    fields: list[tuple[str, Any, int]] = [('sec', '<i4', stamp), ('nanosec', '<u4', stamp + 4)]
-    fields += [
-        (name, ('<f8', (count,)), begin)
-        for name, begin, count in zip(_SERIES, begins, counts, strict=True)
+    layout = _Layout(datas[0])
+    if not all(map(layout.fits, datas)):
+        names = ', '.join(layout.names)
+        raise MessageError(f'messages JointState of one topic are not all of {names} alike')
+    rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
+    stamps = rows[:, layout.stamp : layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
+    position, velocity, effort = [
+        rows[:, begin : begin + 8 * count].copy().view('<f8') for begin, count, _ in layout.series
     ]
-    layout = np.dtype(
-        {
-            'names': [name for name, _, _ in fields],
-            'formats': [kind for _, kind, _ in fields],
-            'offsets': [begin for _, _, begin in fields],
-            'itemsize': len(first),
-        }
-    )
-    if any(len(data) != len(first) for data in datas):
-        raise MessageError('messages JointState of one topic are not all of one length')
-    joined = b''.join(datas)
-    rows = np.frombuffer(joined, np.uint8).reshape(len(datas), len(first))
-    is_fixed = np.ones(len(first), bool)
-    for begin, size in [(stamp, 8), *zip(begins, np.multiply(counts, 8), strict=True)]:
-        is_fixed[begin : begin + size] = False
-    for begin, end in padding:
-        is_fixed[begin:end] = False
-    if (rows[:, is_fixed] != rows[0, is_fixed]).any():
-        raise MessageError(f'messages JointState of one topic are not all of {", ".join(names)}')
-    values = np.frombuffer(joined, layout)
-    stamps = values['sec'].astype(np.int64) * _SECOND + values['nanosec']
     return JointStates(
-        stamps=stamps,
-        names=names,
-        **{name: np.array(values[name], np.float64) for name in _SERIES},
+        stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
+        names=layout.names,
+        position=position,
+        velocity=velocity,
+        effort=effort,
     )
-
-
-_SERIES = ('position', 'velocity', 'effort')
 
 
 def decode_array(data: bytes) -> tuple[list[str], Floats]:

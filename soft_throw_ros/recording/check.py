@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import (
     ArrayEncoder,
     decode,
@@ -34,7 +35,6 @@ from soft_throw_ros.recording.cdr import (
     JointStateEncoder,
     MessageError,
 )
-from soft_throw_ros.recording.mcap_file import Selection
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.resimulation import (
     LONGEST,
@@ -789,10 +789,7 @@ def _frame(reader: BagReader, channel: Channel) -> str:
 
 def _as_written(reader: BagReader, topics: set[str]) -> Iterator[Message]:
     """Yield messages in the order in which they stand in the bag."""
-    selection = Selection(topics=topics)
-    for file in reader.files:
-        for block in file.select(selection):
-            yield from file.messages(block, file.unpack(block), selection, by_time=False)
+    return reader.messages(topics, by_log_time=False)
 
 
 def _decoded(batch: Sequence[Message], states: str) -> list[_State | Message]:

@@ -1,131 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One MCAP file of a bag: what is where in it, and its messages."""
+"""
+One MCAP file of a bag: which chunks it has, and what is in them.
+
+Records are parsed by the library `mcap`. Its own readers stop at the first damage, and take a
+whole file into memory if its index is missing, so chunks are found and read one by one here, and
+those that are damaged are left out.
+"""
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 import contextlib
-from dataclasses import dataclass
-import itertools
-import operator
+from io import BytesIO
+import mmap
+import os
 from pathlib import Path
+import re
+import struct
 import tempfile
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 import zlib
 
 from mcap import records as mcap
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-import numpy as np
+from mcap.reader import SeekingReader
+from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
+from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording import qos
-from soft_throw_ros.recording.message import BagError, Channel, Message
-from soft_throw_ros.recording.records import (
-    DamageError,
-    decompress,
-    File,
-    Found,
-    Gap,
-    HEAD,
-    IndexSize,
-    LIMIT,
-    MAGIC,
-    MESSAGE_HEAD,
-    parse,
-    scan,
-    split,
-    unpack,
-    unpack_start,
-)
+from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 import zstandard
 
-LATEST = 2**63 - 1
-"""The latest time that ROS knows. [ns]"""
+LARGEST_RECORD = 256 * 2**20
+"""A record that claims to be larger is taken for damaged. [bytes]"""
 
-Known = dict[tuple[Any, ...], Channel]
-"""The channels of all files of a bag, by what they are."""
+_HEAD = struct.Struct('<BQ')  # of a record: opcode and length
 
-_CHUNK = bytes([Opcode.CHUNK])
-_FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)
-_LONGEST_INDEX = 64 * 2**20  # that is read, and not scanned for [bytes]
-_BARE_SIZE = 256 * 2**10  # of a block of messages that are in no chunk [bytes]
-_OTHERS = {'sqlite3': b'SQLite format 3', 'ROS 1': b'#ROSBAG V'}
-_ZSTD = b'\x28\xb5\x2f\xfd'
+_FOOTER = struct.Struct('<BQQQI')  # its head, where summary and offsets begin, and the checksum
+
+_OPCODES = {int(opcode) for opcode in Opcode}
+
+_FIRST_PRIVATE_OPCODE = 0x80
+
+_CHUNK_HEAD = re.compile(
+    rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
+)
+"""The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
+
+_BARE = -1  # instead of the offset of a chunk, for messages that are in none
+
+_TYPE_HASH = re.compile('RIHS01_[0-9a-f]{64}')
+
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+_OTHERS = {b'SQLite format 3': 'sqlite3', b'#ROSBAG V': 'ROS 1'}
+
+Known = dict[tuple[object, ...], Channel]
 
 
-class Block(NamedTuple):
+_LIBRARY_ERRORS = (
+    *(McapError, ValueError, LookupError, ArithmeticError, EOFError, MemoryError, TypeError),
+    *(OSError, RuntimeError, struct.error, zstandard.ZstdError),
+)
+"""What the library raises, where damaged bytes lead it."""
+
+
+class DamageError(ValueError):
+    """Bytes are not what they should be; the message says why."""
+
+
+class Gap(NamedTuple):
     """
-    Messages that stand together.
+    A part of a file that cannot be read.
 
     Parameters
     ----------
-    offset, end : int
-        Where. [bytes]
-    first, last : int
-        Their log times. [ns]
-    numbers : frozenset of int
-        Their channels; empty if that is not known.
-    kind : {'chunk', 'cut', 'bare'}
-        Whether they are in a chunk, in one whose end is missing, or in none.
+    path : Path
+        The file.
+    offset, size : int
+        Where it begins, and how long it is; 0 if only something is missing there. [bytes]
+    reason : str
+        What is wrong.
+    messages : int
+        How many messages were in it, as far as is known.
 
     """
+
+    path: Path
+    offset: int
+    size: int
+    reason: str
+    messages: int = 0
+
+    def __str__(self) -> str:
+        place = f'{self.size} bytes at {self.offset}: ' if self.size else ''
+        count = f' ({self.messages} messages)' if self.messages else ''
+        return f'{self.path}: {place}{self.reason}{count}'
+
+
+class Chunk(NamedTuple):
+    """Where a chunk of messages is, the span of their log times, and their channels if known."""
 
     offset: int
-    end: int
     first: int
     last: int
-    numbers: frozenset[int]
-    kind: str = 'chunk'
+    channels: frozenset[int]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Selection:
-    """
-    Which messages are wanted.
-
-    Parameters
-    ----------
-    topics : collection of str, optional
-        Of which topics; of all by default.
-    start, end : int
-        From which log time on, and before which. [ns]
-
-    """
-
-    topics: Collection[str] | None = None
-    start: int = 0
-    end: int = LATEST + 1
-
-
-class Channels:
+class Definitions:
     """
     The channels of a file or stream, by their numbers in it.
 
-    Parameters
-    ----------
-    known : dict
-        Channels that are the same as one in it become that one.
-
+    `known` has the channels of all files of a bag, so that what is the same is one object.
     """
 
     def __init__(self, known: Known) -> None:
         self._known = known
         self._schemas: dict[int, mcap.Schema] = {}
         self._records: dict[int, mcap.Channel] = {}
-        self._checked: set[tuple[type, int]] = set()
-        self._made: dict[int, Channel] = {}
+        self._channels: dict[int, Channel | None] = {}
 
-    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = False) -> None:
-        """Take a definition; one that had a checksum wins over those that had none."""
-        key = (type(record), record.id)
-        if is_checked or key not in self._checked:
-            if is_checked:
-                self._checked.add(key)
-            if isinstance(record, mcap.Schema):
+    def add(self, record: mcap.Schema | mcap.Channel, *, has_checksum: bool = True) -> None:
+        """Take a definition; one without a checksum only if there is none yet."""
+        if isinstance(record, mcap.Schema):
+            if has_checksum or record.id not in self._schemas:
                 self._schemas[record.id] = record
-            else:
-                self._records[record.id] = record
-            self._made.clear()
+        elif has_checksum or record.id not in self._records:
+            self._records[record.id] = record
+        self._channels.clear()
 
     def get(self, number: int) -> Channel | None:
         """
@@ -137,33 +140,42 @@ class Channels:
             If its messages are not those of ROS 2.
 
         """
-        if number not in self._made and number in self._records:
-            record = self._records[number]
-            schema = self._schemas.get(record.schema_id)
-            if record.message_encoding != 'cdr':
-                raise BagError(
-                    f'{record.topic} has messages in {record.message_encoding!r}, not in '
-                    "'cdr' as those of ROS 2 are"
-                )
-            if schema is not None:
-                self._made[number] = self._make(record, schema)
-        return self._made.get(number)
+        if number not in self._channels:
+            record = self._records.get(number)
+            schema = self._schemas.get(record.schema_id) if record is not None else None
+            self._channels[number] = self._make(record, schema) if record and schema else None
+        return self._channels[number]
 
     def all(self) -> dict[int, Channel]:
         """Return those that are defined."""
         found = {number: self.get(number) for number in self._records}
         return {number: channel for number, channel in found.items() if channel is not None}
 
+    def message(self, record: mcap.Message) -> Message:
+        """Return a message, or raise DamageError."""
+        channel = self.get(record.channel_id)
+        if channel is None:
+            raise DamageError(f'nothing defines channel {record.channel_id} of a message')
+        if (record.log_time | record.publish_time) > LATEST:
+            raise DamageError('a message has no valid times')
+        return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
+
     def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel:
+        if record.message_encoding != 'cdr':
+            raise BagError(
+                f'{record.topic} has messages in {record.message_encoding!r}, not in '
+                "'cdr' as those of ROS 2 are"
+            )
         try:
             profiles = qos.from_yaml(record.metadata.get('offered_qos_profiles'))
         except ValueError:
             profiles = ()  # recorders of others write what they like
+        type_hash = record.metadata.get('topic_type_hash', '')
         channel = Channel(
             topic=record.topic,
             type=schema.name,
             schema=schema.data.decode(errors='replace'),
-            type_hash=record.metadata.get('topic_type_hash', ''),
+            type_hash=type_hash if _TYPE_HASH.fullmatch(type_hash) else '',
             qos=profiles,
             schema_encoding=schema.encoding,
         )
@@ -172,401 +184,355 @@ class Channels:
 
 class McapFile:
     """
-    An MCAP file, ready to be read.
+    An MCAP file: which chunks it has, and what is in them.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which may be compressed as a whole.
-    known : dict
-        Channels of the files before it; its own are added.
-    by_scan : bool
-        Whether to look at all that is in the file, instead of believing the index at its end.
-    has_compressed_messages : bool
-        Whether each message is compressed by itself.
-
-    Attributes
-    ----------
-    path : Path
-        As given.
-    blocks : list of Block
-        Where messages are, as they follow each other.
-    counts : dict of Channel to int
-        How many messages there are.
-    gaps : list of Gap
-        What could not be read, as far as is known by now.
-
-    Raises
-    ------
-    BagError
-        If the file is none, or cannot be opened; the message names it.
-
+    Chunks are found by the summary at its end or, if that is missing, damaged or not to be
+    believed, by looking at all records.
     """
 
     def __init__(
-        self,
-        path: Path,
-        known: Known,
-        *,
-        by_scan: bool = False,
-        has_compressed_messages: bool = False,
+        self, path: Path, known: Known, *, by_scan: bool, has_compressed_messages: bool
     ) -> None:
-        self.path = path
-        self.blocks: list[Block] = []
         self.gaps: list[Gap] = []
+        self.chunks: list[Chunk] = []
+        self.metadata: list[mcap.Metadata] = []
+        self._path = path
         self._has_compressed_messages = has_compressed_messages
-        self._known = known
-        self._file = _open(path, is_lenient=by_scan)
+        self._attachments: list[int] = []  # offsets
+        self._bare: list[mcap.Message] = []  # messages that are in no chunk
+        self._definitions = Definitions(known)
+        self._stream = _open(path, is_lenient=by_scan)
+        self._size = os.fstat(self._stream.fileno()).st_size
         try:
-            self._begin()
-            if by_scan or not self._read_index():
-                self._begin()
-                self._scan()
-            self.counts = self._counts_by_channel()
+            counts = None if by_scan else self._read_summary()
+            self.counts = self._by_channel(self._scan() if counts is None else counts)
         except BagError as error:
-            self._file.close()
+            self.close()
             raise BagError(f'{path}: {error}') from None
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
-
-    def metadata(self) -> Iterator[mcap.Metadata]:
-        """Yield named texts."""
-        for offset in self._metadata:
-            record = self._record(offset)
-            if isinstance(record, mcap.Metadata):
-                yield record
+        self._stream.close()
 
     def attachments(self) -> Iterator[mcap.Attachment]:
         """Yield files that were written into this one."""
         for offset in self._attachments:
-            record = self._record(offset)
-            if isinstance(record, mcap.Attachment):
-                yield record
+            try:
+                record = self._record_at(offset)
+            except DamageError as error:
+                self._note(offset, 0, str(error))
+            else:
+                if isinstance(record, mcap.Attachment):
+                    yield record
 
-    def select(self, selection: Selection) -> list[Block]:
-        """List the blocks that may have messages which are wanted."""
-        numbers = self._numbers(selection)
-        return [
-            block
-            for block in self.blocks
-            if block.first < selection.end
-            and block.last >= selection.start
-            and not (block.numbers and block.numbers.isdisjoint(numbers))
-        ]
-
-    def unpack(self, block: Block) -> bytes:
-        """Return the records of a block; nothing if they are damaged."""
-        if block.kind == 'bare':
-            return self._file.read(block.offset, block.end - block.offset)
-        if block.kind == 'cut':
-            return self._unpack_start(block.offset)
-        try:
-            return self._unpack_chunk(block.offset)
-        except DamageError as error:
-            self._note(block.offset, block.end, error)
-            return b''
+    def chunks_with(self, topics: Collection[str] | None, span: range) -> Iterator[Chunk]:
+        """Yield the chunks that may have messages of the topics and of times in the span."""
+        numbers = self._numbers(topics)
+        for chunk in self.chunks:
+            is_in_span = chunk.first < span.stop and chunk.last >= span.start
+            if is_in_span and not (chunk.channels and chunk.channels.isdisjoint(numbers)):
+                yield chunk
 
     def messages(
-        self, block: Block, data: bytes, selection: Selection, *, by_time: bool
+        self, chunk: Chunk, topics: Collection[str] | None, span: range
     ) -> Iterator[Message]:
-        """Yield those messages of a block that are wanted, from its records."""
-        numbers = self._numbers(selection)
-        times, positions = array('Q'), array('Q')
-        try:
-            for opcode, position, end in split(data):
-                if opcode == Opcode.MESSAGE and end - position >= MESSAGE_HEAD.size:
-                    _, _, number, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(
-                        data, position
-                    )
-                    if (
-                        number in numbers
-                        and selection.start <= log_time < selection.end
-                        and publish_time <= LATEST
-                    ):
-                        times.append(log_time)
-                        positions.append(position)
-        except DamageError as error:
-            if block.kind != 'cut':
-                self._note(block.offset, block.end, error)
-        is_sorted = all(map(operator.le, times, itertools.islice(times, 1, None)))
-        order: Iterable[int] = positions
-        if by_time and not is_sorted:
-            order = np.array(positions)[np.argsort(np.array(times), kind='stable')].tolist()
-        for position in order:
-            _, length, number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(
-                data, position
-            )
-            body = data[position + MESSAGE_HEAD.size : position + HEAD.size + length]
-            if self._has_compressed_messages:
+        """Yield the messages of a chunk that are wanted; none if it is damaged."""
+        numbers = self._numbers(topics)
+        for record in self._bare if chunk.offset == _BARE else self._records_at(chunk.offset):
+            if (
+                isinstance(record, mcap.Message)
+                and record.channel_id in numbers
+                and span.start <= record.log_time < span.stop
+            ):
                 try:
-                    body = _decompressed_message(body)
+                    message = self._definitions.message(record)
+                    if self._has_compressed_messages:
+                        message = message._replace(data=_decompress(message.data))
                 except DamageError as error:
-                    self._note(block.offset, block.end, error)
-                    continue
-            yield Message(numbers[number], body, log_time, publish_time, sequence)
+                    self._note(chunk.offset, 0, str(error))
+                else:
+                    yield message
 
-    def messages_as_written(self) -> Iterator[Message]:
-        """Yield all messages in the order in which they stand in the file."""
-        for block in self.blocks:
-            yield from self.messages(block, self.unpack(block), Selection(), by_time=False)
+    def _numbers(self, topics: Collection[str] | None) -> set[int]:
+        """Return the numbers of the channels that are wanted."""
+        channels = self._definitions.all().items()
+        return {number for number, item in channels if topics is None or item.topic in topics}
 
-    def _begin(self) -> None:
-        """Know nothing."""
-        self.blocks.clear()
-        self.gaps.clear()
-        self._channels = Channels(self._known)
-        self._counts: Counter[int] = Counter()
-        self._metadata: list[int] = []
-        self._attachments: list[int] = []
-        self._noted: set[int] = set()
-        self._is_chunk_lost = False
-
-    def _numbers(self, selection: Selection) -> dict[int, Channel]:
-        """Return the channels that are wanted."""
-        return {
-            number: channel
-            for number, channel in self._channels.all().items()
-            if selection.topics is None or channel.topic in selection.topics
-        }
-
-    def _counts_by_channel(self) -> dict[Channel, int]:
-        channels = self._channels.all()
-        counts = dict.fromkeys(channels.values(), 0)
-        for number, count in self._counts.items():
+    def _by_channel(self, counts: Mapping[int, int]) -> dict[Channel, int]:
+        """Name the channels of which there are so many messages."""
+        channels = self._definitions.all()
+        named = dict.fromkeys(channels.values(), 0)
+        for number, count in counts.items():
             if number in channels:
-                counts[channels[number]] += count
+                named[channels[number]] += count
             else:
-                reason = f'nothing defines channel {number}'
-                self.gaps.append(Gap(self.path, 0, 0, reason, count))
+                self._note(0, 0, f'nothing defines channel {number}', count)
+        return named
+
+    def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
+        """Remember what cannot be read, once."""
+        gap = Gap(self._path, offset, size, reason, messages)
+        if gap not in self.gaps:
+            self.gaps.append(gap)
+
+    def _record_at(self, offset: int) -> mcap.McapRecord | None:
+        self._stream.seek(offset)
+        try:
+            return read_record(self._stream)
+        except EOFError:
+            raise DamageError('the index leads beyond the end of the file') from None
+
+    def _records_at(self, offset: int) -> list[mcap.McapRecord]:
+        """Return the records of a chunk; none if it is damaged."""
+        try:
+            return unpack(self._record_at(offset))
+        except DamageError as error:
+            self._note(offset, self._stream.tell() - offset, str(error))
+            return []
+
+    def _read_summary(self) -> Mapping[int, int] | None:
+        """Return the counts of messages; None if the summary is not what it should be."""
+        try:
+            self._stream.seek(0)
+            reader = SeekingReader(self._stream, record_size_limit=LARGEST_RECORD)
+            summary = reader.get_summary()
+            metadata = list(reader.iter_metadata())
+        except _LIBRARY_ERRORS:
+            return None
+        if summary is None or summary.statistics is None or not self._has_sound_summary():
+            return None
+        statistics = summary.statistics
+        for schema in summary.schemas.values():
+            self._definitions.add(schema)
+        for channel in summary.channels.values():
+            self._definitions.add(channel)
+        is_complete = (
+            self._definitions.all().keys() >= statistics.channel_message_counts.keys()
+            and len(summary.chunk_indexes) == statistics.chunk_count
+            and bool(summary.chunk_indexes or not statistics.message_count)
+            and len(summary.attachment_indexes) == statistics.attachment_count
+            and len(metadata) == statistics.metadata_count
+        )
+        if not is_complete:
+            return None
+        self.metadata = metadata
+        self._attachments = [index.offset for index in summary.attachment_indexes]
+        self.chunks = sorted(
+            Chunk(
+                index.chunk_start_offset,
+                index.message_start_time,
+                index.message_end_time,
+                frozenset(index.message_index_offsets),
+            )
+            for index in summary.chunk_indexes
+        )
+        return statistics.channel_message_counts
+
+    def _has_sound_summary(self) -> bool:
+        """Tell whether the checksum of the summary is right, or there is none."""
+        self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
+        footer = self._stream.read(_FOOTER.size)
+        _, _, start, _, checksum = _FOOTER.unpack(footer)
+        self._stream.seek(start)
+        data = self._stream.read(self._size - len(MAGIC) - 4 - start)
+        return not checksum or checksum == zlib.crc32(data)
+
+    def _scan(self) -> Mapping[int, int]:
+        """Look at all records, those after damage from the next chunk on; count the messages."""
+        counts: Counter[int] = Counter()
+        sound_end = len(MAGIC)  # of the last chunk that is not damaged
+        is_complete = is_chunk_lost = False
+        self._stream.seek(sound_end)
+        while True:
+            offset = self._stream.tell()
+            try:
+                record = read_record(self._stream)
+            except EOFError:
+                self._note(offset, 0, 'the file has no end')
+                break
+            except DamageError as error:
+                if is_complete:
+                    self._note(offset, 0, f'in the index, {error}')
+                    break
+                end = self._find_chunk(sound_end)
+                self._note(min(offset, end), end - min(offset, end), str(error))
+                if end == self._size:
+                    break
+                self._stream.seek(end)
+                continue
+            match record:
+                case mcap.Chunk():
+                    end = self._stream.tell()
+                    try:
+                        counts += self._add_chunk(offset, record)
+                        sound_end, is_chunk_lost = end, False
+                    except DamageError as error:
+                        self._note(offset, end - offset, str(error))
+                        is_chunk_lost = True
+                case mcap.MessageIndex() if is_chunk_lost:
+                    gap = self.gaps[-1]
+                    self.gaps[-1] = gap._replace(messages=gap.messages + len(record.records))
+                case mcap.Message():
+                    self._bare.append(record)
+                case mcap.Metadata():
+                    self.metadata.append(record)
+                case mcap.Attachment():
+                    self._attachments.append(offset)
+                case mcap.Schema() | mcap.Channel():
+                    self._definitions.add(record, has_checksum=False)
+                case mcap.DataEnd():
+                    is_complete = True
+                case mcap.Footer():
+                    if read_exactly(self._stream, len(MAGIC)) != MAGIC:
+                        self._note(self._size, 0, 'the file has no end')
+                    break
+        return counts + self._add_messages(_BARE, self._bare)
+
+    def _add_chunk(self, offset: int, chunk: mcap.Chunk) -> Counter[int]:
+        """Take over what a chunk has; return how many messages of which channels."""
+        records = unpack(chunk)
+        for record in records:
+            if isinstance(record, mcap.Schema | mcap.Channel):
+                self._definitions.add(record)
+        return self._add_messages(offset, records)
+
+    def _add_messages(self, offset: int, records: Iterable[mcap.McapRecord]) -> Counter[int]:
+        messages = [record for record in records if isinstance(record, mcap.Message)]
+        counts = Counter(message.channel_id for message in messages)
+        if messages:
+            times = [message.log_time for message in messages]
+            self.chunks.append(Chunk(offset, min(times), max(times), frozenset(counts)))
         return counts
 
-    def _record(self, offset: int) -> mcap.McapRecord | None:
-        """Return the record at `offset`; None if it is damaged."""
-        try:
-            return self._file.record(offset).record
-        except DamageError as error:
-            self._note(offset, offset, error)
-            return None
-
-    def _note(self, offset: int, end: int, error: DamageError) -> None:
-        """Remember what is damaged, once."""
-        if offset not in self._noted:
-            self._noted.add(offset)
-            self.gaps.append(Gap(self.path, offset, end - offset, str(error)))
-
-    def _read_index(self) -> bool:
-        """Take over the index at the end; tell whether it is there and complete."""
-        try:
-            footer = self._file.record(self._file.size - _FOOTER_SIZE)
-            if not isinstance(footer.record, mcap.Footer):
-                return False
-            start, checksum = footer.record.summary_start, footer.record.summary_crc
-            if not 0 < start <= footer.offset or footer.offset - start > _LONGEST_INDEX:
-                return False
-            # The checksum is also that of the footer, up to where it stands itself
-            data = self._file.read(start, footer.end - 4 - start)
-            if checksum and checksum != zlib.crc32(data):
-                return False
-            return self._take_index(data[: footer.offset - start])
-        except DamageError:
-            return False
-
-    def _take_index(self, data: bytes) -> bool:
-        statistics: mcap.Statistics | None = None
-        same: dict[frozenset[int], frozenset[int]] = {}  # there are many chunks
-        for opcode, begin, end in split(data):
-            match parse(opcode, data[begin + HEAD.size : end]):
-                case mcap.Schema() | mcap.Channel() as definition:
-                    self._channels.add(definition)
-                case mcap.ChunkIndex() as chunk:
-                    offset, length = chunk.chunk_start_offset, chunk.chunk_length
-                    if self._file.head(offset) != (Opcode.CHUNK, offset + length):
-                        return False
-                    numbers = frozenset(chunk.message_index_offsets)
-                    self.blocks.append(
-                        Block(
-                            offset,
-                            offset + length,
-                            chunk.message_start_time,
-                            chunk.message_end_time,
-                            same.setdefault(numbers, numbers),
-                        )
-                    )
-                case mcap.MetadataIndex() as index:
-                    self._metadata.append(index.offset)
-                case mcap.AttachmentIndex() as index:
-                    self._attachments.append(index.offset)
-                case mcap.Statistics() as found:
-                    statistics = found
-        if statistics is None:
-            return False
-        self.blocks.sort()
-        self._counts.update(statistics.channel_message_counts)
-        return (
-            self._channels.all().keys() >= self._counts.keys()
-            and len(self.blocks) == statistics.chunk_count
-            and bool(self.blocks or not statistics.message_count)
-            and len(self._metadata) == statistics.metadata_count
-            and len(self._attachments) == statistics.attachment_count
-        )
-
-    def _scan(self) -> None:
-        """Look at every record of the file."""
-        for item in scan(self._file):
-            if isinstance(item, Found):
-                self._add(item)
-                continue
-            self.gaps.append(item)
-            if item.size and self._file.read(item.offset, 1) == _CHUNK:
-                self._is_chunk_lost = True
-                if item.offset + item.size == self._file.size:
-                    data = self._unpack_start(item.offset)
-                    count = self._add_block(data, item.offset, self._file.size, kind='cut')
-                    reason = f'{item.reason}; {count} messages before that are read'
-                    self.gaps[-1] = item._replace(reason=reason)
-
-    def _add(self, found: Found) -> None:
-        """Take over a record."""
-        match found.record:
-            case mcap.Chunk() as chunk:
-                self._is_chunk_lost = False
-                try:
-                    data = unpack(chunk)
-                except DamageError as error:
-                    self._is_chunk_lost = True
-                    self._note(found.offset, found.end, error)
-                    return
-                self._add_block(
-                    data, found.offset, found.end, is_checked=bool(chunk.uncompressed_crc)
-                )
-            case IndexSize() as index:
-                if self._is_chunk_lost:
-                    gap = self.gaps[-1]
-                    self.gaps[-1] = gap._replace(messages=gap.messages + index.count)
-            case mcap.Message() as message:
-                self._add_bare_message(message, found)
-            case mcap.Metadata():
-                self._metadata.append(found.offset)
-            case mcap.Attachment():
-                self._attachments.append(found.offset)
-            case mcap.Schema() | mcap.Channel() as definition:
-                self._channels.add(definition)
-
-    def _add_block(
-        self, data: bytes, offset: int, end: int, *, kind: str = 'chunk', is_checked: bool = False
-    ) -> int:
-        """Take over what is in a chunk; return how many messages that are."""
-        counts: Counter[int] = Counter()
-        first, last = LATEST, 0
-        try:
-            for opcode, begin, stop in split(data):
-                if opcode == Opcode.MESSAGE and stop - begin >= MESSAGE_HEAD.size:
-                    _, _, number, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, begin)
-                    if log_time <= LATEST >= publish_time:
-                        counts[number] += 1
-                        first, last = min(first, log_time), max(last, log_time)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    definition = parse(opcode, data[begin + HEAD.size : stop])
-                    if isinstance(definition, mcap.Schema | mcap.Channel):
-                        self._channels.add(definition, is_checked=is_checked)
-        except DamageError as error:
-            if kind != 'cut':
-                self._note(offset, end, error)
-        if counts:
-            self.blocks.append(Block(offset, end, first, last, frozenset(counts), kind))
-            self._counts.update(counts)
-        return counts.total()
-
-    def _add_bare_message(self, message: mcap.Message, found: Found) -> None:
-        """Take over a message that is in no chunk, with those right before it."""
-        time, number = message.log_time, message.channel_id
-        if max(time, message.publish_time) > LATEST:
-            self._note(found.offset, found.end, DamageError('a message has no valid times'))
-            return
-        self._counts[number] += 1
-        block = Block(found.offset, found.end, time, time, frozenset([number]), 'bare')
-        if self.blocks:
-            last = self.blocks[-1]
-            size = found.end - last.offset
-            if last.kind == 'bare' and last.end == found.offset and size <= _BARE_SIZE:
-                self.blocks.pop()
-                block = Block(
-                    last.offset,
-                    found.end,
-                    min(last.first, time),
-                    max(last.last, time),
-                    last.numbers | {number},
-                    'bare',
-                )
-        self.blocks.append(block)
-
-    def _unpack_chunk(self, offset: int) -> bytes:
-        record = self._file.record(offset).record
-        if not isinstance(record, mcap.Chunk):
-            raise DamageError('no chunk is where the index says one')
-        return unpack(record)
-
-    def _unpack_start(self, offset: int) -> bytes:
-        return unpack_start(self._file.read(offset + HEAD.size, LIMIT))
+    def _find_chunk(self, start: int) -> int:
+        """Return where the next chunk that is whole begins, or the file ends."""
+        with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            for match in _CHUNK_HEAD.finditer(data, start):
+                with contextlib.suppress(DamageError, EOFError):
+                    if unpack(self._record_at(match.start())):
+                        return match.start()
+        return self._size
 
 
-def _decompressed_message(data: bytes) -> bytes:
+def read_record(stream: BinaryIO) -> mcap.McapRecord | None:
+    """
+    Read the next record; None for one that is private to whoever wrote it.
+
+    Raises
+    ------
+    EOFError
+        If the stream ends before it.
+    DamageError
+        If it is none, or not all of it is there.
+
+    """
+    head = read_exactly(stream, _HEAD.size)
+    if not head:
+        raise EOFError
+    if len(head) < _HEAD.size:
+        raise DamageError('it ends within a record')
+    opcode, length = _HEAD.unpack(head)
+    if not (opcode in _OPCODES or opcode >= _FIRST_PRIVATE_OPCODE):
+        raise DamageError(f'no record begins with {opcode:#04x}')
+    if length > LARGEST_RECORD:
+        raise DamageError(f'a record claims to have {length} bytes, more than {LARGEST_RECORD}')
+    body = read_exactly(stream, length)
+    if len(body) < length:
+        raise DamageError('it ends within a record')
+    if opcode >= _FIRST_PRIVATE_OPCODE:
+        return None
+    if opcode == Opcode.ATTACHMENT and zlib.crc32(body[:-4]) != int.from_bytes(
+        body[-4:], 'little'
+    ):
+        raise DamageError('the checksum of the attachment there is wrong')
     try:
-        size = zstandard.frame_content_size(data)
-    except zstandard.ZstdError:
-        size = -1
-    if size < 0:
-        raise DamageError('a message there is not compressed, as the others are')
-    return decompress('zstd', data, size)
+        # A stream of this one record, so that no length in it leads beyond its end
+        records = StreamReader(BytesIO(head + body), skip_magic=True, emit_chunks=True).records
+        return next(records)
+    except _LIBRARY_ERRORS as error:
+        raise DamageError(f'the record there is damaged, {error!r}') from error
 
 
-def _open(path: Path, *, is_lenient: bool) -> File:
+def check_magic(begin: bytes) -> None:
+    """Raise DamageError if bytes are not those that every MCAP begins with."""
+    if not begin.startswith(MAGIC):
+        raise DamageError('it does not begin as MCAP does')
+
+
+def read_exactly(stream: BinaryIO, size: int) -> bytes:
+    """Read as many bytes, piece by piece, or fewer at the end."""
+    pieces = []
+    while size and (piece := stream.read(min(size, 2**20))):
+        pieces.append(piece)
+        size -= len(piece)
+    return pieces[0] if len(pieces) == 1 else b''.join(pieces)
+
+
+def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
+    """
+    Return the records of a chunk.
+
+    Raises
+    ------
+    DamageError
+        If it is none, or damaged.
+
+    """
+    if not isinstance(chunk, mcap.Chunk):
+        raise DamageError('there is no chunk')
+    try:
+        return breakup_chunk(chunk, validate_crc=True)
+    except CRCValidationError:
+        raise DamageError('the checksum of the chunk there is wrong') from None
+    except _LIBRARY_ERRORS as error:
+        raise DamageError(f'the chunk there cannot be unpacked, {error!r}') from None
+
+
+def _decompress(data: bytes) -> bytes:
+    """Decompress a message that was compressed by itself."""
+    try:
+        return zstandard.decompress(data, LARGEST_RECORD)
+    except zstandard.ZstdError as error:
+        raise DamageError(f'a message cannot be decompressed, {error}') from None
+
+
+def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
     """Open an MCAP file, or say what is wrong with it; a damaged beginning is, unless lenient."""
+    if path.exists() and not path.is_file():
+        raise BagError(f'{path} is no file')
     try:
-        if path.exists() and not path.is_file():
-            raise BagError(f'{path} is no file')
-        with contextlib.ExitStack() as stack:
-            stream: BinaryIO = stack.enter_context(path.open('rb'))
-            begin = stream.read(16)
-            if begin.startswith(_ZSTD):
-                compressed = stream
-                compressed.seek(0)
-                stream = stack.enter_context(tempfile.TemporaryFile())
-                _decompress_file(compressed, stream)
-                stream.seek(0)
-                begin = stream.read(16)
-            _check_begin(path, begin, is_lenient=is_lenient)
-            stack.pop_all()
+        stream: BinaryIO = path.open('rb')
+        if stream.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC:
+            stream = _decompressed(stream)
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
     except zstandard.ZstdError as error:
         raise BagError(f'{path} cannot be decompressed: {error}') from None
-    return File(path, stream)
+    stream.seek(0)
+    begin = stream.read(16)
+    reason = '' if begin.startswith(MAGIC) or is_lenient else 'is no MCAP file'
+    if not begin:
+        reason = 'is empty'
+    for magic, storage in _OTHERS.items():
+        if begin.startswith(magic):
+            reason = not_mcap(storage)
+    if reason:
+        stream.close()
+        raise BagError(f'{path} {reason}')
+    return stream
 
 
-def _decompress_file(source: BinaryIO, target: BinaryIO) -> None:
-    """Decompress what begins as MCAP does, or else only its beginning."""
-    with zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True) as reader:
-        begin = reader.read(16)
-        target.write(begin)
-        while begin.startswith(MAGIC) and (piece := reader.read(2**20)):
-            target.write(piece)
+def _decompressed(stream: BinaryIO) -> BinaryIO:
+    """Return a temporary file with what another one has compressed in it, and close that."""
+    with stream, contextlib.ExitStack() as stack:
+        whole = stack.enter_context(tempfile.TemporaryFile())
+        stream.seek(0)
+        zstandard.ZstdDecompressor().copy_stream(stream, whole)
+        stack.pop_all()
+    return whole
 
 
-def _check_begin(path: Path, begin: bytes, *, is_lenient: bool) -> None:
-    if not begin.startswith(MAGIC):
-        storage = next((name for name, magic in _OTHERS.items() if begin.startswith(magic)), '')
-        if storage:
-            raise BagError(f'{path} {no_mcap(storage)}')
-        if not begin:
-            raise BagError(f'{path} is empty')
-        if not is_lenient:
-            raise BagError(f'{path} is no MCAP file')
-
-
-def no_mcap(storage: str) -> str:
+def not_mcap(storage: str) -> str:
     """Say what to do with a bag that is stored otherwise."""
     return (
         f'is a bag in {storage}, not in MCAP; convert it, as with rosbags: '

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 from soft_throw_ros.recording.qos import Qos
 
+LATEST = 2**63 - 1
+"""The latest time that ROS knows. [ns]"""
+
 
 class BagError(ValueError):
     """A bag cannot be read or written; the message names its path, and what would be right."""

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 import functools
 from typing import Any
 
-from soft_throw_ros.recording import yaml_text
+import yaml
+
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)  # faster where it is there
+
+_TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
 INFINITE = 2**63 - 1
 """A time that is never over. [ns]"""
@@ -79,17 +83,16 @@ class Qos:
     def to_dict(self) -> dict[str, Any]:
         """Return what stands for it in version 9 of `metadata.yaml`."""
         return {
-            field.name: _time(value)
-            if type(value := getattr(self, field.name)) is int and field.name != 'depth'
+            name: dict(zip(('sec', 'nsec'), divmod(value, _SECOND), strict=True))
+            if name in _TIMES
             else value
-            for field in fields(self)
+            for name, value in vars(self).items()
         }
 
 
-def to_yaml(profiles: Iterable[Qos]) -> str:
+def to_yaml(profiles: Sequence[Qos]) -> str:
     """Write profiles as the text that the channel of an MCAP file has."""
-    written = [profile.to_dict() for profile in profiles]
-    return yaml_text.dump(written).strip() if written else ''
+    return dump_yaml([profile.to_dict() for profile in profiles]).strip() if profiles else ''
 
 
 def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, ...]:
@@ -116,23 +119,18 @@ def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, 
     try:
         if isinstance(profiles, str):
             return _from_text(profiles)
-        return _from_items(profiles)
-    except (ValueError, TypeError, LookupError, OverflowError) as error:
-        raise ValueError(
-            f'no profiles of quality of service, {error}: {profiles!r:.200}'
-        ) from None
+        return tuple(map(_profile, profiles or ()))
+    except (ValueError, TypeError, LookupError, OverflowError, AttributeError) as error:
+        raise ValueError(f'no quality of service, {error}: {profiles!r:.200}') from None
 
 
 @functools.lru_cache(maxsize=1000)
 def _from_text(text: str) -> tuple[Qos, ...]:
     """Read a text, which every file of a bag, and many channels, have alike."""
-    return _from_items(yaml_text.load(text))
-
-
-def _from_items(items: Any) -> tuple[Qos, ...]:
-    if not isinstance(items or [], list):
+    items = load_yaml(text) or []
+    if not isinstance(items, list):
         raise ValueError('no list')
-    return tuple(_profile(item) for item in items or ())
+    return tuple(map(_profile, items))
 
 
 def _profile(item: Mapping[str, Any]) -> Qos:
@@ -142,12 +140,11 @@ def _profile(item: Mapping[str, Any]) -> Qos:
     for name, value in values.items():
         if name in _CHOICES:
             values[name] = _choice(_CHOICES[name], value)
-        elif isinstance(value, Mapping):
-            values[name] = _nanoseconds(value)
-        elif name == 'avoid_ros_namespace_conventions':
-            values[name] = bool(value)
+        elif name in _TIMES:
+            time = int(value['sec']) * _SECOND + int(value['nsec'])
+            values[name] = min(time, INFINITE)
         else:
-            values[name] = int(value)
+            values[name] = int(value) if name == 'depth' else bool(value)
     return Qos(**values)
 
 
@@ -158,9 +155,28 @@ def _choice(choices: Sequence[str], value: Any) -> str:
     return value if value in choices else 'unknown'
 
 
-def _time(nanoseconds: int) -> dict[str, int]:
-    return {'sec': nanoseconds // _SECOND, 'nsec': nanoseconds % _SECOND}
+def dump_yaml(data: Any) -> str:
+    """Write YAML."""
+    text: str = yaml.dump(data, Dumper=_DUMPER, sort_keys=False)
+    return text
 
 
-def _nanoseconds(time: Mapping[str, Any]) -> int:
-    return min(int(time['sec']) * _SECOND + int(time['nsec']), INFINITE)
+def load_yaml(text: str) -> Any:
+    """
+    Read YAML of whatever origin.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+
+    Notes
+    -----
+    LibYAML would be faster, but many an opening bracket makes it overflow its stack.
+
+    """
+    try:
+        return yaml.safe_load(text)
+    # PyYAML raises what comes its way if, say, a text is tagged as a number
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise ValueError(str(error).partition('\n')[0]) from None

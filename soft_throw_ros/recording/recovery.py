@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
-from soft_throw_ros.recording.bag import BagReader, BagWriter, is_being_written
+from soft_throw_ros.recording.bag_reader import BagReader, Gap
+from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
 from soft_throw_ros.recording.message import BagError
-from soft_throw_ros.recording.records import Gap
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class Recovery:
     """
     What was recovered.
 
@@ -43,12 +44,13 @@ class Report:
         return tuple(gap for gap in self.gaps if gap.size or gap.messages)
 
 
-def recover(source: str | Path, target: str | Path) -> Report:
+def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write what can be read of a bag into a new one, which every reader opens.
 
-    Every record is looked at, and taken if it is whole: a chunk by its checksum, if it has one.
-    The messages keep their order, times and numbers; metadata and attachments come first.
+    Every chunk is taken that is whole, by its checksum if it has one; what is said of a topic
+    without a checksum is believed only if nothing with one says it. The messages keep their
+    order, times and numbers; metadata and attachments come first; several files become one.
 
     Parameters
     ----------
@@ -79,10 +81,10 @@ def recover(source: str | Path, target: str | Path) -> Report:
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise
-        saved: dict[str, int] = {}
+        saved = Counter[str]()
         for channel, count in writer.counts.items():
-            saved[channel.topic] = saved.get(channel.topic, 0) + count
-        return Report(target=target, saved=saved, gaps=tuple(reader.gaps))
+            saved[channel.topic] += count
+        return Recovery(target=target, saved=dict(saved), gaps=tuple(reader.gaps))
 
 
 def _copy(reader: BagReader, writer: BagWriter) -> None:
@@ -94,7 +96,5 @@ def _copy(reader: BagReader, writer: BagWriter) -> None:
         writer.attach(
             attachment.name, attachment.data, attachment.media_type, time=attachment.log_time
         )
-    for file in reader.files:
-        writer.split()
-        for message in file.messages_as_written():
-            writer.write(message)
+    for message in reader.messages(by_log_time=False):
+        writer.write(message)

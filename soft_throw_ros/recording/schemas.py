@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -65,52 +65,24 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
 
     """
     folders = [Path(prefix) / 'share' for prefix in prefixes]
-
-    def text_of(name: str) -> str:
-        return _path_of(name, folders).read_text(encoding='utf-8')
-
-    try:
-        text = assemble(type_name, text_of)
-        description = _path_of(type_name, folders).with_suffix('.json')
-        return Schema(text=text, type_hash=_hash_of(type_name, description))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SchemaError(f'{type_name}: its definition cannot be read, {error}') from None
-
-
-def assemble(type_name: str, text_of: Callable[[str], str | None]) -> str:
-    """
-    Put the text of a type and the texts of those it consists of together, each once.
-
-    Parameters
-    ----------
-    type_name : str
-        As `sensor_msgs/msg/JointState`.
-    text_of : callable
-        Returns the `.msg` text of a type by such a name, or None; `get` of a dict will do.
-
-    Raises
-    ------
-    SchemaError
-        Naming the type that has no text, or what is no name of a type.
-
-    """
     done = {type_name}
 
     def texts(name: str) -> Iterator[str]:
-        package = _split(name)[0]
-        text = text_of(name)
-        if text is None:
-            needed = '' if name == type_name else f', which {type_name} needs'
-            raise SchemaError(f'no definition of {name}{needed}')
+        text = _path_of(name, folders).read_text(encoding='utf-8')
         yield text
-        for short in _dependencies(text, package):
+        for short in _dependencies(text, _split(name)[0]):
             full = '/msg/'.join(short.split('/'))
             if full not in done:
                 done.add(full)
                 yield f'\n{_SEPARATOR}\nMSG: {short}\n'
                 yield from texts(full)
 
-    return ''.join(texts(type_name))
+    try:
+        text = ''.join(texts(type_name))
+        description = _path_of(type_name, folders).with_suffix('.json')
+        return Schema(text=text, type_hash=_hash_of(type_name, description))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SchemaError(f'{type_name}: its definition cannot be read, {error}') from None
 
 
 def _dependencies(text: str, package: str) -> list[str]:

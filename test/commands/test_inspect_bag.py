@@ -24,7 +24,8 @@ from soft_throw_ros import recording
 from soft_throw_ros.commands import inspect_bag
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.travelling_wave import first_release
-from soft_throw_ros.recording.bag import BagWriter, StreamWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
 

@@ -10,18 +10,16 @@ import struct
 import sys
 from typing import Any
 
-import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import msg_to_time
-from soft_throw_ros.nodes.player import Choice, PAUSE, Player, RESUME, STEP
-from soft_throw_ros.nodes.taps import message_type, prefixes
-from soft_throw_ros.recording.bag import BagReader, BagWriter
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.nodes.player import PAUSE, PlaybackOptions, Player, RESUME, STEP
+from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
 from std_srvs.srv import Trigger
@@ -103,9 +101,9 @@ def play(ros: Any) -> Iterator[Callable[..., Player]]:
     """Give a function that has a bag played to whoever listens."""
     readers = contextlib.ExitStack()
 
-    def play(path: Path, listeners: int = 0, **choice: Any) -> Player:
+    def play(path: Path, listeners: int = 0, **options: Any) -> Player:
         reader = readers.enter_context(BagReader(path))
-        player = ros.node(Player, reader, Choice(**choice))
+        player = ros.node(Player, reader, PlaybackOptions(**options))
         publishers = list(player.publishers)
         ros.spin_until(
             lambda: sum(item.get_subscription_count() for item in publishers) >= listeners,
@@ -138,93 +136,47 @@ def test_bag_comes_again_byte_by_byte(ros, listener, play, tmp_path) -> None:
     assert player.played == len(made)
 
 
-def test_bag_of_another_recorder_comes_again(ros, listener, play, tmp_path) -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    kind = 'sensor_msgs/msg/JointState'
-    types = store.types
-    written = []
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection('/arm/joint_states', kind, typestore=store)
-        for number in range(100):
-            message = types[kind](
-                types['std_msgs/msg/Header'](
-                    types['builtin_interfaces/msg/Time'](number, 5), 'base'
-                ),
-                ['shoulder'],
-                *[np.array([float(number)])] * 3,
-            )
-            written.append(bytes(store.serialize_cdr(message, kind)))
-            writer.write(connection, BEGIN + number * 1_000_000, written[-1])
-    heard = listener.listen('/arm/joint_states', kind=kind)
-    assert finish(ros, play(tmp_path / 'bag', 1)) == 0
-    ros.spin_until(lambda: len(heard) == 100, 'the states')
-    assert heard == written
-
-
 def test_quality_of_service_is_that_of_the_bag(ros, listener, play, tmp_path) -> None:
-    play(write(tmp_path / 'bag', messages(1)))
+    unknown = channel('/unknown', durability='transient_local', history='unknown', depth=0)
+    made = messages(500)
+    made += [message._replace(channel=unknown) for message in made[:50]]
+    made.sort(key=lambda message: message.log_time)
+    assert finish(ros, play(write(tmp_path / 'bag', made), rate=100.0)) == 0
     profiles = {}
     for topic in ('/fast', '/slow', '/lossy'):
-        ros.spin_until(lambda topic=topic: listener.count_publishers(topic) == 1, topic)
         (information,) = listener.get_publishers_info_by_topic(topic)
         profiles[topic] = information.qos_profile
-    assert profiles['/slow'].durability is DurabilityPolicy.TRANSIENT_LOCAL
     assert profiles['/fast'].durability is DurabilityPolicy.VOLATILE
-    assert profiles['/lossy'].reliability is ReliabilityPolicy.BEST_EFFORT
     assert profiles['/fast'].reliability is ReliabilityPolicy.RELIABLE
-
-
-def test_latched_messages_reach_those_who_come_late(ros, listener, play, tmp_path) -> None:
-    made = messages()
-    path = write(tmp_path / 'bag', made)
-    assert finish(ros, play(path, rate=100.0)) == 0
-    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    heard = listener.listen('/slow', latched)
-    ros.spin_until(lambda: len(heard) == 3, 'the last three')
-    assert heard == datas(made, '/slow')[-3:]
-
-
-def test_publisher_of_which_the_bag_knows_no_depth_keeps_many(
-    ros, listener, play, tmp_path
-) -> None:
-    unknown = channel('/slow', durability='transient_local', history='unknown', depth=0)
-    made = [message._replace(channel=unknown) for message in messages(50)]
-    assert finish(ros, play(write(tmp_path / 'bag', made), rate=100.0)) == 0
+    assert profiles['/lossy'].reliability is ReliabilityPolicy.BEST_EFFORT
+    # Those who come late get as many as the publisher keeps, and all if the bag does not say
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    heard = listener.listen('/slow', latched)
-    ros.spin_until(lambda: len(heard) == len(made), 'all of them')
+    slow, kept = listener.listen('/slow', latched), listener.listen('/unknown', latched)
+    ros.spin_until(lambda: len(slow) == 3 and len(kept) == 50, 'what is kept')
+    assert slow == datas(made, '/slow')[-3:]
 
 
 # what is chosen
 
 
-def test_only_topics_that_are_asked_for_come(ros, listener, play, tmp_path) -> None:
-    made = messages(300)
+def test_only_the_part_and_the_topics_that_are_asked_for_come(
+    ros, listener, play, tmp_path
+) -> None:
     fast, slow = listener.listen('/fast'), listener.listen('/slow')
-    player = play(write(tmp_path / 'bag', made), 1, topics=['/slow'])
-    assert finish(ros, player) == 0
-    ros.spin_until(lambda: len(slow) == 3, 'three')
-    assert player.played == 3
-    assert fast == []
-
-
-def test_part_of_a_bag_comes(ros, listener, play, tmp_path) -> None:
-    heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages()), 1, start=0.4, duration=0.2)
-    assert finish(ros, player) == 0
-    ros.spin_until(lambda: len(heard) == 201, 'the part')
-    assert heard == [text(f'fast {number}') for number in range(400, 601)]
+    path = write(tmp_path / 'bag', messages())
+    assert finish(ros, play(path, 1, topics=['/fast'], start=0.4, duration=0.2)) == 0
+    ros.spin_until(lambda: len(fast) == 201, 'the part')
+    assert fast == [text(f'fast {number}') for number in range(400, 601)]
+    assert slow == []
 
 
 def test_looped_bag_comes_again_and_again(ros, listener, play, tmp_path) -> None:
     heard = listener.listen('/fast')
     player = play(write(tmp_path / 'bag', messages(50)), 1, is_looping=True)
     ros.spin_until(lambda: len(heard) >= 170, 'the fourth time')
-    lap = [text(f'fast {number}') for number in range(50)]
-    assert heard[:170] == (lap * 4)[:170]
+    loop = [text(f'fast {number}') for number in range(50)]
+    assert heard[:170] == (loop * 4)[:170]
     assert player.exit_code is None
-    player.close()
-    assert not player._thread.is_alive()
 
 
 def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
@@ -248,42 +200,44 @@ def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
 # services
 
 
-def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, tmp_path) -> None:
+@pytest.fixture
+def call(ros: Any, listener: Listener) -> Callable[[str], Trigger.Response]:
+    """Give a function that calls a service of the player."""
+    return lambda service: ros.call(
+        listener.create_client(Trigger, service.replace('~', '/replay')), Trigger.Request()
+    )
+
+
+def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tmp_path) -> None:
     heard = listener.listen('/fast')
     player = play(write(tmp_path / 'bag', messages(300)), 1, is_paused=True)
 
-    def call(service: str) -> Trigger.Response:
-        name = service.replace('~', '/replay')
-        return ros.call(listener.create_client(Trigger, name), Trigger.Request())
-
     answer = call(STEP)
-    assert (answer.success, answer.message) == (True, 'paused at 0.000 s of 0.299 s')
+    assert answer.success
+    assert '0.000 s of 0.299 s' in answer.message
     assert player.played == 3  # all of the first moment
-    assert call(STEP).message == 'paused at 0.001 s of 0.299 s'
+    assert '0.001 s of 0.299 s' in call(STEP).message
     assert player.played == 4
     assert player.exit_code is None
     assert call(RESUME).success
     assert finish(ros, player) == 0
     ros.spin_until(lambda: len(heard) == 300, 'all')
     assert heard == [text(f'fast {number}') for number in range(300)]
-    assert call(STEP).message == 'nothing follows'
+    assert not call(STEP).success
 
 
-def test_playing_bag_is_paused(ros, listener, play, tmp_path) -> None:
+def test_playing_bag_is_paused(ros, play, call, tmp_path) -> None:
     player = play(write(tmp_path / 'bag', messages(100)), is_looping=True)
-
-    def call(service: str) -> Trigger.Response:
-        name = service.replace('~', '/replay')
-        return ros.call(listener.create_client(Trigger, name), Trigger.Request())
 
     ros.spin_until(lambda: player.played > 10, 'the beginning')
     answer = call(STEP)
-    assert (answer.success, answer.message) == (False, 'it is not paused; call ~/pause')
-    assert call(PAUSE).message.startswith('paused at 0.0')
+    assert not answer.success
+    assert '~/pause' in answer.message
+    assert call(PAUSE).success
     played = player.played
     assert call(PAUSE).success  # and while that was answered, nothing came
     assert player.played == played
-    assert call(RESUME).message.startswith('playing at 0.0')
+    assert call(RESUME).success
     ros.spin_until(lambda: player.played > played + 10, 'more')
 
 
@@ -307,19 +261,14 @@ def test_what_cannot_be_published_is_skipped_and_told(ros, play, tmp_path, capsy
     player = play(write(tmp_path / 'bag', sorted(made, key=lambda message: message.log_time)))
     assert finish(ros, player) == 0
     reasons = {item.topic: reason for item, reason in player.skipped.items()}
-    assert reasons['/strange'] == 'messages no_such_msgs/msg/Thing are not installed here'
-    assert 'otherwise here than in the bag' in reasons['/otherwise']
+    assert 'no_such_msgs/msg/Thing' in reasons['/strange']
     assert {'/action', 'bad name', '/deep'} <= set(reasons)
     said = capsys.readouterr().err
     for topic, reason in reasons.items():
         assert f'replay: {topic} is skipped, 2 messages: {reason}\n' in said
     assert player.played == len(made) - 2 * len(reasons)
-
-
-def test_bag_of_which_nothing_can_be_played_is_no_success(ros, play, tmp_path) -> None:
-    strange = Channel(topic='/strange', type='no_such_msgs/msg/Thing', schema='int32 x')
-    path = write(tmp_path / 'bag', [Message(strange, b'', BEGIN, BEGIN)])
-    assert finish(ros, play(path)) == 1
+    nothing = [Message(strange[0], b'', BEGIN, BEGIN)]
+    assert finish(ros, play(write(tmp_path / 'nothing', nothing))) == 1
 
 
 def test_damaged_bag_is_played_as_far_as_it_is_readable(
@@ -331,21 +280,11 @@ def test_damaged_bag_is_played_as_far_as_it_is_readable(
     heard = listener.listen('/fast')
     player = play(tmp_path / 'bag', 1, rate=5.0)
     assert finish(ros, player) == 1
-    assert 'replay: damaged, so that something may be missing: ' in capsys.readouterr().err
+    assert str(file) in capsys.readouterr().err
     assert player.played == len(made) - 1000
     kept = datas(made[:2000] + made[3000:], '/fast')
     ros.spin_until(lambda: len(heard) == len(kept), 'what there is')
     assert heard == kept
-
-
-def test_progress_is_told(ros, play, tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr('soft_throw_ros.nodes.player.TELL_TIME', 0.1)
-    player = play(write(tmp_path / 'bag', messages(300)))
-    assert finish(ros, player) == 0
-    player.close()
-    said = capsys.readouterr().err
-    assert 'replay: playing at 0.' in said
-    assert said.endswith(f'replay: {player.played} messages of 3 topics played\n')
 
 
 def test_progress_stays_on_one_line_of_a_terminal(
@@ -358,38 +297,3 @@ def test_progress_stays_on_one_line_of_a_terminal(
     shown = capsys.readouterr().err.split('\n')
     assert shown[0].startswith('\r\033[Kreplay: playing at 0.')
     assert shown[1:] == [f'replay: {player.played} messages of 3 topics played', '']
-
-
-def test_spoilt_bags_are_refused_or_played_without_harm(ros, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('soft_throw_ros.nodes.player.DISCOVERY_TIME', 0.0)
-    (file,) = write(tmp_path / 'bag', messages(3)).glob('*.mcap')
-    whole = without_checksums(file.read_bytes())
-    random = np.random.default_rng(2)
-    played = 0
-    for _ in range(40):
-        content = bytearray(whole)
-        for at in random.integers(len(whole), size=random.integers(1, 5)):
-            content[at] ^= 1 << random.integers(8)
-        file.write_bytes(content)
-        try:
-            reader = BagReader(file)
-        except BagError:
-            continue
-        with reader:
-            player = ros.node(Player, reader, Choice(rate=1e300))
-            player.start()
-            assert finish(ros, player) in (0, 1)
-            played += player.played > 0
-    assert played > 5
-
-
-def without_checksums(data: bytes) -> bytes:
-    """Set the checksums of chunks to 0, which stands for none."""
-    changed = bytearray(data)
-    at = 8
-    while at + 9 <= len(data) - 8:
-        opcode, length = struct.unpack_from('<BQ', data, at)
-        if opcode == 0x06:
-            struct.pack_into('<I', changed, at + 9 + 24, 0)
-        at += 9 + length
-    return bytes(changed)

@@ -15,11 +15,11 @@ from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.nodes import taps, topics
+from soft_throw_ros.nodes import raw_subscriptions, topics
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording.bag import BagReader, read_stream
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import Message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -151,8 +151,8 @@ def test_diagnostics_tell_what_was_lost(ros, recorder, talker) -> None:
     assert (bag.level, losses.level) == (DiagnosticStatus.OK, DiagnosticStatus.OK)
     assert msg_to_values(bag)['messages'] == 3
     assert msg_to_values(losses) == {'lost': 0}
-    (tap,) = node.recording.taps
-    tap._gaps = 2  # as if two had not come
+    (subscription,) = node.recording.subscriptions
+    subscription._gaps = 2  # as if two had not come
     losses = node._statuses()[1]
     assert losses.level == DiagnosticStatus.WARN
     assert msg_to_values(losses) == {'lost': 2, '/talk': 2}
@@ -189,10 +189,10 @@ def test_bag_that_exists_is_refused_at_the_start(recorder, tmp_path) -> None:
 
 
 def test_topic_that_cannot_be_recorded_is_told(ros, recorder, talker, monkeypatch, capfd) -> None:
-    monkeypatch.setattr(taps, 'prefixes', list)
+    monkeypatch.setattr(raw_subscriptions, 'prefixes', list)
     node = recorder(name='bag')
     talker.create_publisher(String, '/talk', 1)
-    ros.spin_until(lambda: '/talk' in node.recording.taps.refused, 'the refusal')
+    ros.spin_until(lambda: '/talk' in node.recording.subscriptions.refused, 'the refusal')
     assert '/talk is not recorded: no definition of std_msgs/msg/String' in capfd.readouterr().err
 
 
@@ -225,7 +225,7 @@ def test_twin_and_recorder_share_a_process(ros, recorder, tmp_path) -> None:
     ros.spin_until(
         lambda: any(
             tap.channel.topic == '/twin/joint_states' and tap.received == count
-            for tap in node.recording.taps
+            for tap in node.recording.subscriptions
         ),
         'all joint states',
     )
@@ -270,7 +270,7 @@ def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypat
         raise RuntimeError('a defect')
 
     assert node.exit_code is None
-    monkeypatch.setattr(node.recording.taps, 'drain', fail)
+    monkeypatch.setattr(node.recording.subscriptions, 'drain', fail)
     ros.spin_until(lambda: node.exit_code == 1, 'the exit code')
 
 

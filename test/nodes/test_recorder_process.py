@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 import random
+import re
 import resource
+import shutil
 import signal
 import sys
 import threading
@@ -20,7 +22,7 @@ from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
 from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.twin.results import State
 
@@ -123,37 +125,52 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(
         assert len(states) > 100
 
 
-def test_second_recorder_into_a_bag_is_refused(record, tmp_path) -> None:
-    first = record('bag')
-    first.wait_for('recording into')
-    second = record('bag')
-    assert second.wait() == 2
-    (line,) = second.lines
-    assert line.startswith(f'recorder: {tmp_path / "bag"} ')
-    assert 'exists, and a bag is never overwritten' in line
-    assert first.end(signal.SIGINT) == 0
-
-
-def test_full_disk_is_told_every_second_and_what_was_written_stays(
-    record, ros, talk, tmp_path
+@pytest.mark.parametrize('has_room_again', [False, True])
+def test_full_disk_is_told_every_second_and_recording_goes_on_when_there_is_room(
+    record, ros, talk, tmp_path, has_room_again
 ) -> None:
     limit = 150_000
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def let_files_be_small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
 
     recorder = record('bag', 'compression:=none', preexec_fn=let_files_be_small)
     recorder.wait_for('File too large')
     ros.spin_until(
         lambda: sum('messages wait' in line for line in recorder.lines) >= 2, 'it again'
     )
+    if has_room_again:
+        resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, limits)
+        wait_for_states(ros, tmp_path / 'bag', 3000)
     assert recorder.end(signal.SIGINT) == 0
     assert not any('Traceback' in line for line in recorder.lines), recorder.lines
-    assert 'lost' in recorder.lines[-1]
-    assert ' 0 lost' not in recorder.lines[-1]
+    assert (' 0 lost' in recorder.lines[-1]) == has_room_again
     with BagReader(tmp_path / 'bag') as bag:
-        states = sum(1 for _ in bag.messages(['/twin/joint_states']))
-    assert states > 300
+        states = [message.sequence for message in bag.messages('/twin/joint_states')]
+        assert bool(bag.damage) != has_room_again
+    assert states == list(range(states[0], states[0] + len(states)))
+    assert len(states) > (3000 if has_room_again else 100)
+
+
+def test_folder_that_is_deleted_is_told_and_nothing_of_it_is_counted_as_recorded(
+    record, ros, talk, tmp_path
+) -> None:
+    recorder = record('bag')
+    wait_for_states(ros, tmp_path / 'bag', 100)
+    shutil.rmtree(tmp_path / 'bag')
+    recorder.wait_for('deleted')
+    assert recorder.end(signal.SIGINT) == 1
+    received, lost = re.search(r'(\d+) messages in .* s, (\d+) lost', recorder.lines[-1]).groups()
+    assert received == lost
+
+
+@pytest.mark.parametrize('name', ['../bag', '/tmp/bag', 'a/b', '..'])
+def test_name_that_leads_out_of_the_folder_is_refused(record, tmp_path, name) -> None:
+    recorder = record(name)
+    assert recorder.wait() == 2
+    assert repr(name) in recorder.lines[-1]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tmp_path) -> None:
@@ -170,38 +187,27 @@ def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tm
         assert bag.message_count > 100
 
 
-def test_recorder_does_not_wait_for_a_viewer_that_hangs(record, ros, talk, tmp_path) -> None:
-    hung = tmp_path / 'hung'
-    hung.write_text(f'#!/bin/sh\nexec {sys.executable} -c "import time; time.sleep(60)"\n')
-    hung.chmod(0o755)
-    recorder = record('bag', 'rerun.sink:=viewer', f'rerun.python:={hung}')
+@pytest.mark.parametrize('hangs', [True, False])
+def test_viewer_that_hangs_or_fails_costs_no_message(record, ros, talk, tmp_path, hangs) -> None:
+    program = tmp_path / 'program'
+    sleep = f'exec {sys.executable} -c "import time; time.sleep(60)"'
+    program.write_text(f'#!/bin/sh\n{sleep if hangs else "exit 1"}\n')
+    program.chmod(0o755)
     heard: list[Any] = []
     listener = ros.node(Node, 'listener')
     listener.create_subscription(
         topics.DIAGNOSTICS.type, '/diagnostics', heard.append, topics.DIAGNOSTICS.qos
     )
+    recorder = record('bag', 'rerun.sink:=viewer', f'rerun.python:={program}')
+
+    def is_told() -> bool:
+        statuses = [status for message in heard for status in message.status]
+        viewer = [status for status in statuses if status.name.endswith('recorder: viewer')]
+        return bool(viewer) and msg_to_values(viewer[-1])['starts'] >= (1 if hangs else 2)
+
+    ros.spin_until(is_told, 'the viewer')
     wait_for_states(ros, tmp_path / 'bag', 100)
-    ros.spin_until(lambda: any(s.name == 'recorder: viewer' for m in heard for s in m.status), '')
     begin = time.monotonic()
     assert recorder.end(signal.SIGINT) == 0
     assert time.monotonic() - begin < 20.0  # not as long as that sleeps
     assert ' 0 lost' in recorder.lines[-1]
-
-
-def test_viewer_that_fails_is_told_and_nothing_is_lost(record, ros, talk, tmp_path) -> None:
-    recorder = record('bag', 'rerun.sink:=viewer', 'rerun.python:=/bin/false')
-    heard: list[Any] = []
-    listener = ros.node(Node, 'listener')
-    listener.create_subscription(
-        topics.DIAGNOSTICS.type, '/diagnostics', heard.append, topics.DIAGNOSTICS.qos
-    )
-
-    def is_told() -> bool:
-        statuses = [status for message in heard for status in message.status]
-        viewer = [status for status in statuses if status.name == 'recorder: viewer']
-        return bool(viewer) and msg_to_values(viewer[-1])['starts'] >= 2
-
-    ros.spin_until(is_told, 'a second start')
-    assert recorder.end(signal.SIGINT) == 0
-    assert ' 0 lost' in recorder.lines[-1]
-    assert 'not shown' in recorder.lines[-1]

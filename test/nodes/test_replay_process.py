@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from soft_throw_ros.nodes.taps import prefixes
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
@@ -80,8 +80,9 @@ def test_replay_ends_by_itself_after_the_last_message(start, ros, bag) -> None:
     assert replay.lines == ['replay: 1001 messages of 1 topics played']
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('option', ['--loop', '--paused'])
+@pytest.mark.parametrize(
+    ('number', 'option'), [(signal.SIGINT, '--loop'), (signal.SIGTERM, '--paused')]
+)
 def test_replay_ends_well_by_a_signal(start, ros, bag, number, option) -> None:
     heard = listen(ros, '/texts')
     replay = start(*COMMAND, str(bag), option, '--clock')

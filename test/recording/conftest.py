@@ -8,20 +8,55 @@ import os
 from pathlib import Path
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
 
 PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
 _ONES = np.ones(2)
+TIMEOUT = 20.0
 BEGIN = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')
+
+
+def plain(number: int, *, time: int | None = None, size: int = 100) -> Message:
+    """Make a message that says no more than its number."""
+    time = number if time is None else time
+    return Message(PLAIN, number.to_bytes(8, 'little') + bytes(size - 8), time, time, number)
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    """Wait for what another thread or process does."""
+    deadline = time.monotonic() + TIMEOUT
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def read(path: Path, **options: Any) -> SimpleNamespace:
+    """Read all of a bag that is whole."""
+    with BagReader(path, **options) as bag:
+        contents = SimpleNamespace(
+            messages=list(bag.messages()),
+            metadata=bag.metadata,
+            attachments=list(bag.attachments()),
+            channels=bag.channels,
+            counts=list(bag.counts.values()),
+            span=(bag.start_time, bag.end_time),
+        )
+        assert bag.message_count == len(contents.messages)
+        assert bag.damage == ''
+        return contents
 
 
 class Recording:

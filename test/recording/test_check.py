@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import ArrayEncoder, decode_joint_states, JointStateEncoder
 from soft_throw_ros.recording.check import BagCheck, CheckError, Report
 from soft_throw_ros.recording.message import Channel, Message

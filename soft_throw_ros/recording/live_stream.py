@@ -9,45 +9,125 @@ and of what waits for it the oldest goes first.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import contextlib
 import fcntl
+from io import BytesIO
 import os
 import subprocess
 import threading
 import time
 from typing import NamedTuple
 
-from soft_throw_ros.recording.bag import StreamWriter
+from mcap.writer import IndexType, Writer
+from soft_throw_ros.recording.bag_writer import LIBRARY, PROFILE, register_channel
 from soft_throw_ros.recording.message import Channel, Message
 
-PERIOD = 1.0 / 30.0
+SEND_PERIOD = 1.0 / 30.0
 """How often messages are sent. [s]"""
 
 RESTART_TIME = 1.0
 """Wait before a process that has ended is started again. [s]"""
 
-DRAIN_TIME = 0.3
+DRAIN_TIMEOUT = 0.3
 """How long, in the end, what waits may take to be sent. [s]"""
 
-EXIT_TIME = 1.0
+EXIT_TIMEOUT = 1.0
 """How long the process has to end, once its input has. [s]"""
 
-_KEPT = 10
-"""How many messages of a latched topic a new process gets, for what went before it."""
+_LATCHED_DEPTH = 10  # messages of a latched topic that a new process gets, if they went before it
 
-_PIPE = 2**20
-"""Size of the pipe, where the system allows it. [bytes]"""
+_PIPE_SIZE = 2**20  # where the system allows it [bytes]
+
+
+class StreamWriter:
+    """
+    Makes an MCAP stream for a pipe: nothing is compressed, indexed or kept.
+
+    Every method returns whole records. What comes from `start` goes first; what comes from
+    `define` must arrive before messages of these channels; blocks of messages may be left out.
+
+    Examples
+    --------
+    >>> from io import BytesIO
+    >>> from soft_throw_ros.recording.bag_reader import read_stream
+    >>> channel = Channel(topic='/phase', type='std_msgs/msg/String', schema='string data')
+    >>> writer = StreamWriter()
+    >>> stream = writer.start() + writer.define(channel)
+    >>> stream += writer.block([Message(channel, b'0123', log_time=7, publish_time=7)])
+    >>> [message.log_time for message in read_stream(BytesIO(stream))]
+    [7]
+
+    """
+
+    def __init__(self) -> None:
+        self._ids: dict[Channel, int] = {}
+        self._begin()
+
+    def start(self) -> bytes:
+        """Begin a stream, for a first reader or the next one, with all channels so far."""
+        self._begin()
+        self._writer.start(PROFILE, LIBRARY)
+        for channel in self._ids:
+            register_channel(self._writer, channel, self._schemas)
+        return self._take()
+
+    def define(self, channel: Channel) -> bytes:
+        """Define a channel; nothing if it has been."""
+        if channel in self._ids:
+            return b''
+        *_, record = register_channel(self._writer, channel, self._schemas)
+        self._ids[channel] = record.id
+        return self._take()
+
+    def block(self, messages: Iterable[Message]) -> bytes:
+        """Write messages of channels that are defined."""
+        for channel, data, log_time, publish_time, sequence in messages:
+            self._writer.add_message(
+                self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
+            )
+        return self._take()
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
+        """Write named texts."""
+        self._writer.add_metadata(name, dict(values))
+        return self._take()
+
+    def end(self) -> bytes:
+        """End the stream, as a file that has no index."""
+        self._writer.finish()
+        return self._take()
+
+    def _begin(self) -> None:
+        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._output = BytesIO()
+        self._writer = Writer(
+            self._output,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_chunking=False,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+
+    def _take(self) -> bytes:
+        """Return what has been written since the last call."""
+        self._writer.flush()
+        data = self._output.getvalue()
+        self._output.seek(0)
+        self._output.truncate()
+        return data
 
 
 class _Block(NamedTuple):
-    """A part of the stream; what has no messages is needed by all that follows."""
+    """A part of the stream; one without messages is needed by all that follow."""
 
     data: bytes
     messages: int
 
 
-class Feed:
+class LiveStream:
     """
     A process that shows messages, and is started again if it ends.
 
@@ -64,7 +144,7 @@ class Feed:
         How many messages it did not get.
     starts : int
         How often it was started.
-    trouble : str
+    error : str
         Why it does not run; empty if it does.
 
     """
@@ -72,7 +152,7 @@ class Feed:
     def __init__(self, command: Sequence[str], *, capacity: int = 32 * 2**20) -> None:
         self.dropped = 0
         self.starts = 0
-        self.trouble = ''
+        self.error = ''
         self._command = command
         self._capacity = capacity
         self._incoming: deque[Message] = deque()
@@ -84,7 +164,7 @@ class Feed:
         self._process: subprocess.Popen[bytes] | None = None
         self._restart = 0.0
         self._is_closing = threading.Event()
-        self._thread = threading.Thread(name='feed', target=self._run, daemon=True)
+        self._thread = threading.Thread(name='live stream', target=self._run, daemon=True)
         self._thread.start()
 
     def put(self, messages: Iterable[Message]) -> None:
@@ -92,23 +172,23 @@ class Feed:
         self._incoming.extend(messages)
 
     def close(self) -> None:
-        """End the process, within `DRAIN_TIME` and `EXIT_TIME`."""
+        """End the process, within `DRAIN_TIMEOUT` and `EXIT_TIMEOUT`."""
         self._is_closing.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._is_closing.wait(PERIOD):
-            self._begin_if_due()
-            self._take()
+        while not self._is_closing.wait(SEND_PERIOD):
+            self._start_if_due()
+            self._take_messages()
             self._send()
-        self._take()
-        deadline = time.monotonic() + DRAIN_TIME
+        self._take_messages()
+        deadline = time.monotonic() + DRAIN_TIMEOUT
         while self._send() and time.monotonic() < deadline:
-            time.sleep(PERIOD)
+            time.sleep(SEND_PERIOD)
         if self._process is not None:
             _end(self._process)
 
-    def _begin_if_due(self) -> None:
+    def _start_if_due(self) -> None:
         """Start the process if there is none, and begin the stream anew for it."""
         if self._process is not None or time.monotonic() < self._restart:
             return
@@ -119,21 +199,21 @@ class Feed:
                 self._command, stdin=subprocess.PIPE, start_new_session=True
             )
         except OSError as error:
-            self.trouble = f'{self._command[0]}: {error.strerror}'
+            self.error = f'{self._command[0]}: {error.strerror}'
             return
         assert self._process.stdin is not None
         pipe = self._process.stdin.fileno()
         os.set_blocking(pipe, False)
         with contextlib.suppress(OSError):
-            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE)
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         self.starts += 1
-        self.trouble = ''
-        self._forget()
+        self.error = ''
+        self._drop_all()
         self._append(self._stream.start(), 0)
         for messages in self._latched.values():
             self._append(self._stream.block(messages), len(messages))
 
-    def _take(self) -> None:
+    def _take_messages(self) -> None:
         """Make a block of what has come."""
         messages = [self._incoming.popleft() for _ in range(len(self._incoming))]
         if not messages:
@@ -142,10 +222,10 @@ class Feed:
             channel = message.channel
             self._append(self._stream.define(channel), 0)
             if any(qos.durability == 'transient_local' for qos in channel.qos):
-                self._latched.setdefault(channel, deque(maxlen=_KEPT)).append(message)
+                self._latched.setdefault(channel, deque(maxlen=_LATCHED_DEPTH)).append(message)
         self._append(self._stream.block(messages), len(messages))
         if self._process is None:
-            self._forget()
+            self._drop_all()
 
     def _append(self, data: bytes, messages: int) -> None:
         """Have a block sent, and drop the oldest ones that messages are in if it is too much."""
@@ -161,7 +241,7 @@ class Feed:
             self._size -= len(oldest.data)
             self.dropped += oldest.messages
 
-    def _forget(self) -> None:
+    def _drop_all(self) -> None:
         """Drop all that waits."""
         self.dropped += sum(block.messages for block in self._blocks)
         self._blocks.clear()
@@ -184,7 +264,7 @@ class Feed:
             return True
         except OSError:
             _end(self._process)
-            self.trouble = f'it ended with exit code {self._process.returncode}'
+            self.error = f'it ended with exit code {self._process.returncode}'
             self._process = None
         return False
 
@@ -195,7 +275,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     with contextlib.suppress(OSError):
         process.stdin.close()
     try:
-        process.wait(EXIT_TIME)
+        process.wait(EXIT_TIMEOUT)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

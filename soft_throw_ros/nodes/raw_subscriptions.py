@@ -39,7 +39,7 @@ _UNKNOWN = 2**64 - 1
 """What stands for a number that the middleware does not know."""
 
 
-class _Drained(ReentrantCallbackGroup):
+class _NotExecuted(ReentrantCallbackGroup):
     """Keeps subscriptions away from executors."""
 
     def can_execute(self, _entity: Any) -> bool:
@@ -47,9 +47,9 @@ class _Drained(ReentrantCallbackGroup):
         return False
 
 
-class Tap:
+class RawSubscription:
     """
-    A subscription to a topic.
+    A subscription to a topic, for the bytes that come.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ class Tap:
 
     Notes
     -----
-    A publisher numbers its messages, so a gap is a loss. If the middleware does not tell the
-    publishers of a topic apart (before ROS 2 Kilted), the numbers of several say nothing; then
+    A publisher numbers its messages from 1 on, so a gap is a loss. If the middleware does not tell
+    the publishers of a topic apart (before ROS 2 Kilted), the numbers of several say nothing; then
     there is what the middleware says of losses, which knows of less.
 
     """
@@ -86,32 +86,35 @@ class Tap:
         self.is_shared = False
         self._node = node
         self._gaps = 0
-        self._told = 0
-        self._sequences: dict[Any, int] = {}
-        self._has_names = False
+        self._earlier = 0
+        self._lost_by_event = 0
+        self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
         self._type = message_type(channel.type)
         self._subscription = node.create_subscription(
             self._type,
             channel.topic,
             lambda _message: None,
             profile,
-            callback_group=_Drained(),
+            callback_group=_NotExecuted(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
         # An executor that waits for this event wakes for every message as well
         handle = self._subscription.handle
         with handle:
-            self._loss = EventHandle(
+            self._loss_event = EventHandle(
                 handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
             )
 
     @property
     def lost(self) -> int:
         """How many messages did not come, though they were published."""
-        if self.is_shared and not self._has_names:
-            return self._told
-        return self._gaps
+        return self._gaps if self._has_numbers else self._lost_by_event
+
+    @property
+    def earlier(self) -> int:
+        """How many messages were published before the first that came: it joined late."""
+        return self._earlier if self._has_numbers else 0
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -137,30 +140,36 @@ class Tap:
         self.received += len(messages)
         return messages
 
-    def listen(self) -> None:
+    def read_loss_event(self) -> None:
         """Hear from the middleware what it has lost."""
-        with self._loss:
-            told = self._loss.take_event()
-        if told is not None:
-            self._told = told.total_count
+        with self._loss_event:
+            event = self._loss_event.take_event()
+        if event is not None:
+            self._lost_by_event = event.total_count
 
     def close(self) -> None:
         """Unsubscribe."""
-        self.listen()
-        self._loss.destroy_when_not_in_use()
+        self.read_loss_event()
+        self._loss_event.destroy_when_not_in_use()
         self._node.destroy_subscription(self._subscription)
+
+    @property
+    def _has_numbers(self) -> bool:
+        """Whether the numbers of messages are those of one publisher each."""
+        return not self.is_shared or None not in self._last_numbers
 
     def _count(self, sequence: int, publisher: Any) -> None:
         if publisher is not None:
-            self._has_names = True
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
-        last = self._sequences.get(publisher)
-        if last is not None and sequence > last + 1:
+        last = self._last_numbers.get(publisher)
+        if last is None:
+            self._earlier += sequence - 1
+        elif sequence > last + 1:
             self._gaps += sequence - last - 1
-        self._sequences[publisher] = sequence
+        self._last_numbers[publisher] = sequence
 
 
-class Taps:
+class RawSubscriptions:
     """
     Subscriptions to all topics that are asked for, as they appear.
 
@@ -182,28 +191,28 @@ class Taps:
         self.refused: dict[str, str] = {}
         self._node = node
         self._wanted = wanted
-        self._taps: dict[str, Tap] = {}
+        self._subscriptions: dict[str, RawSubscription] = {}
 
-    def __iter__(self) -> Iterator[Tap]:
-        return iter(list(self._taps.values()))
+    def __iter__(self) -> Iterator[RawSubscription]:
+        return iter(list(self._subscriptions.values()))
 
     def discover(self) -> list[str]:
         """Subscribe to what is there and wanted; return the topics that are newly refused."""
-        news = []
+        refused = []
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self.refused or not is_wanted(topic, self._wanted):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
-            if topic in self._taps:
-                self._taps[topic].is_shared |= len(publishers) > 1
-                self._taps[topic].listen()
+            if topic in self._subscriptions:
+                self._subscriptions[topic].is_shared |= len(publishers) > 1
+                self._subscriptions[topic].read_loss_event()
             elif publishers:
                 try:
-                    self._taps[topic] = self._tap(topic, types, publishers)
+                    self._subscriptions[topic] = self._subscribe(topic, types, publishers)
                 except (ImportError, AttributeError, SchemaError, ValueError) as error:
                     self.refused[topic] = str(error)
-                    news.append(topic)
-        return news
+                    refused.append(topic)
+        return refused
 
     def drain(self, clock: Clock) -> list[Message]:
         """
@@ -218,7 +227,7 @@ class Taps:
             now = clock.now().nanoseconds
             if not now:
                 return []
-        messages = [message for tap in self for message in tap.drain()]
+        messages = [message for subscription in self for message in subscription.drain()]
         if now is not None:
             return [message._replace(log_time=now, publish_time=now) for message in messages]
         messages.sort(key=lambda message: message.log_time)
@@ -226,10 +235,12 @@ class Taps:
 
     def close(self) -> None:
         """Unsubscribe from everything; what was counted stays."""
-        for tap in self:
-            tap.close()
+        for subscription in self:
+            subscription.close()
 
-    def _tap(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> Tap:
+    def _subscribe(
+        self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]
+    ) -> RawSubscription:
         if len(types) > 1:
             raise ValueError(f'it has messages of several types, {", ".join(types)}')
         schema = find_schema(types[0], prefixes())
@@ -240,9 +251,9 @@ class Taps:
             type_hash=schema.type_hash,
             qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
         )
-        tap = Tap(self._node, channel, fitting_profile(publishers))
-        tap.is_shared = len(publishers) > 1
-        return tap
+        subscription = RawSubscription(self._node, channel, fitting_profile(publishers))
+        subscription.is_shared = len(publishers) > 1
+        return subscription
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:

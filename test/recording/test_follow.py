@@ -8,15 +8,16 @@ import sys
 
 from mcap.records import Metadata
 import pytest
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.follow import follow
 from soft_throw_ros.recording.message import BagError, Channel, Message
-from soft_throw_ros.recording.tail import tail
 
 CHANNEL = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
 
 RECORDER = """
 import sys
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
 channel = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
@@ -59,7 +60,7 @@ def write(writer, *some):
 
 
 @pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_tail_gives_what_comes_until_the_bag_is_closed(tmp_path, compression):
+def test_following_gives_what_comes_until_the_bag_is_closed(tmp_path, compression):
     writer = BagWriter(tmp_path / 'bag', distribution='jazzy', compression=compression)
     write(writer, 0, 1)()
     seen = []
@@ -72,7 +73,7 @@ def test_tail_gives_what_comes_until_the_bag_is_closed(tmp_path, compression):
         writer.close,
     )
     so_far = []
-    so_far.extend(tail(tmp_path / 'bag', script))
+    so_far.extend(follow(tmp_path / 'bag', script))
     assert [numbers(items) for items in seen] == [[0, 1], [0, 1, 2]]
     assert numbers(so_far) == list(range(2000))
     assert Metadata('note', {'a': 'b'}) in so_far
@@ -80,22 +81,16 @@ def test_tail_gives_what_comes_until_the_bag_is_closed(tmp_path, compression):
         assert numbers(so_far) == numbers(reader.messages())
 
 
-def test_tail_goes_on_in_the_next_file(tmp_path):
+def test_following_goes_on_in_the_next_file(tmp_path):
     writer = BagWriter(tmp_path / 'bag', distribution='jazzy')
     script = Script(
         write(writer, 0, 1), writer.split, write(writer, 2), writer.split, writer.close
     )
-    assert numbers(tail(tmp_path / 'bag', script)) == [0, 1, 2]
+    assert numbers(follow(tmp_path / 'bag', script)) == [0, 1, 2]
     assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 3
 
 
-def test_tail_of_a_complete_bag_does_not_wait(tmp_path):
-    with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
-        write(writer, *range(9))()
-    assert numbers(tail(tmp_path / 'bag', Script())) == list(range(9))
-
-
-def test_tail_of_a_bag_whose_recorder_is_killed_gives_all_but_what_was_not_flushed(tmp_path):
+def test_following_a_bag_whose_recorder_is_killed_gives_all_but_what_was_not_flushed(tmp_path):
     folder = tmp_path / 'bag'
     with subprocess.Popen(
         [sys.executable, '-c', RECORDER, folder],
@@ -109,10 +104,10 @@ def test_tail_of_a_bag_whose_recorder_is_killed_gives_all_but_what_was_not_flush
             recorder.kill()
             recorder.wait()
 
-        assert numbers(tail(folder, Script(kill))) == list(range(50))
+        assert numbers(follow(folder, Script(kill))) == list(range(50))
 
 
-def test_tail_of_what_somebody_else_writes_ends_with_its_file(tmp_path):
+def test_following_what_somebody_else_writes_ends_with_its_file(tmp_path):
     with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
         write(writer, *range(9))()
     data = (tmp_path / 'bag/bag_0.mcap').read_bytes()
@@ -120,35 +115,23 @@ def test_tail_of_what_somebody_else_writes_ends_with_its_file(tmp_path):
     with (tmp_path / 'other/other_0.mcap').open('wb', buffering=0) as file:
         pieces = [data[place : place + 100] for place in range(0, len(data), 100)]
         script = Script(*(lambda piece=piece: file.write(piece) for piece in pieces))
-        assert numbers(tail(tmp_path / 'other', script)) == list(range(9))
+        assert numbers(follow(tmp_path / 'other', script)) == list(range(9))
 
 
-def test_tail_ends_when_whoever_waits_says_so(tmp_path):
-    def stop():
-        raise KeyboardInterrupt
-
-    with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
-        write(writer, 0)()
-        items = tail(tmp_path / 'bag', stop)
-        assert isinstance(next(item for item in items if isinstance(item, Message)), Message)
-        with pytest.raises(KeyboardInterrupt):
-            list(items)
-
-
-def test_tail_of_a_file_that_is_cut_off_says_so_after_what_came_before(tmp_path):
+def test_following_a_file_that_is_cut_off_says_so_after_what_came_before(tmp_path):
     with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
         write(writer, 0, 1)()
         cut = (tmp_path / 'bag/bag_0.mcap').read_bytes() + b'\x06\xff'
     (tmp_path / 'bag/bag_0.mcap').write_bytes(cut)
     (tmp_path / 'bag/bag_1.mcap').touch()  # so nothing is to come in the first one
-    items = tail(tmp_path / 'bag', Script())
+    items = follow(tmp_path / 'bag', Script())
     assert isinstance(next(items), Metadata | Message)
     with pytest.raises(BagError, match=r'bag_0\.mcap: it ends within a record'):
         list(items)
 
 
-def test_tail_of_what_is_no_bag_is_refused(tmp_path):
+def test_following_what_is_no_bag_is_refused(tmp_path):
     with pytest.raises(
         BagError, match=r'is no bag that is written, there is no file none_0\.mcap'
     ):
-        next(tail(tmp_path / 'none', Script()))
+        next(follow(tmp_path / 'none', Script()))

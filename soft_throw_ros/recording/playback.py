@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What of a recording is due when; it reads no clock and does not sleep.
+When the messages of a recording are due; nothing here reads a clock or sleeps.
 
 Whoever plays a recording asks with the time of a clock of its own, in nanoseconds, which must not
 go back. Deadlines are absolute: being late once makes nothing late later.
@@ -15,13 +15,13 @@ from typing import Generic, TypeVar
 MAX_CATCH_UP = 100_000_000
 """What is later than this, after a stall, has the rest wait and not come all at once. [ns]"""
 
-SHORTEST_LAP = 1_000_000
-"""A recording of a moment is not repeated more often than this. [ns]"""
+SHORTEST_LOOP = 1_000_000
+"""A recording is not repeated more often than this, however short it is. [ns]"""
 
 Item = TypeVar('Item')
 
 
-class Schedule(Generic[Item]):
+class PlaybackSchedule(Generic[Item]):
     """
     Have the items of a recording come in its own time, or faster, or again and again.
 
@@ -49,7 +49,7 @@ class Schedule(Generic[Item]):
 
     Examples
     --------
-    >>> schedule = Schedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
+    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
     >>> schedule.next_due(100), schedule.next_due(100), schedule.deadline(), schedule.time(110)
     (5, None, 120, 6)
     >>> schedule.next_due(120), schedule.is_over
@@ -76,15 +76,16 @@ class Schedule(Generic[Item]):
         self._items = items
         self._time_of = time_of
         self._begin = begin_ns
-        self._lap_length = end_ns - begin_ns
+        self._loop_length = end_ns - begin_ns
         if is_looping:  # the beginning comes after the end, not with it
-            self._lap_length = max(self._lap_length + 1, SHORTEST_LAP)
+            self._loop_length = max(self._loop_length + 1, SHORTEST_LOOP)
         self._is_looping = is_looping
-        # Times of the recording count from its beginning, and go on counting in further laps.
-        self._now = now  # of the caller,
-        self._passed = 0  # when so much had passed
+        # Times of the recording count from its beginning, and go on counting in further loops:
+        # when the caller's clock showed `_now`, so much of it had `_passed`
+        self._now = now
+        self._passed = 0
         self._stepped_to = -math.inf  # what is not later comes while paused
-        self._lap = 0
+        self._loop = 0
         self._coming: Iterator[Item] = iter(items())
         self._next: Item | None = None
         self._next_time = 0
@@ -99,9 +100,9 @@ class Schedule(Generic[Item]):
         """Return the time of the recording: at most that of what comes next. [ns]"""
         passed = self._passed_by(now)
         if self.is_over:
-            passed = min(passed, self._lap_length)
+            passed = min(passed, self._loop_length)
         elif self._is_looping:
-            passed %= self._lap_length
+            passed %= self._loop_length
         return self._begin + passed
 
     def deadline(self) -> int | None:
@@ -157,12 +158,12 @@ class Schedule(Generic[Item]):
         return max(passed if self.is_over else min(passed, self._next_time), 0)
 
     def _fetch(self) -> None:
-        """Get the next item, from the next lap if need be."""
+        """Get the next item, from the next loop if need be."""
         self._next = next(self._coming, None)
         if self._next is None and self._is_looping:
-            self._lap += 1
+            self._loop += 1
             self._coming = iter(self._items())
             self._next = next(self._coming, None)
         if self._next is not None:
             since_begin = self._time_of(self._next) - self._begin
-            self._next_time = self._lap * self._lap_length + since_begin
+            self._next_time = self._loop * self._loop_length + since_begin

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exact first release, one and many."""
 
-from concurrent.futures import ThreadPoolExecutor
 import math
 
 from hypothesis import assume, given
@@ -9,9 +8,9 @@ from hypothesis import strategies as st
 import mpmath as mp
 import numpy as np
 import pytest
-from soft_throw_ros.core import spring_mass, travelling_wave
+from soft_throw_ros.core import closed_form, spring_mass
 from soft_throw_ros.core.plate import peak_velocity_ratio
-from soft_throw_ros.core.travelling_wave import (
+from soft_throw_ros.core.closed_form import (
     first_release,
     first_releases,
     ThrowUnresolvedError,
@@ -196,7 +195,7 @@ def test_releases_agree_with_the_laplace_series(gravity):
     assert np.count_nonzero(early) > 30
     for i in np.flatnonzero(early):
         release = [values[i] for values in releases]
-        assert_exact(travelling_wave.FirstRelease(*release), *(float(case[i]) for case in cases))
+        assert_exact(closed_form.FirstRelease(*release), *(float(case[i]) for case in cases))
 
 
 # Where the steady wave has grown to 34, most of all in the promised range, and to 4666 outside
@@ -335,14 +334,6 @@ def test_releases_do_not_depend_on_threads_or_neighbours():
             np.testing.assert_array_equal(got, expected)
 
 
-def test_releases_may_be_computed_from_several_threads_at_once():
-    cases = random_cases(2 * 2048, seed=3)
-    expected = releases_of(cases, threads=1)
-    with ThreadPoolExecutor(4) as pool:
-        for got in pool.map(lambda _: releases_of(cases, threads=2), range(8)):
-            np.testing.assert_array_equal(got.ejection_phase, expected.ejection_phase)
-
-
 def test_releases_broadcast():
     releases = first_releases(mass_ratio=[[0.1], [1.0], [3.0]], speed_ratio=[5.0, 7.0])
     for values in releases:
@@ -457,15 +448,3 @@ def test_refused_options_are_quoted(option, value):
 def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match='shape'):
         first_releases(mass_ratio=[1.0, 2.0], speed_ratio=[1.0, 2.0, 3.0])
-
-
-@given(st.floats(0.0, 800.0), st.floats(0.0, 1e4))
-def test_elementary_functions_are_accurate(decay, angle):
-    assert travelling_wave._decay(decay) == pytest.approx(math.exp(-decay), rel=4e-16, abs=5e-324)
-    phasor = travelling_wave._phasor(complex(0.0, angle), 1.0)
-    assert phasor.real == pytest.approx(math.cos(angle), rel=0.0, abs=3e-16)
-    assert phasor.imag == pytest.approx(math.sin(angle), rel=0.0, abs=3e-16)
-
-
-def test_no_number_indexes_outside_a_table():
-    assert travelling_wave._decay(math.nan) == travelling_wave._decay(math.inf) == 0.0

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Metadata
-from soft_throw_ros.recording.bag import is_being_written, read_stream
+from soft_throw_ros.recording.bag_reader import read_stream
+from soft_throw_ros.recording.bag_writer import is_being_written
 from soft_throw_ros.recording.message import BagError, Message
 
 
-def tail(folder: str | Path, wait: Callable[[], None]) -> Iterator[Message | Metadata]:
+def follow(folder: str | Path, wait: Callable[[], None]) -> Iterator[Message | Metadata]:
     """
     Yield messages and named texts of a bag, those to come too, until it is complete.
 

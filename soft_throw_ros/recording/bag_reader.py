@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read bags: ours and those of other recorders, whole, still being written, or damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+import heapq
+import itertools
+from pathlib import Path
+import re
+from typing import Any, BinaryIO
+import zlib
+
+from mcap import records as mcap
+from mcap.writer import MCAP0_MAGIC as MAGIC
+from soft_throw_ros.recording.bag_writer import is_being_written, METADATA_FILE, METADATA_KEY
+from soft_throw_ros.recording.mcap_file import (
+    check_magic,
+    Chunk,
+    DamageError,
+    Definitions,
+    Gap,
+    Known,
+    McapFile,
+    not_mcap,
+    read_exactly,
+    read_record,
+    unpack,
+)
+from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.qos import load_yaml
+
+_LARGEST_METADATA_FILE = 2**20  # PyYAML is slow [characters]
+
+_FILES = 'relative_file_paths'
+
+_SUFFIXES = ('.mcap', '.mcap.zstd')
+
+
+class BagReader:
+    """
+    Reads a bag.
+
+    Parameters
+    ----------
+    path : path_like
+        A folder with `metadata.yaml`, or with MCAP files; or a single file, `.mcap` or
+        `.mcap.zstd`.
+    by_scan : bool
+        Whether to look at every record first, instead of believing the indexes of the files.
+
+    Attributes
+    ----------
+    path : Path
+        As given.
+    channels : tuple of Channel
+        The topics; one object each, in all files.
+    counts : dict of Channel to int
+        How many messages there are.
+    start_time, end_time : int
+        Log times of the first and the last message; 0 if there is none. [ns]
+    distribution : str
+        Of ROS; empty if the bag does not say.
+
+    Raises
+    ------
+    BagError
+        If there is no bag of ROS 2 in MCAP; the message says what would be right.
+
+    Notes
+    -----
+    Of a file that was cut off, or is still being written, all whole chunks are read; of a damaged
+    one also those after the damage. Messages that are in no chunk, as some recorders write them,
+    are read up to the damage, and kept in memory.
+
+    """
+
+    def __init__(self, path: str | Path, *, by_scan: bool = False) -> None:
+        self.path = Path(path)
+        self._gaps: list[Gap] = []
+        information = self._read_information() if self.path.is_dir() else {}
+        self.distribution = str(information.get('ros_distro') or '')
+        is_compressed = str(information.get('compression_mode')).lower() == 'message'
+        known: Known = {}
+        self._files: list[McapFile] = []
+        try:
+            for file in self._paths(information):
+                self._files.append(
+                    McapFile(file, known, by_scan=by_scan, has_compressed_messages=is_compressed)
+                )
+        except BagError:
+            self.close()
+            raise
+        self.counts: dict[Channel, int] = {}
+        for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
+            self.counts[channel] = self.counts.get(channel, 0) + count
+        self.channels = tuple(self.counts)
+        chunks = [chunk for file in self._files for chunk in file.chunks]
+        self.start_time = min((chunk.first for chunk in chunks), default=0)
+        self.end_time = max((chunk.last for chunk in chunks), default=0)
+        if self.gaps and is_being_written(self.path):
+            self._gaps.append(Gap(self.path, 0, 0, 'the bag is being written'))
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self._files:
+            file.close()
+
+    @property
+    def message_count(self) -> int:
+        """How many messages there are."""
+        return sum(self.counts.values())
+
+    @property
+    def gaps(self) -> list[Gap]:
+        """What could not be read, as far as is known by now."""
+        return self._gaps + [gap for file in self._files for gap in file.gaps]
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with the bag, in short, as far as is known by now; empty if nothing is."""
+        gaps = self.gaps
+        more = f'; and {len(gaps) - 1} more' if len(gaps) > 1 else ''
+        return f'{gaps[0]}{more}' if gaps else ''
+
+    @property
+    def metadata(self) -> list[mcap.Metadata]:
+        """Named texts in their order, without those that a next file repeats."""
+        found: list[mcap.Metadata] = []
+        last: dict[str, mcap.Metadata] = {}
+        for record in itertools.chain(*(file.metadata for file in self._files)):
+            if record.name != 'rosbag2' and last.get(record.name) != record:
+                last[record.name] = record
+                found.append(record)
+        return found
+
+    def attachments(self) -> Iterator[mcap.Attachment]:
+        """Yield files that were written into the bag, without those that a next one repeats."""
+        seen = set()
+        for record in itertools.chain(*(file.attachments() for file in self._files)):
+            key = (record.name, len(record.data), zlib.crc32(record.data))
+            if key not in seen:
+                seen.add(key)
+                yield record
+
+    def messages(
+        self,
+        topics: Collection[str] | str | None = None,
+        start: int | None = None,
+        end: int | None = None,
+        *,
+        by_log_time: bool = True,
+    ) -> Iterator[Message]:
+        """
+        Yield messages by their log times, those of equal times as they were written.
+
+        Parameters
+        ----------
+        topics : str or collection of str, optional
+            Of these only.
+        start, end : int, optional
+            From `start` on, and before `end`. [ns]
+        by_log_time : bool
+            False to yield them in the order in which they were written.
+
+        """
+        wanted = {topics} if isinstance(topics, str) else topics
+        span = range(start or 0, LATEST + 1 if end is None else end)
+        chunks = [
+            (file, chunk) for file in self._files for chunk in file.chunks_with(wanted, span)
+        ]
+        if by_log_time:
+            yield from _by_log_time(chunks, wanted, span)
+        else:
+            for file, chunk in chunks:
+                yield from file.messages(chunk, wanted, span)
+
+    def _read_information(self) -> dict[str, Any]:
+        """Read `metadata.yaml`; what is not there is left to the files."""
+        path = self.path / METADATA_FILE
+        try:
+            with path.open(encoding='utf-8') as file:
+                text = file.read(_LARGEST_METADATA_FILE)
+            information = load_yaml(text)[METADATA_KEY]
+            return {**information, _FILES: [str(name) for name in information[_FILES]]}
+        except FileNotFoundError:
+            reason = 'the file is missing'
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            reason = f'the file does not describe a bag, {error!r}'
+        self._gaps.append(Gap(path, 0, 0, reason))
+        return {}
+
+    def _paths(self, information: Mapping[str, Any]) -> list[Path]:
+        """List the files of the bag."""
+        if not self.path.is_dir():
+            return [self.path]
+        storage = str(information.get('storage_identifier', 'mcap'))
+        if storage != 'mcap':
+            raise BagError(f'{self.path} {not_mcap(storage)}')
+        names = information.get(_FILES, ())
+        listed = [self.path / Path(name).name for name in names]
+        missing = [path for path in listed if not path.is_file()]
+        self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
+        found = listed
+        if missing or not listed:
+            found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
+            found.sort(key=_by_number)
+        # What a machine leaves that loses its power is no reason to refuse the others
+        empty = [path for path in found if path.is_file() and not path.stat().st_size]
+        self._gaps += [Gap(path, 0, 0, 'the file is empty') for path in empty]
+        if len(empty) < len(found):
+            return [path for path in found if path not in empty]
+        if found:
+            return found
+        other = next(self.path.glob('*.db3'), None)
+        reason = 'is no bag, there is no MCAP file in it' if other is None else not_mcap('sqlite3')
+        raise BagError(f'{self.path} {reason}')
+
+
+def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message | mcap.Metadata]:
+    """
+    Yield messages and named texts of an MCAP stream, as they arrive.
+
+    Parameters
+    ----------
+    stream : binary file
+        May be a pipe.
+    name : str
+        What it is called in messages.
+
+    Raises
+    ------
+    BagError
+        Where the stream is no MCAP (any more), after all that came before; not if it ends after a
+        whole record, since whoever writes it may be killed.
+
+    """
+    definitions = Definitions({})
+    try:
+        check_magic(read_exactly(stream, len(MAGIC)))
+        while not isinstance(record := read_record(stream), mcap.Footer):
+            for item in unpack(record) if isinstance(record, mcap.Chunk) else [record]:
+                match item:
+                    case mcap.Message():
+                        yield definitions.message(item)
+                    case mcap.Schema() | mcap.Channel():
+                        definitions.add(item)
+                    case mcap.Metadata():
+                        yield item
+    except EOFError:
+        return
+    except DamageError as error:
+        raise BagError(f'{name}: {error}') from None
+
+
+def _by_log_time(
+    chunks: Iterable[tuple[McapFile, Chunk]], topics: Collection[str] | None, span: range
+) -> Iterator[Message]:
+    """Merge the messages of chunks; each is unpacked when its first message is due."""
+    waiting = sorted(enumerate(chunks), key=lambda item: item[1][1].first, reverse=True)
+    messages: list[tuple[int, int, int, Message]] = []
+    while waiting or messages:
+        while waiting and (not messages or waiting[-1][1][1].first <= messages[0][0]):
+            number, (file, chunk) = waiting.pop()
+            for place, message in enumerate(file.messages(chunk, topics, span)):
+                heapq.heappush(messages, (message.log_time, number, place, message))
+        if messages:
+            yield heapq.heappop(messages)[-1]
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """Sort `bag_2` before `bag_10`."""
+    return [
+        (int(part), '') if part.isdecimal() else (0, part)
+        for part in re.split(r'(\d+)', path.name, flags=re.ASCII)
+    ]

@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Travelling waves by a delay line, against closed forms and the method of steps."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from reference.method_of_steps import follow
+from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.stepper import (
+    EventLimitError,
+    MAX_EVENTS,
+    PLATE_FORCE,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+)
+from soft_throw_ros.core.wave_stepper import first_throws, steps_per_crossing, WaveStepper
+
+FREQUENCY = 63.2
+
+
+def throw(rig, periods=12.0, **options):
+    """Advance until the projectile has left, and return that release."""
+    model = WaveStepper(rig, **options)
+    for quarter in range(1, round(4 * periods) + 1):
+        if model.advance_to(0.25 * quarter / rig.engine.frequency):
+            return model.events()[0]
+    raise AssertionError('no release')
+
+
+# Computed with 40-digit closed forms, checked by a second method: mu, kappa, zeta, te f, alpha
+@pytest.mark.parametrize(
+    ('mu', 'kappa', 'zeta', 'phase', 'alpha'),
+    [
+        (0.23423068535205, 8.2422098072057, 0.0, 0.3994399384513045, 4.123214640552163),
+        (0.29513187784084, 9.2434758430532, 0.2, 0.3633656659293691, 4.185169858004478),
+        (0.325, 8.375, 0.0, 0.4067066018914044, 4.108539651810315),
+        (0.01, 0.2, 0.0, 5.298054795009286, 3.6462835911068816),
+        (0.02, 7.91921471164, 0.0, 0.3788004377616592, 3.9989930540910823),
+        (0.02, 7.92079871298, 0.0, 0.38180935858819204, 4.019621366767697),
+        (50.0, 60.0, 0.0, 0.4266129421799032, 3.037440451346464),
+        (10.0, 1.0, 0.0, 1.4950567137012314, 0.003857550297589455),
+        (0.01, 4.0, 0.064, 0.4928020665289209, 3.9990119588094664),
+        (0.6345238095238095, 7.34629294755877, 0.064, 0.48150827831570486, 3.63734724564707),
+    ],
+)
+def test_first_release_is_exact_to_1e_6(make_rig, mu, kappa, zeta, phase, alpha):
+    rig = make_rig(mu, kappa, zeta)
+    release = throw(rig)
+    assert release.time * FREQUENCY == pytest.approx(phase, abs=1e-6)
+    speed = math.sqrt(alpha) * peak_velocity_ratio(zeta)
+    assert release.velocity / rig.engine.speed_scale == pytest.approx(speed, abs=1e-6)
+
+
+def log_uniform(low, high):
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+@settings(max_examples=60)
+@given(
+    mass_ratio=log_uniform(0.003, 100.0),
+    speed_ratio=log_uniform(0.15, 120.0),
+    damping_ratio=st.sampled_from([0.0, 0.064, 0.3]),
+    gravity_ratio=st.sampled_from([0.0, 0.002, 0.03]),
+)
+def test_first_release_agrees_with_the_closed_form(
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio
+):
+    ratios = {
+        'mass_ratio': mass_ratio,
+        'speed_ratio': speed_ratio,
+        'damping_ratio': damping_ratio,
+        'gravity_ratio': gravity_ratio,
+    }
+    try:
+        exact = first_release(**ratios)
+    except ThrowUnresolvedError:
+        return
+    engine = Engine(frequency=FREQUENCY, damping_ratio=damping_ratio)
+    layer = Layer(thickness=7.8 / (speed_ratio * FREQUENCY))
+    rig = Rig(
+        engine=engine,
+        layer=layer,
+        projectile=Projectile(mass=mass_ratio * layer.mass),
+        gravity=gravity_ratio * engine.speed_scale * engine.angular_frequency,
+    )
+    release = throw(rig, periods=exact.ejection_phase + 1.0)
+    assert release.time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=1e-6)
+    assert release.velocity / engine.speed_scale == pytest.approx(exact.speed, abs=1e-6)
+
+
+# Re-contacts in the regions where they are (slow waves; thin stiff layers), and bounces under
+# gravity: mass ratio, speed ratio, damping ratio, gravity ratio
+BOUNCES = [
+    (5.0, 1.5, 0.0, 0.0),
+    (5.2, 3.75, 0.0, 0.0),
+    (3.0333, 2.5, 0.0, 0.0),
+    (4.99, 1.15, 0.0, 0.0),
+    (0.108, 73.5, 0.064, 0.0),
+    (0.367, 4.4, 0.0, 0.2),
+    (3.453, 1.6, 0.0, 0.05),
+    (0.2342, 8.242, 0.0, 0.3),
+]
+
+
+@pytest.mark.parametrize('ratios', BOUNCES)
+def test_later_events_agree_with_the_method_of_steps(make_rig, ratios):
+    rig = make_rig(*ratios)
+    history = follow(rig, max_events=9, until=8.0 / FREQUENCY)
+    assert len(history.events) >= 3
+    model = WaveStepper(rig)
+    model.advance_to(history.end_time + 1e-6)
+    ours = model.events()[: len(history.events)]
+    assert [event.kind == 'release' for event in ours] == [
+        event.kind == 'release' for event in history.events
+    ]
+    for number, (event, exact) in enumerate(zip(ours, history.events, strict=True)):
+        tolerance = 1e-4 if number < 5 else 1e-3
+        assert event.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=tolerance)
+        scale = rig.engine.speed_scale
+        assert event.velocity / scale == pytest.approx(exact.velocity / scale, abs=tolerance)
+        assert event.position == pytest.approx(exact.position, abs=tolerance * 2e-3)
+
+
+@pytest.mark.parametrize(('ratios', 'order'), [((0.2342, 8.242), 3.6), ((3.0333, 2.5), 1.8)])
+def test_events_are_of_the_order_that_is_promised(make_rig, ratios, order):
+    rig = make_rig(*ratios, gravity_ratio=0.05)
+    history = follow(rig, max_events=1 if order > 3.0 else 2)
+    steps = np.array([32, 64, 128, 256])
+    errors = []
+    for count in steps:
+        model = WaveStepper(rig, steps=int(count))
+        model.advance_to(history.end_time + 1e-4)
+        errors.append(abs(model.events()[len(history.events) - 1].velocity
+                          - history.events[-1].velocity))  # fmt: skip
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -order
+
+
+def test_kinds_of_events_tell_recontacts_from_landings(make_rig):
+    thin = WaveStepper(Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)))
+    thin.advance_to(0.5)
+    kinds = [event.kind for event in thin.events()]
+    first_landing = kinds.index('landing')
+    assert kinds[:3] == ['release', 'recontact', 'release']
+    assert 'recontact' not in kinds[first_landing:]
+    assert thin.events()[first_landing].velocity <= 0.0
+    weightless = WaveStepper(make_rig(3.0333, 2.5))
+    weightless.advance_to(0.5)
+    assert 'landing' not in [event.kind for event in weightless.events()]
+
+
+@pytest.mark.parametrize('gravity', [0.0, 9.81])
+def test_state_and_layer_agree_with_the_method_of_steps(gravity):
+    rig = Rig(gravity=gravity)
+    history = follow(rig, max_events=1, until=0.02)
+    model = WaveStepper(rig, field_points=33)
+    scale = rig.engine.speed_scale
+    depths = np.linspace(0.0, rig.layer.thickness, 33)
+    layer, strain = np.empty((3, 33)), np.empty((1, 33))
+    for time in np.linspace(0.0, history.end_time, 60):
+        model.advance_to(time)
+        model.read_layer(layer)
+        model.sample_strain([time], strain)
+        stress = rig.layer.impedance * rig.layer.wave_speed
+        assert layer[1] == pytest.approx(history.velocity(depths, time), abs=1e-4 * scale)
+        exact = history.strain(depths, time)
+        assert strain[0] == pytest.approx(exact, abs=1e-4 * scale / rig.layer.wave_speed)
+        assert layer[2] == pytest.approx(-stress * strain[0])
+        for index, value, unit in (
+            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
+            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
+            (PLATE_FORCE, history.plate_force(time), rig.layer.impedance * scale),
+            (PROJECTILE_FORCE, history.contact_force(time), rig.layer.impedance * scale),
+        ):
+            assert model.state[index] == pytest.approx(float(value), abs=1e-5 * unit)
+
+
+# Computed with 40-digit closed forms, checked by a second method
+@pytest.mark.parametrize(
+    ('thickness', 'largest', 'at_contact'),
+    [
+        (0.002, 0.20455695136726773, 0.1929978563882354),
+        (0.0056, 0.18543981232911014, 0.15991912482862805),
+    ],
+)
+def test_loads_up_to_the_first_release_are_exact(make_paper_rig, thickness, largest, at_contact):
+    rig = make_paper_rig(thickness, gravity=0.0, damping_ratio=0.0)
+    model = WaveStepper(rig)
+    model.advance_to(0.05)
+    loads = model.loads
+    assert loads.strain == pytest.approx(largest, rel=1e-4)
+    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-4)
+    stiffness = rig.layer.youngs_modulus * rig.layer.section
+    assert loads.acceleration * rig.projectile.mass == pytest.approx(
+        at_contact * stiffness, rel=1e-4
+    )
+    model.advance_to(0.5)
+    assert model.loads == loads  # landings do not count
+
+
+@pytest.mark.parametrize('ratios', [(0.01, 2.0, 0.0, 0.0), (0.6, 7.3, 0.064, 0.03), (5.0, 20.0)])
+def test_largest_strain_is_that_of_the_field(make_rig, ratios):
+    rig = make_rig(*ratios)
+    end = throw(rig).time
+    model = WaveStepper(rig, field_points=401)
+    strain = np.empty((400, 401))
+    model.sample_strain(np.linspace(0.0, end, 400), strain)
+    assert model.loads.strain == pytest.approx(np.abs(strain).max(), rel=3e-3)
+    assert model.loads.strain >= np.abs(strain).max() * (1.0 - 1e-4)
+
+
+def test_work_of_the_plate_is_energy_of_layer_and_projectile():
+    model = WaveStepper(Rig())
+    for time in (0.002, 0.004, 0.006, 0.00764):
+        model.advance_to(time)
+        assert model.plate_work == model.work_so_far
+        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=2e-6)
+    before = model.plate_work
+    model.advance_to(0.1)
+    assert model.plate_work == pytest.approx(before, rel=1e-3) != model.work_so_far
+
+
+@pytest.mark.parametrize('ratios', [(3.453, 1.6, 0.0, 0.05), (0.634, 7.35, 0.064, 0.02)])
+def test_energy_is_kept_over_twenty_bounces(make_rig, ratios):
+    model = WaveStepper(make_rig(*ratios))
+    for time in np.linspace(0.0, 2.0, 50):
+        if model.advance_to(time) > 40:
+            break
+        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-3, abs=1e-9)
+    assert model.event_count > 20
+
+
+@pytest.mark.parametrize('after', ['error', 'hold'])
+@pytest.mark.parametrize('make', [SampledMotion.from_positions, SampledMotion.from_velocities])
+def test_sampled_plate_agrees_with_the_method_of_steps(make, after):
+    rig = Rig()
+    plate = Underdamped.of(rig.engine)
+    times = np.arange(1.7e-4, 0.0151 if after == 'hold' else 0.041, 2.5e-4)
+    values = plate.position(times)
+    if make == SampledMotion.from_velocities:
+        values = plate.velocity(times)
+    motion = make(times + 0.001, values, after=after)
+    history = follow(rig, motion, until=0.04)
+    model = WaveStepper(rig, motion)
+    model.advance_to(0.04)
+    assert model.event_count == len(history.events)
+    for ours, exact in zip(model.events(), history.events, strict=True):
+        assert ours.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=5e-5)
+        assert ours.velocity == pytest.approx(exact.velocity, abs=5e-5)
+
+
+@settings(max_examples=40)
+@given(
+    thickness=log_uniform(0.0005, 0.1),
+    wave_speed=log_uniform(1.0, 200.0),
+    mass=log_uniform(1e-5, 1.0),
+    frequency=log_uniform(1.0, 1000.0),
+    gravity=st.sampled_from([0.0, 9.81, 30.0]),
+)
+def test_whole_range_of_parameters_gives_finite_throws_or_a_refusal(
+    thickness, wave_speed, mass, frequency, gravity
+):
+    rig = Rig(
+        engine=Engine(frequency=frequency),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed),
+        projectile=Projectile(mass=mass),
+        gravity=gravity,
+    )
+    try:
+        model = WaveStepper(rig, field_points=8)
+    except ValueError as refusal:
+        assert 'feasible' in str(refusal)
+        return
+    layer = np.empty((3, 8))
+    try:
+        for time in np.linspace(0.0, 3.0 / frequency, 20):
+            model.advance_to(time)
+            model.read_layer(layer)
+            assert np.isfinite(model.state).all()
+            assert np.isfinite(layer).all()
+    except EventLimitError:
+        return
+    assert np.isfinite(model.loads).all()
+
+
+def test_loss_and_stacks_are_refused_with_a_reason():
+    with pytest.raises(ValueError, match=r'loss_tangent.*0\.1'):
+        WaveStepper(Rig(layer=Layer(loss_tangent=0.1)))
+
+
+@pytest.mark.parametrize(
+    ('rig', 'value', 'better'),
+    [
+        (
+            Rig(layer=Layer(thickness=1e-4, wave_speed=200.0)),
+            '0.0001',
+            Rig(layer=Layer(thickness=4e-4, wave_speed=200.0)),
+        ),
+        (
+            Rig(engine=Engine(frequency=1e4), layer=Layer(thickness=0.1, wave_speed=1.0)),
+            '10000',
+            Rig(engine=Engine(frequency=500.0), layer=Layer(thickness=0.1, wave_speed=1.0)),
+        ),
+    ],
+)
+def test_rigs_beyond_real_time_are_refused_with_what_would_do(rig, value, better):
+    with pytest.raises(ValueError, match=f'{value}.*limit.*feasible'):
+        steps_per_crossing(rig)
+    steps_per_crossing(better)
+
+
+def test_first_throws_are_releases_and_loads_of_steppers():
+    rng = np.random.default_rng(3)
+    ratios = {
+        'mass_ratio': 10.0 ** rng.uniform(-2.0, 1.5, 12),
+        'speed_ratio': 10.0 ** rng.uniform(0.0, 1.7, 12),
+        'damping_ratio': rng.uniform(0.0, 0.3, 12),
+        'gravity_ratio': rng.choice([0.0, 0.05], 12),
+    }
+    found = first_throws(**ratios, unresolved='nan')
+    exact = first_releases(**ratios, unresolved='nan')
+    assert found.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
+    assert found.energy_transfer == pytest.approx(exact.energy_transfer, abs=1e-5, nan_ok=True)
+    for n in np.flatnonzero(np.isfinite(found.speed)):
+        engine = Engine(frequency=1.0, damping_ratio=ratios['damping_ratio'][n])
+        layer = Layer(thickness=1.0, wave_speed=ratios['speed_ratio'][n])
+        rig = Rig(
+            engine=engine,
+            layer=layer,
+            projectile=Projectile(mass=ratios['mass_ratio'][n] * layer.mass),
+            gravity=ratios['gravity_ratio'][n] * engine.speed_scale * engine.angular_frequency,
+        )
+        model = WaveStepper(rig)
+        model.advance_to(float(exact.ejection_phase[n]) + 0.01)
+        scale = engine.speed_scale
+        for ours, theirs in (
+            (found.peak_strain[n], model.loads.strain * layer.wave_speed / scale),
+            (found.peak_acceleration[n],
+             model.loads.acceleration / (scale * engine.angular_frequency)),
+            (found.peak_plate_force[n], model.loads.plate_force / (scale * layer.impedance)),
+            (found.plate_work[n], model.plate_work / (rig.projectile.mass * scale**2)),
+        ):  # fmt: skip
+            assert ours == pytest.approx(theirs, rel=1e-3)
+
+
+def test_throws_that_gravity_holds_are_named_or_nan():
+    held = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'damping_ratio': 0.3, 'gravity_ratio': 3.0}
+    with pytest.raises(ThrowUnresolvedError, match='gravity_ratio 3'):
+        first_throws(**held)
+    assert np.isnan(first_throws(**held, unresolved='nan').speed)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('mass_ratio', -1.0), ('damping_ratio', 1.0), ('unresolved', 'guess'), ('threads', 0)],
+)
+def test_bad_arguments_of_first_throws_are_quoted(name, value):
+    with pytest.raises(ValueError, match=f'{name}.*{value}'):
+        first_throws(**{'mass_ratio': 1.0, 'speed_ratio': 8.0, name: value})
+
+
+def test_endless_events_end_in_a_named_error():
+    engine = Engine(damping_ratio=0.0, amplitude=5e-5, frequency=40.0)
+    model = WaveStepper(Rig(engine=engine))
+    with pytest.raises(EventLimitError, match=f'{MAX_EVENTS}'):
+        for second in range(1, 2000):
+            model.advance_to(float(second))
+    model.reset()
+    model.advance_to(0.01)

@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as we read them, ours and those of others, in order; and streams through pipes."""
+
+from __future__ import annotations
+
+from io import BytesIO
+import itertools
+import os
+import tracemalloc
+
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.records import Metadata
+from mcap.writer import CompressionType, IndexType, Writer
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import parse_qos
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
+from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
+from soft_throw_ros.recording.live_stream import StreamWriter
+from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.qos import Qos, to_yaml
+
+from test.recording.conftest import plain, read, TYPES
+
+
+@given(
+    times=st.lists(st.integers(0, 30), max_size=60),
+    cuts=st.sets(st.integers(0, 60)),
+    span=st.tuples(st.integers(-5, 35), st.integers(-5, 35)),
+    topics=st.sampled_from([None, '/even', ['/odd'], ('/even', '/odd'), [], ['/missing']]),
+)
+def test_messages_come_by_time_and_equal_ones_as_written(
+    tmp_path_factory, times, cuts, span, topics
+):
+    channels = [Channel(topic=name, type='t/msg/T', schema='int8 x') for name in ('/even', '/odd')]
+    messages = [
+        Message(channels[number % 2], b'', time, 0, number) for number, time in enumerate(times)
+    ]
+    folder = tmp_path_factory.mktemp('order') / 'bag'
+    with BagWriter(folder, distribution='') as writer:
+        for message in messages:
+            if message.sequence in cuts:  # a chunk, or a file, ends
+                writer.flush() if message.sequence % 2 else writer.split()
+            writer.write(message)
+    wanted = [topics] if isinstance(topics, str) else topics
+    start, end = span
+    selected = [
+        message
+        for message in messages
+        if (wanted is None or message.channel.topic in wanted) and start <= message.log_time < end
+    ]
+    by_time = sorted(selected, key=lambda message: message.log_time)
+    with BagReader(folder) as bag, BagReader(folder, by_scan=True) as scanned:
+        for reader in (bag, scanned):
+            found = reader.messages(topics, start, end)
+            assert [message[2:] for message in found] == [message[2:] for message in by_time]
+            found = reader.messages(topics, start, end, by_log_time=False)
+            assert [message[2:] for message in found] == [message[2:] for message in selected]
+            assert reader.damage == ''
+
+
+@pytest.mark.parametrize('by_scan', [False, True])
+def test_large_bag_is_read_in_little_memory(tmp_path, by_scan):
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        for number in range(4000):
+            writer.write(plain(number, size=20_000))
+    tracemalloc.start()
+    try:
+        with BagReader(tmp_path / 'bag', by_scan=by_scan) as bag:
+            assert sum(len(message.data) for message in bag.messages()) == 80_000_000
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 10 * CHUNK_SIZE
+
+
+# Bags of others
+
+
+@pytest.mark.parametrize(
+    ('version', 'mode'),
+    [(8, None), (9, None), *((9, mode) for mode in CompressionMode if mode.name != 'NONE')],
+)
+def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
+    messages = recording.make(300)
+    profiles = parse_qos(to_yaml([Qos(depth=7, reliability='best_effort')]))
+    bag = RosbagsWriter(tmp_path / 'theirs', version=version, storage_plugin=StoragePlugin.MCAP)
+    if mode is not None:
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        connections = {
+            channel: bag.add_connection(
+                channel.topic, channel.type, typestore=TYPES, offered_qos_profiles=profiles
+            )
+            for channel in (recording.states, recording.texts)
+        }
+        for message in messages:
+            bag.write(connections[message.channel], message.log_time, message.data)
+    for options in ({}, {'by_scan': True}):
+        ours = read(tmp_path / 'theirs', **options)
+        assert [
+            (message.channel.topic, message.data, message.log_time) for message in ours.messages
+        ] == [(message.channel.topic, message.data, message.log_time) for message in messages]
+        assert {channel.type for channel in ours.channels} == {
+            'sensor_msgs/msg/JointState', 'std_msgs/msg/String',
+        }  # fmt: skip
+        assert {channel.qos for channel in ours.channels} == {
+            (Qos(depth=7, reliability='best_effort'),)
+        }
+        assert ours.counts == [300, 3]
+
+
+@pytest.mark.parametrize('chunked', [True, False])
+@pytest.mark.parametrize('index_types', [IndexType.ALL, IndexType.NONE, IndexType.CHUNK])
+@pytest.mark.parametrize('has_statistics', [True, False])
+def test_mcap_with_any_index_is_read(tmp_path, chunked, index_types, has_statistics):
+    times = [3, 1, 2, 2, 5, 4, 0, 9, 8, 7] * 40
+    with (tmp_path / 'theirs.mcap').open('wb') as file:
+        writer = Writer(
+            file,
+            chunk_size=1000,
+            compression=CompressionType.LZ4,
+            index_types=index_types,
+            use_chunking=chunked,
+            use_statistics=has_statistics,
+            repeat_channels=has_statistics,
+            repeat_schemas=has_statistics,
+            enable_data_crcs=True,
+        )
+        writer.start()
+        channel = writer.register_channel(
+            '/a', 'cdr', writer.register_schema('t/msg/T', 'ros2msg', b'int8 x')
+        )
+        for number, time in enumerate(times):
+            writer.add_message(channel, time, bytes([number % 256]), time, number)
+            if number == 100:
+                writer.add_metadata('name', {'key': 'value'})
+        writer.add_attachment(0, 0, 'file', 'text/plain', b'content')
+        writer.finish()
+    bag = read(tmp_path / 'theirs.mcap')
+    assert [(message.log_time, message.sequence) for message in bag.messages] == sorted(
+        (time, number) for number, time in enumerate(times)
+    )
+    assert bag.span == (0, 9)
+    assert bag.metadata == [Metadata(name='name', metadata={'key': 'value'})]
+    assert [record.data for record in bag.attachments] == [b'content']
+
+
+@pytest.mark.parametrize(
+    ('damage', 'name'),
+    [
+        (lambda _: None, 'metadata.yaml'),
+        (lambda text: text[:300], 'metadata.yaml'),
+        (lambda _: 'rosbag2_bagfile_information: [', 'metadata.yaml'),
+        (lambda _: '- 1', 'metadata.yaml'),
+        (lambda _: '[' * 1000, 'metadata.yaml'),
+        (lambda _: '#' * 2**21, 'metadata.yaml'),
+        (lambda _: '\0', 'metadata.yaml'),
+        (lambda text: text.replace('bag_3.mcap', 'bag_x.mcap'), 'bag_x.mcap'),
+    ],
+)
+def test_folder_without_its_metadata_is_read_and_says_so(recording, damage, name):
+    recording.write(2000, max_duration=0.15)
+    assert len(recording.files) > 10  # so that names are not in the order of the alphabet
+    path = recording.folder / 'metadata.yaml'
+    text = damage(path.read_text())
+    path.unlink()
+    if text is not None:
+        path.write_text(text)
+    with BagReader(recording.folder) as bag:
+        assert recording.content(bag.messages()) == recording.content(recording.messages)
+        assert name in bag.damage
+
+
+def test_bag_in_sqlite_is_named_with_what_converts_it(tmp_path):
+    with RosbagsWriter(tmp_path / 'bag', version=9) as bag:
+        connection = bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES)
+        bag.write(connection, 7, b'')
+    for path in (tmp_path / 'bag', tmp_path / 'bag/bag.db3'):
+        with pytest.raises(BagError, match=r'sqlite3.*rosbags-convert'):
+            BagReader(path)
+    (tmp_path / 'bag/metadata.yaml').unlink()
+    with pytest.raises(BagError, match='sqlite3'):
+        BagReader(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize(
+    ('content', 'reason'),
+    [
+        (b'', 'empty'),
+        (b'#ROSBAG V2.0\n', 'ROS 1.*rosbags-convert'),
+        (b'time,position\n0,1\n', 'no MCAP file'),
+        (b'\x28\xb5\x2f\xfd' + b'\xff' * 100, 'decompressed'),
+    ],
+)
+@pytest.mark.parametrize('in_folder', [False, True])
+def test_file_that_is_no_bag_is_named_with_the_reason(tmp_path, content, reason, in_folder):
+    path = tmp_path / 'bag.mcap'
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=rf'bag\.mcap.* {reason}'):
+        BagReader(tmp_path if in_folder else path)
+
+
+def test_path_that_is_no_bag_is_named(tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    (tmp_path / 'empty').mkdir()
+    for name in ('pipe', 'missing', 'empty'):
+        with pytest.raises(BagError, match=name):
+            BagReader(tmp_path / name)
+
+
+def test_messages_that_are_not_those_of_ros_are_refused(tmp_path):
+    with (tmp_path / 'theirs.mcap').open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema('t/T', 'jsonschema', b'{}')
+        writer.add_message(writer.register_channel('/a', 'json', schema), 0, b'{}', 0)
+        writer.finish()
+    with pytest.raises(BagError, match=r"theirs\.mcap: /a .*'json'"):
+        BagReader(tmp_path / 'theirs.mcap')
+
+
+# Streams
+
+
+@pytest.fixture
+def stream_parts(recording):
+    """Make a stream: its beginning, definitions, blocks of messages, and its end."""
+    messages = recording.make(1000)
+    writer = StreamWriter()
+    parts = [writer.start()]
+    for number in range(0, len(messages), 100):
+        block = messages[number : number + 100]
+        parts += [writer.define(message.channel) for message in block]
+        parts.append(writer.block(block))
+    return [*filter(None, parts), writer.metadata('name', {'key': 'value'}), writer.end()]
+
+
+def split_items(stream):
+    items = list(read_stream(stream))
+    messages = [item for item in items if isinstance(item, Message)]
+    return messages, [item for item in items if not isinstance(item, Message)]
+
+
+def test_stream_comes_out_as_it_went_in(recording, stream_parts, tmp_path):
+    data = b''.join(stream_parts)
+    messages, others = split_items(BytesIO(data))
+    assert recording.content(messages) == recording.content(recording.messages)
+    assert others == [Metadata(name='name', metadata={'key': 'value'})]
+    (tmp_path / 'stream.mcap').write_bytes(data)
+    bag = read(tmp_path / 'stream.mcap')
+    assert recording.content(bag.messages) == recording.content(recording.messages)
+
+
+def test_blocks_of_messages_may_be_left_out_and_a_next_reader_gets_all_channels(recording):
+    writer = StreamWriter()
+    messages = recording.make(200)
+    parts = [writer.start()]
+    for message in messages:
+        parts.append(writer.define(message.channel))
+        block = writer.block([message])
+        parts.append(block if message.sequence % 3 else b'')
+    kept, _ = split_items(BytesIO(b''.join(parts)))
+    assert recording.content(kept) == recording.content(
+        message for message in messages if message.sequence % 3
+    )
+    late, _ = split_items(BytesIO(writer.start() + writer.block(messages)))
+    assert recording.content(late) == recording.content(messages)
+
+
+def test_items_of_a_pipe_come_as_they_are_written(stream_parts):
+    """Nothing is written before what is there already has been read."""
+    source, target = os.pipe()
+    blocks = iter(stream_parts)
+    with os.fdopen(source, 'rb') as pipe, os.fdopen(target, 'wb', buffering=0) as out:
+        out.writelines(itertools.islice(blocks, 3))  # beginning, and the two channels
+        items = read_stream(pipe)
+        for block in itertools.islice(blocks, 5):
+            out.write(block)
+            assert len(list(itertools.islice(items, 100))) == 100
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_bag_can_be_read_as_a_stream(recording, compression):
+    recording.write(compression=compression)
+    messages, metadata = split_items(BytesIO(recording.files[0].read_bytes()))
+    assert recording.content(messages) == recording.content(recording.messages)
+    assert [record.name for record in metadata] == ['parameters of /twin', 'rosbag2']
+
+
+def test_stream_may_end_after_any_record(recording, stream_parts):
+    for number in range(1, len(stream_parts)):
+        messages, _ = split_items(BytesIO(b''.join(stream_parts[:number])))
+        expected = recording.content(recording.messages)[: len(messages)]
+        assert recording.content(messages) == expected
+
+
+@pytest.mark.parametrize(
+    ('damage', 'reason'),
+    [
+        (lambda parts: b'hello', 'begin'),
+        (lambda parts: b''.join(parts)[:50_000], 'within a record'),
+        (lambda parts: b''.join([*parts[:5], bytes(9), *parts[5:]]), '0x00'),
+        (lambda parts: parts[0] + b''.join(parts[4:]), 'channel 1'),
+        (lambda parts: parts[0] + b'\5' + b'\xff' * 8, '18446744073709551615'),
+    ],
+)
+def test_stream_that_breaks_off_says_so_after_what_it_gave(
+    recording, stream_parts, damage, reason
+):
+    stream = BytesIO(damage(stream_parts))
+    before = []
+    with pytest.raises(BagError, match=f'standard input: .*{reason}'):
+        before.extend(read_stream(stream, 'standard input'))
+    assert recording.content(before) == recording.content(recording.messages[: len(before)])

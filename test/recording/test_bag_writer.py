@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as we write them: read by others, complete by themselves, and kept when a disk is full."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import itertools
+import os
+import resource
+import shutil
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+import pytest
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader as RosbagsReader
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import parse_qos
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
+from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.qos import Qos, to_yaml
+import yaml
+
+from test.recording.conftest import PLAIN, plain, read, TYPES
+
+COMPRESSIONS = ('none', 'lz4', 'zstd')
+
+
+def numbers(messages):
+    return [message.sequence for message in messages]
+
+
+def information(folder):
+    return yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+
+
+def write_until_refused(writer, messages):
+    """Return how many messages were written, and why no more."""
+    for number, message in enumerate(messages):
+        try:
+            writer.write(message)
+        except BagError as error:
+            return number, str(error)
+    return len(messages), ''
+
+
+@contextmanager
+def largest_file(size) -> Iterator[None]:
+    """Have the system refuse to write files beyond a size, as if the disk were full."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+# What we write, others read
+
+
+@pytest.mark.parametrize('compression', COMPRESSIONS)
+def test_rosbags_reads_what_was_written(recording, compression):
+    recording.write(compression=compression)
+    with RosbagsReader(recording.folder) as bag:
+        found = [
+            (connection.topic, time, bytes(data), TYPES.deserialize_cdr(data, connection.msgtype))
+            for connection, time, data in bag.messages()
+        ]
+        states, texts = bag.connections
+        assert (bag.message_count, bag.ros_distro) == (len(recording.messages), 'jazzy')
+        first, last = recording.messages[0].log_time, recording.messages[-1].log_time
+        assert (bag.start_time, bag.end_time) == (first, last + 1)
+    assert [item[:3] for item in found] == [
+        (message.channel.topic, message.log_time, message.data) for message in recording.messages
+    ]
+    assert [item[3].position[0] for item in found if item[0] == states.topic] == list(range(3000))
+    assert states.digest == TYPES.hash_rihs01('sensor_msgs/msg/JointState')
+    assert states.ext.offered_qos_profiles == parse_qos(to_yaml(recording.states.qos))
+    (qos,) = texts.ext.offered_qos_profiles
+    assert qos.durability is QosDurability.TRANSIENT_LOCAL
+
+
+@pytest.mark.parametrize('compression', COMPRESSIONS)
+def test_mcap_reads_what_was_written(recording, compression):
+    recording.write(compression=compression)
+    with recording.files[0].open('rb') as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == 'ros2'
+        found = list(reader.iter_decoded_messages())
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        (attachment,) = reader.iter_attachments()
+        chunks = reader.get_summary().chunk_indexes
+    assert [
+        (channel.topic, raw.data, raw.log_time, raw.publish_time, raw.sequence)
+        for _, channel, raw, _ in found
+    ] == recording.content(recording.messages)
+    assert {(schema.name, schema.encoding) for schema, *_ in found} == {
+        ('sensor_msgs/msg/JointState', 'ros2msg'),
+        ('std_msgs/msg/String', 'ros2msg'),
+    }
+    assert metadata['parameters of /twin'] == {'gravity': '9.81', 'model': 'exact'}
+    assert yaml.safe_load(metadata['rosbag2']['serialized_metadata']) == information(
+        recording.folder
+    )
+    assert (attachment.name, attachment.data) == ('twin.yaml', b'twin:\n')
+    assert all(chunk.uncompressed_size < 1.1 * CHUNK_SIZE for chunk in chunks)
+    assert {chunk.compression for chunk in chunks} == {compression.replace('none', '')}
+
+
+@pytest.mark.parametrize('compression', COMPRESSIONS)
+def test_rerun_reads_what_was_written(recording, rerun, compression, tmp_path):
+    recording.write(300, compression=compression)
+    checked = rerun('mcap', 'check', recording.files[0])
+    assert [line.split()[0] for line in checked.splitlines() if '/twin' in line] == ['ok', 'ok']
+    said = rerun('mcap', 'convert', recording.files[0], '--output', tmp_path / 'bag.rrd')
+    assert 're_mcap' not in said  # which warns of what it finds odd
+    assert '/twin/joint_states' in rerun('rrd', 'print', tmp_path / 'bag.rrd')
+
+
+def test_metadata_file_has_the_keys_and_types_that_rosbags_writes(recording, tmp_path):
+    recording.write(100, max_duration=0.05)
+    with RosbagsWriter(tmp_path / 'theirs', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES)
+        bag.write(connection, 7, b'')
+
+    def shape(value):
+        if isinstance(value, dict):
+            return {key: shape(item) for key, item in value.items()}
+        return [shape(value[0])] if isinstance(value, list) and value else type(value)
+
+    ours, theirs = shape(information(recording.folder)), shape(information(tmp_path / 'theirs'))
+    topic = ours['topics_with_message_count'][0]['topic_metadata']
+    assert topic.pop('offered_qos_profiles') == [shape(Qos().to_dict())]
+    assert theirs['topics_with_message_count'][0]['topic_metadata'].pop('offered_qos_profiles')
+    assert ours.pop('custom_data') == {}  # as rosbag2 has it; rosbags writes null
+    theirs.pop('custom_data')
+    assert ours == theirs
+    assert information(recording.folder)['version'] == 9
+
+
+# Files
+
+
+def test_every_file_of_a_bag_can_be_read_alone(recording):
+    recording.write(max_duration=0.5)
+    first_state = recording.messages[0].log_time
+    assert [path.name for path in recording.files] == [f'bag_{number}.mcap' for number in range(6)]
+    for number, path in enumerate(recording.files):
+        part = read(path)
+        begin = first_state + number * 500_000_000
+        assert recording.content(part.messages) == recording.content(
+            message
+            for message in recording.messages
+            if begin <= message.log_time < begin + 500_000_000
+        )
+        assert [record.name for record in part.metadata] == ['parameters of /twin']
+        assert part.channels[0].qos == recording.states.qos
+        with RosbagsReader(path) as theirs:
+            assert theirs.message_count == len(part.messages)
+    whole = read(recording.folder)
+    assert recording.content(whole.messages) == recording.content(recording.messages)
+    assert (len(whole.channels), len(whole.metadata), len(whole.attachments)) == (2, 1, 1)
+
+
+def test_file_that_has_grown_beyond_the_size_is_followed_by_another(recording):
+    recording.write(20_000, compression='none', max_size=10**6)
+    sizes = [path.stat().st_size for path in recording.files]
+    assert len(sizes) > 2
+    assert max(sizes) < 10**6 + 2 * CHUNK_SIZE
+    assert min(sizes[:-1]) > 10**6
+    described = information(recording.folder)
+    assert described['relative_file_paths'] == [path.name for path in recording.files]
+    assert sum(file['message_count'] for file in described['files']) == len(recording.messages)
+    with RosbagsReader(recording.folder) as theirs:
+        assert sum(1 for _ in theirs.messages()) == len(recording.messages)
+
+
+def test_metadata_that_change_are_kept_and_the_last_are_repeated(tmp_path):
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        for number in range(3):
+            writer.add_metadata('parameters', {'gravity': str(number)})
+            writer.write(plain(number))
+        for _ in range(2):  # the second time there is nothing to split
+            writer.split()
+        writer.write(plain(3))
+        writer.add_metadata('losses', {'/plain': '0'})
+    assert len(list(tmp_path.glob('bag/*.mcap'))) == 2
+    bag = read(tmp_path / 'bag')
+    assert [record.metadata for record in bag.metadata] == [
+        {'gravity': '0'}, {'gravity': '1'}, {'gravity': '2'}, {'/plain': '0'},
+    ]  # fmt: skip
+    part = read(tmp_path / 'bag/bag_1.mcap')
+    assert [record.metadata for record in part.metadata] == [{'gravity': '2'}, {'/plain': '0'}]
+
+
+def test_bag_is_locked_and_never_overwritten(tmp_path):
+    (tmp_path / 'file').touch()
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        writer.write(plain(0))
+        for name in ('bag', 'file'):
+            with pytest.raises(BagError, match=f'{name} exists'):
+                BagWriter(tmp_path / name, distribution='')
+        assert is_being_written(tmp_path / 'bag')
+        assert is_being_written(tmp_path / 'bag/bag_0.mcap')
+    assert not is_being_written(tmp_path / 'bag')
+    assert not is_being_written(tmp_path / 'missing')
+    assert numbers(read(tmp_path / 'bag').messages) == [0]
+    with pytest.raises(BagError, match='file/bag: Not a directory'):
+        BagWriter(tmp_path / 'file/bag', distribution='')
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ({'compression': 'zip'}, "none, lz4, zstd, got 'zip'"),
+        ({'max_size': -1}, 'max_size .* got -1'),
+        ({'max_duration': float('nan')}, 'max_duration .* got nan'),
+    ],
+)
+def test_wrong_option_is_quoted(tmp_path, options, message):
+    with pytest.raises(BagError, match=message):
+        BagWriter(tmp_path / 'bag', distribution='', **options)
+    assert not (tmp_path / 'bag').exists()
+
+
+# What is kept when
+
+
+@pytest.mark.parametrize('sync', [False, True])
+def test_all_before_a_flush_can_be_read_by_others_at_once(recording, sync):
+    messages = recording.make(500)
+    with BagWriter(recording.folder, distribution='jazzy', sync=sync) as writer:
+        for number, message in enumerate(messages):
+            writer.write(message)
+            if number % 50 == 49:
+                writer.flush()
+                with BagReader(recording.folder) as bag:
+                    found = recording.content(bag.messages())
+                    assert found == recording.content(messages[: number + 1])
+                    assert bag.distribution == 'jazzy'
+                    assert 'being written' in bag.damage
+                assert sum(writer.counts.values()) == number + 1
+    assert recording.content(read(recording.folder).messages) == recording.content(messages)
+
+
+def test_full_disk_is_named_and_the_file_goes_on_when_there_is_room_again(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', distribution='', compression='none')
+    writer.attach('file', b'content', 'text/plain')
+    messages = [plain(number, size=1000) for number in range(5000)]
+    with largest_file(10**6):
+        written, reason = write_until_refused(writer, messages)
+        assert 'bag_0.mcap: File too large' in reason
+        for _ in range(2):  # and again, while it is full
+            with pytest.raises(BagError, match='File too large'):
+                writer.write(messages[written])
+            with pytest.raises(BagError, match='File too large'):
+                writer.flush()
+        writer.add_metadata('while it was full', {'key': 'value'})
+    writer.flush()
+    for message in messages[written:]:
+        writer.write(message)
+    writer.close()
+    assert 0 < written < len(messages)
+    assert writer.lost == {}
+    bag = read(tmp_path / 'bag')
+    assert numbers(bag.messages) == list(range(5000))
+    assert [record.name for record in bag.metadata] == ['while it was full']
+    with RosbagsReader(tmp_path / 'bag') as theirs:
+        assert theirs.message_count == 5000
+
+
+def test_disk_that_is_full_at_the_end_is_named_by_close_and_what_was_flushed_is_kept(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', distribution='')
+    for number in range(3):
+        writer.write(plain(number))
+    writer.flush()
+    writer.write(Message(PLAIN, os.urandom(10**5), 3, 3))
+    with largest_file(10**4), pytest.raises(BagError, match='File too large'):
+        writer.close()
+    writer.close()
+    assert not is_being_written(tmp_path / 'bag')
+    assert (writer.counts, writer.lost) == ({PLAIN: 3}, {PLAIN: 1})
+    with BagReader(tmp_path / 'bag') as bag:
+        assert numbers(bag.messages()) == [0, 1, 2]
+        assert [gap.size for gap in bag.gaps] == [0]  # it ends after a whole record
+    for call in (writer.flush, writer.split, lambda: writer.write(plain(1))):
+        with pytest.raises(BagError, match='bag is closed'):
+            call()
+
+
+def test_next_file_is_begun_as_soon_as_that_can_be_done(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', distribution='', max_duration=1e-6)
+    writer.write(plain(0))
+    writer.flush()
+    with largest_file(600), pytest.raises(BagError, match='File too large'):
+        writer.write(plain(2000))
+    for number in (2000, 4000):
+        writer.write(plain(number))
+    writer.close()
+    assert numbers(read(tmp_path / 'bag').messages) == [0, 2000, 4000]
+    assert len(list(tmp_path.glob('bag/*.mcap'))) == 3
+
+
+@pytest.mark.parametrize('size', [10, 60, 300])
+def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
+    with largest_file(size), pytest.raises(BagError, match='File too large'):
+        BagWriter(tmp_path / 'bag', distribution='')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', distribution='')
+    for number in itertools.count():
+        writer.write(plain(number))
+        if number % 10 == 9:
+            writer.flush()
+        if number == 44:
+            break
+    shutil.rmtree(tmp_path / 'bag')
+    with pytest.raises(BagError, match=r'bag_0\.mcap: .*deleted'):
+        writer.flush()
+    assert writer.lost == {PLAIN: 45}
+    with pytest.raises(BagError, match='deleted'):
+        writer.close()
+    assert (writer.counts, writer.lost) == ({PLAIN: 0}, {PLAIN: 45})
+    assert list(tmp_path.iterdir()) == []
+
+
+# Messages
+
+
+def test_messages_of_every_size_are_kept(tmp_path):
+    sizes = [8, 9, 10**3, CHUNK_SIZE - 31, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * 10**6, 100]
+    messages = [plain(number, size=size) for number, size in enumerate(sizes)]
+    messages.append(Message(PLAIN, b'', 99, 99, 99))
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        for message in messages:
+            writer.write(message)
+    assert [message[1:] for message in read(tmp_path / 'bag').messages] == [
+        message[1:] for message in messages
+    ]
+
+
+def test_times_and_numbers_are_kept_up_to_the_largest(tmp_path):
+    latest = 2**63 - 1
+    with BagWriter(tmp_path / 'bag', distribution='', max_duration=1e9) as writer:
+        writer.write(Message(PLAIN, b'', 0, latest, 2**32 - 1))
+        writer.write(Message(PLAIN, b'', latest, 0, 2**32 + 5))
+    bag = read(tmp_path / 'bag')
+    assert [message[2:] for message in bag.messages] == [(0, latest, 2**32 - 1), (latest, 0, 5)]
+    assert bag.span == (0, latest)
+    with RosbagsReader(tmp_path / 'bag') as theirs:
+        assert (theirs.message_count, theirs.start_time) == (2, 0)
+
+
+@pytest.mark.parametrize('times', [(-1, 0), (0, -1), (2**63, 0), (0, 2**64)])
+def test_time_that_is_none_is_quoted_and_nothing_is_written(tmp_path, times):
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        writer.write(plain(0))
+        with pytest.raises(ValueError, match=f'/plain: .* got {times[0]} and {times[1]}'):
+            writer.write(Message(PLAIN, b'', *times))
+        writer.write(plain(1))
+    assert numbers(read(tmp_path / 'bag').messages) == [0, 1]
+
+
+def test_bag_without_messages_is_one(tmp_path, rerun):
+    with BagWriter(tmp_path / 'bag', distribution='kilted') as writer:
+        writer.add_channel(PLAIN)
+    bag = read(tmp_path / 'bag')
+    assert (bag.messages, bag.counts, bag.span) == ([], [0], (0, 0))
+    with RosbagsReader(tmp_path / 'bag') as theirs:
+        assert (theirs.message_count, theirs.duration) == (0, 0)
+        assert [connection.msgcount for connection in theirs.connections] == [0]
+    rerun('mcap', 'check', tmp_path / 'bag/bag_0.mcap')
+
+
+def test_channels_that_are_alike_are_one_when_read_and_others_are_not(tmp_path):
+    def channel(**qos):
+        return Channel(topic='/a', type='t/msg/T', schema='IDL: ä', schema_encoding='ros2idl',
+                       qos=(Qos(**qos),))  # fmt: skip
+
+    # As if publishers went, came back, and one of them were another
+    given_channels = [channel(), channel(), channel(depth=1)]
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        for number, item in enumerate(given_channels):
+            writer.write(Message(item, b'', number, number, number))
+    bag = read(tmp_path / 'bag')
+    assert [channel.qos for channel in bag.channels] == [(Qos(),), (Qos(depth=1),)]
+    assert {(item.schema, item.schema_encoding) for item in bag.channels} == {
+        ('IDL: ä', 'ros2idl')
+    }
+    assert [bag.channels.index(message.channel) for message in bag.messages] == [0, 0, 1]
+    assert bag.counts == [2, 1]
