@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.design.evaluate import (
     first_throws,
     last_release,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import (
@@ -67,12 +67,11 @@ def random_request(kind, random, *, loss_tangent=0.0):
             frequencies=tuple(rig.engine.frequency * random.uniform(0.7, 1.4, 2)),
         )
     elif kind == 'limits':
-        # near the loads of the best layers without limits
-        acceleration = rig.engine.speed_scale * rig.engine.angular_frequency
+        free = recommend(rig, vary=vary, limits=limits)
         limits = replace(
             limits,
-            max_strain=random.uniform(0.3, 1.5) * rig.engine.speed_scale / 10.0,
-            max_acceleration=random.uniform(1.2, 2.0) * acceleration,
+            max_strain=random.uniform(0.9, 1.5) * free.peak_strain,
+            max_acceleration=random.uniform(0.8, 0.99) * free.peak_acceleration,
         )
     few = {name: MATERIALS[name] for name in ('gelatin', 'ecoflex_00-30', 'sorbothane_30')}
     return rig, {'vary': vary, 'objective': objective, 'limits': limits, 'materials': few}
