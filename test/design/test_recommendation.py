@@ -67,11 +67,12 @@ def random_request(kind, random, *, loss_tangent=0.0):
             frequencies=tuple(rig.engine.frequency * random.uniform(0.7, 1.4, 2)),
         )
     elif kind == 'limits':
-        free = recommend(rig, vary=vary, limits=limits)
+        vary = 'both'
+        free = recommend(rig, limits=limits)
         limits = replace(
             limits,
-            max_strain=random.uniform(0.9, 1.5) * free.peak_strain,
-            max_acceleration=random.uniform(0.8, 0.99) * free.peak_acceleration,
+            max_strain=random.uniform(0.85, 1.0) * free.peak_strain,
+            max_acceleration=random.uniform(1.0, 1.3) * free.peak_acceleration,
         )
     few = {name: MATERIALS[name] for name in ('gelatin', 'ecoflex_00-30', 'sorbothane_30')}
     return rig, {'vary': vary, 'objective': objective, 'limits': limits, 'materials': few}
