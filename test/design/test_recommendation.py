@@ -69,11 +69,9 @@ def random_request(kind, random, *, loss_tangent=0.0):
     elif kind == 'limits':
         vary = 'both'
         free = recommend(rig, limits=limits)
-        limits = replace(
-            limits,
-            max_strain=random.uniform(0.85, 1.0) * free.peak_strain,
-            max_acceleration=random.uniform(1.0, 1.3) * free.peak_acceleration,
-        )
+        load = str(random.choice(['strain', 'acceleration']))
+        lower = random.uniform(0.93, 1.0) * getattr(free, f'peak_{load}')
+        limits = replace(limits, **{f'max_{load}': lower})
     few = {name: MATERIALS[name] for name in ('gelatin', 'ecoflex_00-30', 'sorbothane_30')}
     return rig, {'vary': vary, 'objective': objective, 'limits': limits, 'materials': few}
 
