@@ -548,7 +548,7 @@ def recommend(
     --------
     >>> best = recommend(Rig(), vary='thickness')
     >>> best.summary
-    'thickness 16.8 -> 13.4 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
+    'thickness 16.8 -> 13.41 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
 
     """
     objective, limits = objective or Peak(), limits or Limits()
