@@ -553,8 +553,8 @@ def _compute(model: str, release: Release, threads: int | None, cases: Floats) -
     if release == 'first':
         throws = first_throws(Ratios(*cases), model=model, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    rows: Floats = np.array([_last(model, *case) for case in cases.T.tolist()])
-    return rows.T
+    releases = [_last(model, *case) for case in cases.T.tolist()]
+    return np.array(list(zip(*releases, strict=True)))
 
 
 def _last(

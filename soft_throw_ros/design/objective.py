@@ -22,7 +22,7 @@ MAX_VALUES = 16
 """Masses, and frequencies, that a versatile layer may be for."""
 
 _INSIDE = 31  # throws between the corners of what is uncertain
-_SAMPLE = 41  # throws from which a quantile is taken
+_SAMPLE = 61  # throws from which a quantile is taken
 _STAGES = (1, 4, 12)  # so many throws of a layer are computed before the others
 
 

@@ -126,6 +126,8 @@ def find_best_layer(
     places = [grid[i, j] for i, j in indices]
     values = [heights[i, j] for i, j in indices]
     for start in starts:
+        if not start.score > 0.0:
+            continue
         places.append(np.log(start[:2]))
         values.append(start.score)
     if not places:

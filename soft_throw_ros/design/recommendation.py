@@ -548,7 +548,7 @@ def recommend(
     --------
     >>> best = recommend(Rig(), vary='thickness')
     >>> best.summary
-    'thickness 16.8 -> 13.4 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
+    'thickness 16.8 -> 13.41 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
 
     """
     objective, limits = objective or Peak(), limits or Limits()
@@ -558,9 +558,8 @@ def recommend(
         raise ValueError(f'only layers of one material are recommended, got {rig.layer!r}')
     search = functools.partial(_search, objective=objective, limits=limits, cancelled=cancelled)
     found: dict[str, _Found | None] = {}
-    if vary != 'library':
-        names = ('thickness', 'wave_speed', 'both') if isinstance(objective, Peak) else (vary,)
-        for name in names:
+    for name in ('thickness', 'wave_speed', 'both'):
+        if isinstance(objective, Peak) or name == vary:
             (space,) = search_spaces(rig, name, limits, {})
             starts = tuple(each for each in found.values() if each is not None)
             found[name] = search(space, starts=starts)
@@ -571,7 +570,15 @@ def recommend(
     )
     best = (picked[0] if picked else None) if vary == 'library' else found[vary]
     if best is None:
-        raise ThrowUnresolvedError(_why_none(rig, vary, objective, limits, materials or {}))
+        free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
+        easier: Recommendation | None = None
+        if free != limits:
+            with contextlib.suppress(ThrowUnresolvedError):
+                easier = recommend(
+                    rig, vary=vary, objective=objective, limits=free, materials=materials,
+                    cancelled=cancelled,
+                )  # fmt: skip
+        raise ThrowUnresolvedError(_why_none(rig, vary, limits, easier))
     now = _score_of(rig, objective, cancelled)
     prediction = predict(best.rig)
     predictions = {name: predict(each.rig) for name, each in found.items() if each is not None}
@@ -767,14 +774,8 @@ def _reach(
     return good.reshape(2, -1)
 
 
-def _why_none(
-    rig: Rig,
-    vary: Vary,
-    objective: Objective,
-    limits: Limits,
-    materials: Mapping[str, Material],
-) -> str:
-    """Say why nothing can be recommended."""
+def _why_none(rig: Rig, vary: Vary, limits: Limits, free: Recommendation | None) -> str:
+    """Say why nothing can be recommended, and what could be without limits of the loads."""
     low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
     slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
     text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
@@ -782,15 +783,12 @@ def _why_none(
         text += ' from the library'
         if limits.max_loss_tangent < math.inf:
             text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
-    free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
-    if free != limits:
-        with contextlib.suppress(ThrowUnresolvedError):
-            best = recommend(rig, vary=vary, objective=objective, limits=free, materials=materials)
-            return (
-                f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
-                f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
-                f'these limits has {best.peak_strain:.3g} and {best.peak_acceleration:.4g} m/s2'
-            )
+    if free is not None:
+        return (
+            f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
+            f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
+            f'these limits has {free.peak_strain:.3g} and {free.peak_acceleration:.4g} m/s2'
+        )
     return (
         f'no throw with {text} can be computed: the projectile stays on the layer for too many '
         f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '

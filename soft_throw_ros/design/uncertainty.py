@@ -310,7 +310,7 @@ def prediction_uncertainty(
     Examples
     --------
     >>> print(prediction_uncertainty(Rig()).describe())
-    7.455 to 7.846 ms, 1.3523 to 1.3943 m/s, alpha 3.527 to 3.728
+    7.455 to 7.846 ms, 1.3524 to 1.3943 m/s, alpha 3.527 to 3.728
 
     """
     uncertainties = uncertainties or Uncertainties()

@@ -271,7 +271,7 @@ def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(task, mon
         (['layer.thickness=0.01:0.2', 'layer.wave_speed'], r'layer.thickness .* got 0\.2'),
         (['engine.damping_ratio=0:0.3:9:log', 'mu'], 'engine.damping_ratio .* :log'),
         (['--model', 'guess'], "argument --model: .*'guess'"),
-        (['--model', 'spring_mass', '--release', 'last'], 'last release .* spring_mass'),
+        (['--model', 'spring_mass', '--release', 'last'], 'last release .*spring_mass'),
         (['--density-ratio', '0'], r'density_ratio must be .* got 0\.0'),
         (['--thickness', '16.8'], 'argument --thickness: .* got 16.8'),
         (['--output', 'map.h5'], r"--output .* got 'map.h5'"),

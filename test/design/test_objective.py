@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import predict

@@ -64,7 +64,11 @@ def test_hill_beyond_the_range_is_climbed_to_the_limit():
 
 
 def test_nothing_is_found_where_all_scores_are_0():
-    assert find_best_layer(lambda *layers, least: 0.0 * layers[0], LAYERS, step=0.2) is None
+    def score(*layers, least):
+        return 0.0 * layers[0]
+
+    start = (Optimum(0.01, 10.0, 0.0),)
+    assert find_best_layer(score, LAYERS, step=0.2, starts=start) is None
 
 
 def test_layer_that_is_known_is_not_lost():
