@@ -355,36 +355,7 @@ class BagWriter:
             raise BagError(f'{path}: {error.strerror}') from None
 
     def _information(self) -> dict[str, Any]:
-        """Return what rosbag2 wants to know of a bag, to write it as YAML."""
-        files = [file for file in self._files if file.count]
-        first = min((file.first for file in files), default=LATEST)
-        last = max((file.last for file in files), default=first)
-        return {
-            'version': METADATA_VERSION,
-            'storage_identifier': 'mcap',
-            'duration': {'nanoseconds': last - first},
-            'starting_time': {'nanoseconds_since_epoch': first},
-            'message_count': sum(file.count for file in files),
-            'topics_with_message_count': [
-                {
-                    'topic_metadata': {
-                        'name': channel.topic,
-                        'type': channel.type,
-                        'serialization_format': 'cdr',
-                        'offered_qos_profiles': [profile.to_dict() for profile in channel.qos],
-                        'type_description_hash': channel.type_hash,
-                    },
-                    'message_count': count,
-                }
-                for channel, count in self.counts.items()
-            ],
-            'compression_format': '',
-            'compression_mode': '',
-            'relative_file_paths': [file.name for file in self._files],
-            'files': [file.to_dict() for file in self._files],
-            'custom_data': {},
-            'ros_distro': self._distribution,
-        }
+        return _information(self._files, self.counts, self._distribution)
 
     def _write_information(self) -> None:
         """Replace `metadata.yaml` at once."""
@@ -418,6 +389,41 @@ class _FileInformation:
             'duration': {'nanoseconds': max(self.last - self.first, 0)},
             'message_count': self.count,
         }
+
+
+def _information(
+    written: list[_FileInformation], counts: dict[Channel, int], distribution: str
+) -> dict[str, Any]:
+    """Return what rosbag2 wants to know of a bag, to write it as YAML."""
+    files = [file for file in written if file.count]
+    first = min((file.first for file in files), default=LATEST)
+    last = max((file.last for file in files), default=first)
+    return {
+        'version': METADATA_VERSION,
+        'storage_identifier': 'mcap',
+        'duration': {'nanoseconds': last - first},
+        'starting_time': {'nanoseconds_since_epoch': first},
+        'message_count': sum(file.count for file in files),
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': channel.topic,
+                    'type': channel.type,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': [profile.to_dict() for profile in channel.qos],
+                    'type_description_hash': channel.type_hash,
+                },
+                'message_count': count,
+            }
+            for channel, count in counts.items()
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [file.name for file in written],
+        'files': [file.to_dict() for file in written],
+        'custom_data': {},
+        'ros_distro': distribution,
+    }
 
 
 class _Output:
