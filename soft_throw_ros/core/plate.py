@@ -3,15 +3,16 @@
 How the plate moves.
 
 Every motion is at rest at height 0 before time 0 (a sampled one: before its first sample), and
-answers position and velocity for any times. `Underdamped` is what the closed forms are made for,
-`Sampled` is what was measured.
+answers position and velocity for any times. `Underdamped` is what the closed form is made for,
+`SampledMotion` is what was measured, or read from a file. Inside compiled steppers both are
+`soft_throw_ros.core.plate_kernels`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
-from typing import Literal, Protocol
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,24 +21,6 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
-
-
-class PlateMotion(Protocol):
-    """What a model of a throw asks of the plate."""
-
-    @property
-    def peak_velocity(self) -> float:
-        """Largest speed :math:`V_p^*`. [m/s]"""
-
-    @property
-    def knots(self) -> Floats:
-        """Times at which the motion is not smooth, increasing, the start first. [s]"""
-
-    def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate at `time`. [m]"""
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate at `time`. [m/s]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +105,9 @@ class Underdamped:
         return math.acos(self.damping_ratio) / self.exponent.imag
 
     @property
-    def knots(self) -> Floats:
-        """The start alone. [s]"""
-        return np.zeros(1)
+    def start_time(self) -> float:
+        """When it starts. [s]"""
+        return 0.0
 
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate, Eq. (D2). [m]"""
@@ -149,35 +132,53 @@ def peak_velocity_ratio(damping_ratio: float) -> float:
     return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sampled:
+@dataclass(frozen=True, eq=False)
+class SampledMotion:
     """
-    A measured motion: at rest before the first sample, smooth between samples.
+    A motion given by states of the plate, which quintics join: at rest before the first one.
 
-    Make it with `from_positions` or `from_velocities`.
+    Make it of what was measured with `from_positions` or `from_velocities`.
 
     Parameters
     ----------
-    path : PPoly
-        Position as a piecewise polynomial of time. [m]
+    times : ndarray, shape (n,)
+        Increasing. [s]
+    states : ndarray, shape (n, 3)
+        Height, velocity and acceleration at each. [m], [m/s], [m/s2]
     after : {'error', 'hold'}
-        Beyond the last sample: raise, or stay there.
+        Beyond the last state: raise, or stay there.
+
+    Raises
+    ------
+    ValueError
+        If fewer than 2 states are given, a value is not finite, or times do not increase.
 
     """
 
-    path: PPoly
+    times: Floats
+    states: Floats
     after: Literal['error', 'hold'] = 'error'
-    _speed: PPoly = field(init=False, repr=False)
+    _path: PPoly = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.after not in ('error', 'hold'):
             raise ValueError(f"after must be 'error' or 'hold', got {self.after!r}")
-        object.__setattr__(self, '_speed', self.path.derivative())
+        times = np.ascontiguousarray(self.times, dtype=np.float64)
+        states = np.ascontiguousarray(self.states, dtype=np.float64)
+        if times.ndim != 1 or states.shape != (times.size, 3) or times.size < 2:
+            raise ValueError(
+                'times and states must be of shapes (n,) and (n, 3) with n at least 2, '
+                f'got {times.shape} and {states.shape}'
+            )
+        require_series(times, states, 'states')
+        object.__setattr__(self, 'times', times)
+        object.__setattr__(self, 'states', states)
+        object.__setattr__(self, '_path', PPoly(_quintics(times, states), times))
 
     @classmethod
     def from_positions(
         cls, times: ArrayLike, positions: ArrayLike, *, after: Literal['error', 'hold'] = 'error'
-    ) -> Sampled:
+    ) -> SampledMotion:
         """
         Lay a twice differentiable cubic spline through positions.
 
@@ -198,43 +199,38 @@ class Sampled:
             If fewer than 4 samples are given, a value is not finite, or times do not increase.
 
         """
-        times, positions = _checked_samples(times, positions, 'positions')
+        times, positions = _as_samples(times, positions, 'positions')
         spline = CubicSpline(times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot'))
-        return cls(path=spline, after=after)
+        return cls(times, np.stack([spline(times, order) for order in range(3)], axis=1), after)
 
     @classmethod
     def from_velocities(
         cls, times: ArrayLike, velocities: ArrayLike, *, after: Literal['error', 'hold'] = 'error'
-    ) -> Sampled:
+    ) -> SampledMotion:
         """
         Lay a monotone cubic (PCHIP) through velocities, which overshoots nowhere.
 
         Third order in the spacing. Parameters and errors as for `from_positions`.
         """
-        times, velocities = _checked_samples(times, velocities, 'velocities')
-        return cls(path=PchipInterpolator(times, velocities).antiderivative(), after=after)
+        times, velocities = _as_samples(times, velocities, 'velocities')
+        height = PchipInterpolator(times, velocities).antiderivative()
+        return cls(times, np.stack([height(times, order) for order in range(3)], axis=1), after)
 
     @property
     def start_time(self) -> float:
-        """Time of the first sample. [s]"""
-        return float(self.path.x[0])
+        """Time of the first state. [s]"""
+        return float(self.times[0])
 
     @property
     def end_time(self) -> float:
-        """Time of the last sample. [s]"""
-        return float(self.path.x[-1])
-
-    @property
-    def knots(self) -> Floats:
-        """The times of the samples. [s]"""
-        return np.asarray(self.path.x)
+        """Time of the last state. [s]"""
+        return float(self.times[-1])
 
     @property
     def peak_velocity(self) -> float:
-        """Largest upward speed. [m/s]"""
-        extrema = self._speed.derivative().roots(extrapolate=False)
-        candidates = np.concatenate((self.path.x, extrema[np.isfinite(extrema)]))
-        return float(np.max(self._speed(candidates)))
+        """Largest upward speed, to 1e-6 of it where states are as dense as they should be. [m/s]"""
+        between = np.linspace(self.times[:-1], self.times[1:], 17)
+        return float(self.velocity(between).max())
 
     def position(self, time: ArrayLike) -> Floats:
         """
@@ -243,10 +239,10 @@ class Sampled:
         Raises
         ------
         ValueError
-            Beyond the last sample, unless `after` is 'hold'.
+            Beyond the last state, unless `after` is 'hold'.
 
         """
-        return np.asarray(self.path(self._within(time)))
+        return np.asarray(self._path(self._within(time)))
 
     def velocity(self, time: ArrayLike) -> Floats:
         """
@@ -255,12 +251,12 @@ class Sampled:
         Raises
         ------
         ValueError
-            Beyond the last sample, unless `after` is 'hold'.
+            Beyond the last state, unless `after` is 'hold'.
 
         """
         time = np.asarray(time, dtype=np.float64)
-        moving = (time >= self.start_time) & (time <= self.end_time)
-        return np.where(moving, self._speed(self._within(time)), 0.0)
+        is_moving = (time >= self.start_time) & (time <= self.end_time)
+        return np.where(is_moving, self._path(self._within(time), 1), 0.0)
 
     def _within(self, time: ArrayLike) -> Floats:
         """Clip times into the samples."""
@@ -272,7 +268,11 @@ class Sampled:
         return np.asarray(np.clip(time, self.start_time, self.end_time))
 
 
-def _checked_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:
+PlateMotion: TypeAlias = Underdamped | SampledMotion
+"""What a model of a throw asks of the plate."""
+
+
+def _as_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:
     """Return both as float arrays, or raise ValueError."""
     times = np.asarray(times, dtype=np.float64)
     values = np.asarray(values, dtype=np.float64)
@@ -281,15 +281,37 @@ def _checked_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Fl
             f'times and {name} must be two series of the same length, at least 4, '
             f'got shapes {times.shape} and {values.shape}'
         )
+    require_series(times, values, name)
+    return times, values
+
+
+def _quintics(times: Floats, states: Floats) -> Floats:
+    """Return the coefficients, highest order first, of the quintics that join states."""
+    D, rise = np.diff(times), np.diff(states[:, 0])
+    v, w = states[:-1, 1] * D, states[1:, 1] * D
+    q, r = states[:-1, 2] * D**2, states[1:, 2] * D**2
+    return np.stack(
+        [
+            (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5,
+            (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4,
+            (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3,
+            0.5 * states[:-1, 2],
+            states[:-1, 1],
+            states[:-1, 0],
+        ]
+    )
+
+
+def require_series(
+    times: Floats, values: Floats, name: str, *, after: float = -math.inf
+) -> None:
+    """Raise ValueError unless all is finite, and times increase, from one `after` which they are."""
     for label, array in (('times', times), (name, values)):
         if not np.isfinite(array).all():
-            first = int(np.flatnonzero(~np.isfinite(array))[0])
-            raise ValueError(f'{label} must be finite, got {array[first]} at index {first}')
-    backward = np.flatnonzero(np.diff(times) <= 0.0)
+            first = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise ValueError(f'{label} must be finite, got {array[first]} at index {first[0]}')
+    backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
     if backward.size:
         first = int(backward[0])
-        raise ValueError(
-            f'times must increase, got {times[first + 1]} after {times[first]} '
-            f'at index {first + 1}'
-        )
-    return times, values
+        before = times[first - 1] if first else after
+        raise ValueError(f'times must increase, got {times[first]} after {before} at index {first}')

@@ -69,9 +69,7 @@ class Engine:
 @dataclass(frozen=True, kw_only=True)
 class Layer:
     r"""
-    The soft layer, a cylinder of one material.
-
-    What is stacked or graded is a `soft_throw_ros.core.graded_layer.GradedLayer`.
+    The soft layer, a cylinder of one material; several on each other are a `Stack`.
 
     Parameters
     ----------
@@ -136,6 +134,104 @@ class Layer:
     def is_uniform(self) -> bool:
         """Whether it is of one material, as the travelling-wave model needs it."""
         return True
+
+    @property
+    def sheets(self) -> tuple[Layer, ...]:
+        """Of which it is made, each of one material, from the plate up."""
+        return (self,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stack(Layer):
+    r"""
+    Sheets on each other that make a layer.
+
+    Only cells know how to throw with it. What it has in common with a layer of one material are
+    those of the whole.
+
+    Parameters
+    ----------
+    sheets : sequence of Layer
+        Of one diameter, the first one on the plate.
+
+    Attributes
+    ----------
+    thickness : float
+        :math:`L_s`, of all sheets. [m]
+    wave_speed : float
+        Thickness over crossing time. [m/s]
+    density : float
+        Mass over volume. [kg/m3]
+    diameter : float
+        Of the section :math:`S`. [m]
+    loss_tangent : float
+        Of the whole when it is squeezed slowly. [-]
+
+    Raises
+    ------
+    ValueError
+        If there is no sheet, or their diameters differ.
+
+    Examples
+    --------
+    A stiff sheet of 2 mm on a soft one of 10 mm:
+
+    >>> stack = Stack(
+    ...     sheets=(Layer(thickness=10e-3, wave_speed=8.0), Layer(thickness=2e-3, wave_speed=20.0))
+    ... )
+    >>> round(stack.thickness, 6), round(1e3 * stack.crossing_time, 6)
+    (0.012, 1.35)
+
+    """
+
+    sheets: tuple[Layer, ...]  # type: ignore[assignment]  # a property of the base
+    thickness: float = field(init=False)
+    wave_speed: float = field(init=False)
+    density: float = field(init=False)
+    diameter: float = field(init=False)
+    loss_tangent: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        sheets = tuple(part for sheet in self.sheets for part in sheet.sheets)
+        if not sheets:
+            raise ValueError('layer.sheets must be one or more, got none')
+        for sheet in sheets[1:]:
+            if sheet.diameter != sheets[0].diameter:
+                raise ValueError(
+                    'layer.sheets must be of one diameter, '
+                    f'got {sheets[0].diameter:g} m and {sheet.diameter:g} m'
+                )
+        thickness = sum(sheet.thickness for sheet in sheets)
+        compliances = [1.0 / sheet.stiffness for sheet in sheets]
+        lost = sum(
+            sheet.loss_tangent * compliance
+            for sheet, compliance in zip(sheets, compliances, strict=True)
+        )
+        for name, value in (
+            ('sheets', sheets),
+            ('thickness', thickness),
+            ('wave_speed', thickness / sum(sheet.crossing_time for sheet in sheets)),
+            ('diameter', sheets[0].diameter),
+            ('density', sum(sheet.density * sheet.thickness for sheet in sheets) / thickness),
+            ('loss_tangent', lost / sum(compliances)),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def youngs_modulus(self) -> float:
+        """That of a layer of one material which is squeezed as much at rest. [Pa]"""
+        compliance = sum(1.0 / sheet.stiffness for sheet in self.sheets)
+        return self.thickness / (compliance * self.section)
+
+    @property
+    def impedance(self) -> float:
+        """Of the top, force over speed of a travelling wave. [kg/s]"""
+        return self.sheets[-1].impedance
+
+    @property
+    def is_uniform(self) -> bool:
+        """It is not, even if all sheets are the same."""
+        return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +352,7 @@ class Rig:
         Raises
         ------
         ValueError
-            If the layer is graded, or has internal loss.
+            If the layer is a stack, or has internal loss.
 
         """
         if not self.layer.is_uniform:

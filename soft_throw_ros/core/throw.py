@@ -3,39 +3,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.grid_history import GridHistory
-from soft_throw_ros.core.method_of_steps import Event, follow, WaveHistory
-from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import (
+    Event,
+    Loads,
+    MAX_EVENTS,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    Stepper,
+    TIME,
+)
+from soft_throw_ros.core.wave_stepper import WaveStepper
 
 Floats = NDArray[np.float64]
 
-_MOST_TIMES = 4000  # at which peaks are looked for on a grid
+MODELS = (
+    'travelling_wave',
+    'finite_difference',
+    'finite_difference_elastic',
+    'finite_difference_glued',
+    'spring_mass',
+)
+"""Travelling waves; cells of the layer, of the projectile too, of a layer on it; a spring."""
+
+MAX_DURATION = 60.0
+"""Longest that a throw is followed if nothing else ends it. [s]"""
+
+_BUDGET = 0.5  # of a processor for a throw that `until` does not end [s]
+_WAIT_CROSSINGS = 100.0  # and ...
+_WAIT_PERIODS = 50.0  # for the first release, then ...
+_QUIET_CROSSINGS = 8.0  # and ...
+_QUIET_PERIODS = 2.0  # without gravity, to see how far up the free top swings
 
 
-class Peak(NamedTuple):
-    """A largest magnitude, and where and when it occurs."""
-
-    value: float
-    depth: float
-    time: float
+class ThrowUnfinishedError(RuntimeError):
+    """The time given ended before the projectile was released."""
 
 
 class Energies(NamedTuple):
-    """What the plate has done, and where it is: the sum of the others and of heat. [J]"""
+    """What the plate has done, what layer and projectile have of it, and what became heat. [J]"""
 
     plate_work: float
-    layer: float
-    projectile: float
+    stored: float
+    heat: float
 
 
 class Trajectory(NamedTuple):
@@ -58,50 +78,143 @@ class Fields(NamedTuple):
     velocity: Floats
 
 
+def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
+    """Return the ejections: the releases before the projectile has come down on the layer."""
+    found = []
+    for event in events:
+        if event.kind == 'landing':
+            break
+        if event.kind == 'release':
+            found.append(event)
+    return tuple(found)
+
+
+def apex_height(ejection: Event, gravity: float) -> float:
+    """
+    Compute how high the projectile flies after an ejection.
+
+    Parameters
+    ----------
+    ejection : Event
+        The last one.
+    gravity : float
+        [m/s2]
+
+    Returns
+    -------
+    float
+        Of the projectile's lower face, above the plate's rest position; infinite without
+        gravity. [m]
+
+    """
+    if gravity == 0.0:
+        return math.inf
+    return ejection.position + max(ejection.velocity, 0.0) ** 2 / (2.0 * gravity)
+
+
+def make_stepper(
+    rig: Rig,
+    motion: PlateMotion | str | None = None,
+    *,
+    model: str = 'travelling_wave',
+    cells: int | None = None,
+    field_points: int = 64,
+) -> Stepper:
+    """
+    Make the stepper of a model.
+
+    Parameters
+    ----------
+    rig : Rig
+        The throwing rig.
+    motion : Underdamped, SampledMotion, 'measured' or None
+        How the plate moves; None is that of the rig's engine.
+    model : str
+        One of `MODELS`.
+    cells : int, optional
+        Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
+    field_points : int
+        Heights at which the layer is read.
+
+    Returns
+    -------
+    Stepper
+
+    Raises
+    ------
+    ValueError
+        For an unknown model, or a rig or an option that the model refuses.
+
+    """
+    if model not in MODELS:
+        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    if model == 'travelling_wave':
+        if cells is not None:
+            raise ValueError(f'cells are for finite differences only, got {cells!r}')
+        return WaveStepper(rig, motion, field_points=field_points)
+    return CellStepper(rig, motion, model=model, cells=cells, field_points=field_points)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Throw:
     """
     What became of one throw. Made by `simulate`.
 
-    Times count from the start of the plate's clock, heights from the plate's rest position.
+    Times count from the start of the plate's clock, heights from the plate's rest position; loads
+    and energies are those up to the first release.
     """
 
     rig: Rig
+    motion: PlateMotion = field(repr=False)
     model: str
+    cells: int | None = field(repr=False)
     max_strain: float
-    peak_plate_speed: float
-    """:math:`V_p^*`. [m/s]"""
-    peak_strain: Peak
-    """Largest strain magnitude in the layer up to the first release. [-]"""
-    peak_plate_strain: float
-    """Largest strain magnitude at the plate up to the first release. [-]"""
-    peak_contact_strain: float
-    """Largest strain magnitude at the projectile up to the first release. [-]"""
-    peak_acceleration: float
-    """Largest magnitude of the projectile's acceleration up to the first release. [m/s2]"""
-    peak_plate_force: float
-    """Largest magnitude of the layer's force on the plate up to the first release. [N]"""
+    events: tuple[Event, ...]
+    """Releases, re-contacts and landings in order; the first is a release."""
+    end_time: float
+    """Until when it was followed. [s]"""
+    loads: Loads
     energies: Energies
-    """At the first release, more than at rest. [J]"""
-    heat: float = 0.0
-    """What internal loss has taken up to the first release. [J]"""
-    history: WaveHistory | GridHistory = field(repr=False)
 
     @property
-    def events(self) -> tuple[Event, ...]:
-        """Releases and landings in order; the first is a release."""
-        return self.history.events
+    def peak_plate_speed(self) -> float:
+        """:math:`V_p^*`. [m/s]"""
+        return self.motion.peak_velocity
+
+    @property
+    def peak_strain(self) -> float:
+        """Largest strain magnitude in the layer. [-]"""
+        return self.loads.strain
+
+    @property
+    def peak_plate_strain(self) -> float:
+        """Largest strain magnitude at the plate. [-]"""
+        return self.loads.plate_strain
+
+    @property
+    def peak_contact_strain(self) -> float:
+        """Largest strain magnitude at the projectile. [-]"""
+        return self.loads.contact_strain
+
+    @property
+    def peak_acceleration(self) -> float:
+        """Largest magnitude of the projectile's acceleration. [m/s2]"""
+        return self.loads.acceleration
+
+    @property
+    def peak_plate_force(self) -> float:
+        """Largest magnitude of the layer's force on the plate. [N]"""
+        return self.loads.plate_force
+
+    @property
+    def heat(self) -> float:
+        """What internal loss has taken. [J]"""
+        return self.energies.heat
 
     @property
     def ejections(self) -> tuple[Event, ...]:
-        """Releases before the projectile falls back (a landing on its way down) for good."""
-        found: list[Event] = []
-        for event in self.events:
-            if event.kind == 'release':
-                found.append(event)
-            elif event.velocity <= 0.0 and self.rig.gravity > 0.0:
-                break
-        return tuple(found)
+        """Releases before the projectile has come down on the layer."""
+        return ejections(self.events)
 
     @property
     def first_release(self) -> Event:
@@ -121,7 +234,7 @@ class Throw:
     @property
     def ejection_time(self) -> float:
         """:math:`t_e` of the first release, since the plate began to move. [s]"""
-        return self.first_release.time - float(self.history.motion.knots[0])
+        return self.first_release.time - self.motion.start_time
 
     @property
     def ejection_speed(self) -> float:
@@ -141,28 +254,21 @@ class Throw:
     @property
     def leaves_linear_range(self) -> bool:
         """Whether the peak strain is above `max_strain`, so that the result is doubtful."""
-        return self.peak_strain.value > self.max_strain
+        return self.peak_strain > self.max_strain
 
     @property
     def apex_height(self) -> float:
-        """
-        Height that the projectile's lower face reaches in free flight. [m]
-
-        Infinite without gravity.
-        """
-        last = self.last_release
-        if self.rig.gravity == 0.0:
-            return float('inf')
-        return last.position + max(last.velocity, 0.0) ** 2 / (2.0 * self.rig.gravity)
+        """How high the projectile's lower face flies, see `apex_height`. [m]"""
+        return apex_height(self.last_release, self.rig.gravity)
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
         """
-        Give positions and velocities at any times up to the end of the history.
+        Give positions and velocities, by following the throw once more.
 
         Parameters
         ----------
-        time : array_like
-            [s]
+        time : array_like, shape (n,)
+            Increasing. [s]
 
         Returns
         -------
@@ -171,28 +277,26 @@ class Throw:
         Raises
         ------
         ValueError
-            For times after `history.end_time`.
+            For times that do not increase, or at which the plate is not known.
 
         """
-        time = np.asarray(time, dtype=np.float64)
-        past = self.history
-        return Trajectory(
-            time,
-            past.motion.position(time),
-            past.top_position(time),
-            past.projectile_position(time),
-            past.motion.velocity(time),
-            past.projectile_velocity(time),
-        )
+        time = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        stepper = self._stepper()
+        rows = np.empty((time.size, 5))
+        for row, moment in zip(rows, time.tolist(), strict=True):
+            stepper.advance_to(moment)
+            plate, projectile, plate_velocity, velocity = stepper.state[1:5]
+            row[:] = plate, stepper.surface_position, projectile, plate_velocity, velocity
+        return Trajectory(time, *rows.T)
 
     def fields(self, time: ArrayLike, *, points: int = 64) -> Fields:
         """
-        Give strain and velocity over the layer at given times.
+        Give strain and velocity of the layer, by following the throw once more.
 
         Parameters
         ----------
         time : array_like, shape (n,)
-            [s]
+            Increasing. [s]
         points : int
             Depths from plate to top, both included.
 
@@ -204,15 +308,25 @@ class Throw:
         Raises
         ------
         ValueError
-            For times after `history.end_time`, or less than 2 points.
+            For times that do not increase, or at which the plate is not known, or fewer than 2
+            points.
 
         """
-        if points < 2:
-            raise ValueError(f'points must be at least 2, got {points}')
-        time = np.asarray(time, dtype=np.float64)
+        time = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        stepper = self._stepper(points)
+        strain, velocity = np.empty((2, time.size, points))
+        layer = np.empty((3, points))
+        for row, moment in enumerate(time.tolist()):
+            stepper.sample_strain([moment], strain[row : row + 1])
+            stepper.read_layer(layer)
+            velocity[row] = layer[1]
         depth = np.linspace(0.0, self.rig.layer.thickness, points)
-        at = (depth[None, :], time[:, None])
-        return Fields(time, depth, self.history.strain(*at), self.history.velocity(*at))
+        return Fields(time, depth, strain, velocity)
+
+    def _stepper(self, points: int = 2) -> Stepper:
+        return make_stepper(
+            self.rig, self.motion, model=self.model, cells=self.cells, field_points=points
+        )
 
 
 def simulate(
@@ -221,13 +335,12 @@ def simulate(
     *,
     model: str = 'travelling_wave',
     cells: int | None = None,
-    step: float | None = None,
     until: float | None = None,
     max_events: int | None = None,
     max_strain: float = 0.1,
 ) -> Throw:
     """
-    Throw once.
+    Throw once: run the stepper of a model to the end of the throw.
 
     Parameters
     ----------
@@ -236,13 +349,17 @@ def simulate(
     motion : PlateMotion, optional
         How the plate moves; that of the rig's engine if not given.
     model : str
-        One of `models.MODELS`, see below.
+        One of `MODELS`, see below.
     cells : int, optional
-        Of the layer, for finite differences; chosen for errors of about 1e-4 if not given.
-    step : float, optional
-        Time step of finite differences, the longest stable one if not given. [s]
-    until, max_events
-        When to stop, as for `method_of_steps.follow`.
+        Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
+    until : float, optional
+        Stop at this time. A sampled motion that does not hold ends with its last sample in any
+        case. [s]
+    max_events : int, optional
+        Stop after so many events. If not given, and neither is `until`, stop when the projectile
+        has come down on the layer, since a lossless bounce has no end. Without gravity, and where
+        following it so long would take more than about half a second, stop when it is far above
+        all that the free top did in eight crossings and two periods of the plate.
     max_strain : float
         Strain magnitude up to which the layer is taken to be linear. [-]
 
@@ -253,18 +370,19 @@ def simulate(
     Raises
     ------
     ValueError
-        For an unknown model, or a rig, a bound or a step that the model refuses.
+        For an unknown model, or a rig or a bound that the model refuses.
     ThrowUnfinishedError
-        If the projectile is not released by the time that `until` or the plate's samples set.
+        If the projectile is not released by `until`, or the end of a sampled motion, or within
+        100 crossings and 50 periods of the plate.
 
     Notes
     -----
-    `travelling_wave` is exact, for a rigid projectile on a layer of one material without loss.
+    `travelling_wave` is for a rigid projectile on a layer of one material without loss.
     `finite_difference` takes any layer, with loss; `finite_difference_elastic` an elastic
     projectile, too, whose speed is that of its centre of mass; `finite_difference_glued` has the
     layer glued to the projectile and thrown along, as in [1]_, and speeds of their common centre
-    of mass. All three are of second order. `spring_mass` is a layer without mass (App. A of
-    [2]_), for any plate and with gravity, to 1e-5.
+    of mass. `spring_mass` is a layer without mass (App. A of [2]_), for any plate and with
+    gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper` say how exact they are.
 
     References
     ----------
@@ -287,172 +405,68 @@ def simulate(
     1.996
 
     """
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
     checks.positive('max_strain', max_strain)
-    history: WaveHistory | GridHistory
-    if model == 'travelling_wave':
-        for name, value in (('cells', cells), ('step', step)):
-            if value is not None:
-                raise ValueError(f'{name} is for finite differences only, got {value!r}')
-        history = follow(rig, motion, until=until, max_events=max_events)
-    else:
-        history = GridHistory(
-            rig,
-            motion,
-            model=model,
-            cells=cells,
-            step=step,
-            until=until,
-            max_events=max_events,
-        )
-    if not history.events:
+    if until is not None:
+        checks.positive('until', until)
+    if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
+        raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
+    if motion is None:
+        motion = Underdamped.of(rig.engine)
+    stepper = make_stepper(rig, motion, model=model, cells=cells)
+    _run(stepper, motion, until=until, max_events=max_events)
+    events = tuple(stepper.events()[:max_events])
+    end_time = float(stepper.state[TIME])
+    if not events:
         raise ThrowUnfinishedError(
-            f'the projectile is not released by {history.end_time:g} s; follow it for longer'
+            f'the projectile is not released by {end_time:g} s; follow it for longer'
         )
-    describe = _describe_grid if isinstance(history, GridHistory) else _describe_waves
+    stepper.reset()
+    stepper.advance_to(events[0].time)
     return Throw(
         rig=rig,
+        motion=motion,
         model=model,
+        cells=cells,
         max_strain=max_strain,
-        peak_plate_speed=history.motion.peak_velocity,
-        history=history,
-        **describe(history),  # type: ignore[arg-type]  # as checked above
+        events=events,
+        end_time=end_time,
+        loads=stepper.loads,
+        energies=Energies(stepper.plate_work, stepper.stored_energy(), stepper.heat),
     )
 
 
-def _describe_waves(history: WaveHistory) -> dict[str, Any]:
-    """Find peaks and energies."""
-    rig = history.rig
-    end = history.events[0].time
-    times = history.sample_times(end)
-    mass = rig.projectile.mass
-
-    def contact_strain(time: Floats) -> Floats:
-        return history.strain(rig.layer.thickness, time)
-
-    def acceleration(time: Floats) -> Floats:
-        return history.contact_force(time) / mass - rig.gravity
-
-    plate_force = _largest_in_time(history.plate_force, times)[0]
-    return {
-        'peak_strain': _peak_strain(history, end),
-        'peak_plate_strain': plate_force / (rig.layer.youngs_modulus * rig.layer.section),
-        'peak_contact_strain': _largest_in_time(contact_strain, times)[0],
-        'peak_acceleration': _largest_in_time(acceleration, times)[0],
-        'peak_plate_force': plate_force,
-        'energies': Energies(
-            history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
-        ),
-    }
-
-
-def _describe_grid(history: GridHistory) -> dict[str, Any]:
-    """Find peaks, at whole steps if these are not too many, and energies."""
-    rig, start = history.rig, float(history.motion.knots[0])
-    end = history.events[0].time
-    times = np.linspace(start, end, 2 + min(int((end - start) / history.step), _MOST_TIMES))
-    depth, strain = history.strains(times)
-    row, column = np.unravel_index(np.argmax(np.abs(strain)), strain.shape)
-    push = history.contact_force(times) / rig.projectile.mass - rig.gravity
-    return {
-        'peak_strain': Peak(
-            float(abs(strain[row, column])), float(depth[column]), float(times[row])
-        ),
-        'peak_plate_strain': float(np.abs(strain[:, 0]).max()),
-        'peak_contact_strain': float(np.abs(strain[:, -1]).max()),
-        'peak_acceleration': float(np.abs(push).max()),
-        'peak_plate_force': float(np.abs(history.plate_force(times)).max()),
-        'energies': Energies(
-            history.plate_work(end), history.layer_energy(end), history.projectile_energy(end)
-        ),
-        'heat': history.heat(end),
-    }
-
-
-class ThrowUnfinishedError(RuntimeError):
-    """The time given ended before the projectile was released."""
-
-
-def _peak_strain(history: WaveHistory, end: float) -> Peak:
-    """
-    Find the largest strain magnitude until `end`.
-
-    The strain is a difference of two waves, one of time a when it left the top downwards, one of
-    time b when it will reach the top. So the grid is one of a and b, each as dense as its wave
-    asks for, and inside it is a peak of both; else it is at the plate, the top, or the end.
-    """
-    crossing = history.rig.crossing_time
-    thickness = history.rig.layer.thickness
-    speed = history.rig.layer.wave_speed
-
-    def strain(a: Floats, b: Floats) -> Floats:
-        values = history.strain_of_waves(a[None, :], b[:, None])
-        time, from_top = 0.5 * (a[None, :] + b[:, None]), 0.5 * (b[:, None] - a[None, :])
-        inside = (from_top >= 0.0) & (from_top <= crossing) & (time <= end)
-        return np.where(inside, values, 0.0)
-
-    left = history.sample_times(end)
-    reaches = history.sample_times(end + crossing)
-    value, a, b = _largest(strain, left, reaches)
-    found = [Peak(value, thickness - 0.5 * speed * (b - a), 0.5 * (a + b))]
-    for depth in (0.0, thickness):
-        value, time = _largest_in_time(partial(history.strain, depth), left)
-        found.append(Peak(value, depth, time))
-    # At the end, ordered by when the downward wave left the top
-    departures = np.append(end - crossing, left[left > end - crossing])
-    value, a = _largest_in_time(lambda a: history.strain_of_waves(a, 2.0 * end - a), departures)
-    found.append(Peak(value, thickness - speed * (end - a), end))
-    return max(found)
-
-
-def _largest_in_time(function: Callable[[Floats], Floats], times: Floats) -> tuple[float, float]:
-    """Find the largest magnitude over times, and when it is reached."""
-    value, _, time = _largest(lambda _, time: function(time)[:, None], np.zeros(1), times)
-    return value, time
-
-
-def _largest(
-    function: Callable[[Floats, Floats], Floats], columns: Floats, rows: Floats
-) -> tuple[float, float, float]:
-    """
-    Find the largest magnitude over columns and rows by a grid and zooming into its best places.
-
-    `function` takes the values along both and returns an array of shape (rows, columns). Kinks
-    do no harm: nothing is differentiated.
-    """
-    values = np.abs(function(columns, rows))
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    height, width = values.shape
-    neighbours = np.max(
-        [
-            padded[1 + i : 1 + i + height, 1 + j : 1 + j + width]
-            for i in (-1, 0, 1)
-            for j in (-1, 0, 1)
-        ],
-        axis=0,
-    )
-    is_top = values >= neighbours
-    best_first = np.argsort(values[is_top])[::-1][:6]
-    found = []
-    for i, j in np.argwhere(is_top)[best_first]:
-        best, x, y = values[i, j], columns[j], rows[i]
-        left, right = columns[max(j - 1, 0)], columns[min(j + 1, width - 1)]
-        low, high = rows[max(i - 1, 0)], rows[min(i + 1, height - 1)]
-        while max(high - low, right - left) > 1e-10 * rows[-1]:
-            near = np.linspace(left, right, 7 if right > left else 1)
-            then = np.linspace(low, high, 7)
-            local = np.abs(function(near, then))
-            at = np.unravel_index(np.argmax(local), local.shape)
-            if local[at] >= best:
-                best, x, y = local[at], near[at[1]], then[at[0]]
-            left, right = _narrowed(left, right, x)
-            low, high = _narrowed(low, high, y)
-        found.append((float(best), float(x), float(y)))
-    return max(found)
-
-
-def _narrowed(low: float, high: float, middle: float) -> tuple[float, float]:
-    """Interval of less than half the length around a point of the first one, and within it."""
-    reach = 0.2 * (high - low)
-    return max(low, middle - reach), min(high, middle + reach)
+def _run(
+    stepper: Stepper, motion: PlateMotion, *, until: float | None, max_events: int | None
+) -> None:
+    """Go to the end of a throw as `simulate` defines it."""
+    rig = stepper.rig
+    latest = MAX_DURATION if until is None else until
+    if isinstance(motion, SampledMotion) and motion.after == 'error':
+        latest = min(latest, motion.end_time)
+    affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
+    wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
+    quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
+    tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
+    low = high = stepper.rest_position
+    time, ticks, seen = 0.0, 0, 0
+    while time < latest and (max_events is None or seen < max_events):
+        ticks += 1
+        time = min(ticks * tick, latest)
+        if stepper.advance_to(time) > seen:
+            seen = stepper.event_count
+            last = stepper.events()[-1]
+            low = high = stepper.surface_position
+            if last.kind == 'landing' and max_events is None and until is None:
+                return
+        if until is not None:
+            continue
+        if time > affordable or (not seen and time > motion.start_time + wait):
+            return
+        low, high = min(low, stepper.surface_position), max(high, stepper.surface_position)
+        if seen and not stepper.in_contact and time - last.time > quiet:
+            rise, speed = stepper.state[PROJECTILE_POSITION], stepper.state[PROJECTILE_VELOCITY]
+            is_out_of_reach = rise - high > high - low and speed > 0.0
+            if is_out_of_reach and (
+                rig.gravity == 0.0 or time + 2.0 * speed / rig.gravity > min(affordable, latest)
+            ):
+                return

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.plate import PlateMotion, Sampled, Underdamped
+from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -145,7 +145,7 @@ class WaveHistory:
         self.rig = rig
         self.motion = motion
         self._crossing = rig.crossing_time
-        start = float(motion.knots[0]) + self._crossing
+        start = float(_knots(motion)[0]) + self._crossing
         self._down = _Series(start)  # q at the top
         self._mass_velocity = _Series(start)
         self._mass_rise = _Series(start)
@@ -236,7 +236,7 @@ class WaveHistory:
 
     def plate_work(self, time: float) -> float:
         """Work that the plate has done on layer and projectile until `time`. [J]"""
-        start = float(self.motion.knots[0])
+        start = float(_knots(self.motion)[0])
         edges = self._edges(start, time, (self._down.edges, self._crossing))
         nodes, weights = _quadrature(edges)
         return -float(np.sum(weights * self.plate_force(nodes) * self.motion.velocity(nodes)))
@@ -269,7 +269,7 @@ class WaveHistory:
 
         They are as dense as the history's own pieces, which are short where a front has passed.
         """
-        start = float(self.motion.knots[0])
+        start = float(_knots(self.motion)[0])
         edges = np.concatenate(
             [
                 self._edges(start, end, (self._down.edges, shift * self._crossing))
@@ -313,7 +313,7 @@ class WaveHistory:
         """Where to cut [start, end]: at shifted edges of pieces and at the plate's knots."""
         edges, shift = shifted
         all_edges = np.concatenate(
-            (np.asarray(edges) + shift, self.motion.knots, self.motion.knots + self._crossing)
+            (np.asarray(edges) + shift, _knots(self.motion), _knots(self.motion) + self._crossing)
         )
         inner = all_edges[(all_edges > start) & (all_edges < end)]
         swings = math.ceil(4.0 * (end - start) * self.rig.engine.frequency)
@@ -404,9 +404,9 @@ class _Follower:
         self.max_events = max_events
         self.open_ended = until is None and max_events is None
         self.until = math.inf if until is None else until
-        if isinstance(motion, Sampled) and motion.after == 'error':
+        if isinstance(motion, SampledMotion) and motion.after == 'error':
             self.until = min(self.until, motion.end_time + self.crossing)
-        self.kinks: list[float] = (motion.knots + self.crossing).tolist()
+        self.kinks: list[float] = (_knots(motion) + self.crossing).tolist()
         heapq.heapify(self.kinks)
         self.time = float(heapq.heappop(self.kinks))
         heapq.heappush(self.kinks, self.time + 2.0 * self.crossing)
@@ -566,3 +566,8 @@ def _polished(coefficients: Floats, root: float) -> float:
         if abs(change) < 1e-4:
             root -= change
     return float(min(max(root, -1.0), 1.0))
+
+
+def _knots(motion: PlateMotion) -> Floats:
+    """Times at which a motion is not smooth, the start first. [s]"""
+    return motion.times if isinstance(motion, SampledMotion) else np.zeros(1)

@@ -1,0 +1,1125 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+Cells of finite size: layers with loss, stacks, elastic projectiles, layers on the projectile.
+
+Notes
+-----
+Eqs. (2)-(3) of [1]_, :math:`\rho u_{tt} = \sigma_y`, with the Kelvin-Voigt stress
+:math:`\sigma = E u_y + \eta u_{ty}`, on the nodes of `soft_throw_ros.core.cells`. Displacements u
+belong to whole steps, velocities v to half steps, so that semi-implicit Euler is of second order,
+
+.. math::
+
+    M a^n = -K (u^n + \beta h^2 a^n) - C \frac{v^{n+1/2} + v^{n-1/2}}{2}, \qquad
+    v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
+
+:math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
+acceleration) keeps the scheme stable. What is implicit is one tridiagonal system with constant
+coefficients. All counts from the static equilibrium; the weight of the layer is left out as in
+[1]_, unless it is thrown along.
+
+In contact the two nodes of the joint move as one. The force between them is inertia and stress of
+what is above, and the projectile leaves when it falls below zero, at the root of the cubic through
+four steps. After that the nodes are free of each other, and of the weight. In the cell at each
+free end a dashpot takes away what the release leaves there in turns from step to step; in one cell
+it is a change of second order.
+
+They meet again when the gap is closed at the end of a step; from there on they are where momentum
+puts them, at the common velocity. That is how two waves meet half a cell later, so that events
+after a landing are of second order, too, though a landing is a jump.
+
+The grid is up to one step ahead of the time that is asked for, and the state is interpolated
+between its last two steps (third order). So with a measured plate it can go as far as the last
+whole step before what is known.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+import math
+import os
+from typing import Literal
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.cells import (
+    add_cells,
+    BURDEN,
+    cut,
+    cut_massless,
+    DISPLACEMENT,
+    factorise,
+    FORCE,
+    INVERSE,
+    LARGEST,
+    MASS,
+    MEAN_VELOCITY,
+    POSITION,
+    REST,
+    ROWS,
+    solve,
+    SOLVER,
+    SPEED,
+    STATIC,
+    STIFF,
+    STIFFNESS,
+    STRESS,
+    VELOCITY,
+    VISCOSITY,
+)
+from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
+from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import (
+    BACKWARDS,
+    BEYOND_HORIZON,
+    FirstThrows,
+    LANDING,
+    Loads,
+    PLATE_FORCE,
+    PLATE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    RECONTACT,
+    RELEASE,
+    require_count,
+    Stepper,
+    TIME,
+    TOO_FAR,
+    TOO_MANY_EVENTS,
+)
+from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+
+Floats = NDArray[np.float64]
+
+MODELS = (
+    'finite_difference',
+    'finite_difference_elastic',
+    'finite_difference_glued',
+    'spring_mass',
+)
+"""Models of a throw that are cells: see `CellStepper`."""
+
+MAX_CELLS = 4096
+"""Most cells of a layer."""
+
+MAX_UPDATE_RATE = 4e7
+"""Most cells times steps in a second of rig time, of which a processor takes 3e8 and more. [1/s]"""
+
+MAX_PERIODS = 16.0
+"""Plate periods, and periods of the projectile on the layer, in which `first_throws` waits."""
+
+MAX_CROSSINGS = 4096.0
+"""Crossings of the wave in which `first_throws` waits at most."""
+
+MAX_CROSSING_RATIO = 32.0
+"""Slowest projectile of `first_throws`: it has as many times more cells than the layer."""
+
+_CELLS = 64
+_CELLS_PER_RELAXATION = 12.0  # for 1e-4 in the speed, if there is time for it, ...
+_FEWEST_PER_RELAXATION = 4.0  # and for 1e-3
+_STEPS_PER_PERIOD = 120.0
+_FEWEST_PER_PERIOD = 80.0
+_SLOWEST = 8.0  # projectile in real time, whose waves take so many times longer than the layer's
+_SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projectile
+_MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
+_THROWS_PER_TASK = 16
+
+_BLOCK = 256  # steps between exact evaluations of the underdamped plate
+_NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
+
+_options = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
+_jit = nb.njit(**_options, fastmath={'contract'})
+
+# Three such records make a stepper: the first is at a step of the grid, the second at the time
+# asked for; the third is what both are reset to. Where two values stand for one, they are those
+# below and above the joint, or at the plate and at the top of the layer.
+_CORE = np.dtype(
+    [
+        # what stays
+        ('step', 'f8'),
+        ('rate', 'f8'),  # 2 / step
+        ('cells', 'i8'),  # of the layer
+        ('bottom', 'i8'),  # its lowest node
+        ('joint', 'i8'),
+        ('is_lossy', '?'),
+        ('is_massless', '?'),
+        ('creep', 'f8'),  # stiffness over viscosity, with which a free end without mass creeps
+        ('mass', 'f8'),  # of the projectile
+        ('face_mass', 'f8'),  # its part of the mass of its lowest node
+        ('thrown', 'f8'),  # mass above the joint
+        ('gravity', 'f8'),
+        ('release_threshold', 'f8'),  # contact force at which the projectile leaves: 0, less noise
+        ('rest_height', 'f8'),  # of the projectile's lower face
+        (
+            'edge_cells',
+            'i8',
+            (2, 2),
+        ),  # to extrapolate the strain to plate and top, as `Cells.place`
+        ('edge_weights', 'f8', (2,)),
+        ('bodies', 'i8', (2,)),  # outermost nodes that meet as one in a collision
+        ('body_masses', 'f8', (2,)),
+        *SOLVER,
+        # how the plate moves, and where it has got to
+        *PLATE,
+        ('slope', 'f8'),  # growth over turn
+        ('phasor', 'f8', (2,)),  # at the start of the block
+        ('plate_acceleration', 'f8'),
+        # where the grid has got to
+        ('time', 'f8'),
+        ('index', 'i8'),  # of the step
+        ('part', 'f8'),  # of it that has passed
+        ('contact', '?'),
+        ('landed', '?'),
+        ('events', 'i8'),
+        ('event_time', 'f8'),  # of the event in the last step, or of none
+        ('event_velocity', 'f8'),
+        ('forces', 'f8', (4,)),  # in the contact, the latest first
+        ('known_forces', 'i8'),
+        ('joint_before', 'f8', (2,)),  # displacements a step ago
+        # forces of the layer on plate and projectile: a step ago, in the end, and after an event
+        ('on_plate', 'f8', (3,)),
+        ('on_projectile', 'f8', (3,)),
+        # loads up to the first release
+        ('edge_strains', 'f8', (2,)),
+        ('acceleration', 'f8'),
+        ('plate_force', 'f8'),
+        ('first_work', 'f8'),
+        # energy
+        ('power', 'f8'),
+        ('heating', 'f8'),
+        ('work', 'f8', (2,)),  # a step ago, and now
+        ('heat', 'f8', (2,)),
+        # at `time`
+        ('surface', 'f8'),
+        ('state', 'f8', (7,)),
+    ],
+    align=True,
+)
+
+_PLACE = np.dtype([('cell', 'i8'), ('beside', 'i8'), ('weight', 'f8'), ('part', 'f8')])
+"""From where to read the layer at a height, see `Cells.place`."""
+
+
+def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
+    r"""
+    Choose how many cells the layer takes in real time, or refuse what cannot be done.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    model : str
+        One of `MODELS`.
+
+    Returns
+    -------
+    int
+        At least 64; 12 per relaxation time :math:`\tau`, and so many that there are 120 steps in
+        a period of the plate, or as many as there is time for. Errors are 1e-4, then. For a
+        layer without mass 1.
+
+    Raises
+    ------
+    ValueError
+        If more than `MAX_CELLS`, or more updates than `MAX_UPDATE_RATE`, would be needed for 64
+        cells, 4 per relaxation time and 80 steps in a period; it says which number, which limit
+        and what would do.
+
+    Examples
+    --------
+    >>> cells_per_layer(Rig())
+    64
+
+    """
+    _require_model(model)
+    if model == 'spring_mass':
+        rate = 3.0 / _spring_step(rig)
+        if rate > MAX_UPDATE_RATE:
+            raise ValueError(
+                f'a projectile that swings at {rig.natural_frequency:.4g} Hz on its layer needs '
+                f'{rate:.3g} updates per second, the limit is {MAX_UPDATE_RATE:g}; feasible: '
+                f'layer.wave_speed of {rig.layer.wave_speed * MAX_UPDATE_RATE / rate:.4g} m/s'
+            )
+        return 1
+    layer, crossing = rig.layer, rig.crossing_time
+    per_cell = 1.0
+    if model == 'finite_difference_elastic':
+        per_cell += max(rig.crossing_ratio, 2.0 / _CELLS)
+        modulus = rig.projectile.youngs_modulus
+        if rig.crossing_ratio > _SLOWEST:
+            stiffer = modulus * (rig.crossing_ratio / _SLOWEST) ** 2
+            raise ValueError(
+                f'projectile.youngs_modulus {modulus:g} Pa needs {rig.crossing_ratio:.3g} times '
+                f'the cells of the layer, the limit is {_SLOWEST:g}; '
+                f'feasible: projectile.youngs_modulus of {1.001 * stiffer:.4g} Pa or more'
+            )
+    rate = MAX_UPDATE_RATE * crossing / per_cell
+    limit = min(MAX_CELLS, math.floor(math.sqrt(rate)))
+    if limit < _CELLS:
+        longer = _CELLS**2 / rate
+        raise ValueError(
+            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
+            f'needs {MAX_UPDATE_RATE * longer:.3g} updates of cells per second, the limit is '
+            f'{MAX_UPDATE_RATE:g}; feasible: layer.thickness of '
+            f'{1.001 * layer.thickness * longer:.4g} m or more, or layer.wave_speed of '
+            f'{0.999 * layer.wave_speed / longer:.4g} m/s or less'
+        )
+    for_mass = math.ceil(_FEWEST_PER_RELAXATION / rig.mass_ratio)
+    if for_mass > limit:
+        least = rig.projectile.mass * for_mass / limit
+        raise ValueError(
+            f'projectile.mass {rig.projectile.mass:g} kg on a layer of {layer.mass:.4g} kg needs '
+            f'{for_mass} cells, the limit is {limit}; '
+            f'feasible: projectile.mass of {1.001 * least:.4g} kg or more'
+        )
+    periods = crossing * rig.engine.frequency
+    for_plate = math.ceil(_FEWEST_PER_PERIOD * periods)
+    if for_plate > limit:
+        most = rig.engine.frequency * limit / for_plate
+        raise ValueError(
+            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
+            f'{crossing:.4g} s needs {for_plate} cells, the limit is {limit}; '
+            f'feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
+        )
+    wanted = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
+    return min(max(_CELLS, math.ceil(min(wanted, MAX_CELLS))), limit)
+
+
+def _require_model(model: str) -> None:
+    """Raise ValueError for a model that is unknown."""
+    if model not in MODELS:
+        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+
+
+def _spring_step(rig: Rig) -> float:
+    """Choose the time step of a layer without mass. [s]"""
+    return 1.0 / (_SPRING_STEPS * max(rig.engine.frequency, rig.natural_frequency))
+
+
+@_jit
+def _prepare(s, nodes):
+    """Complete a record at rest from step, cells, masses, gravity and the cells' properties."""
+    last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
+    s.rate = 2.0 / s.step
+    s.contact = True
+    s.event_time = math.inf
+    s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
+    s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
+    s.is_lossy = False
+    nodes[VISCOSITY + 1] = nodes[VISCOSITY]
+    for j in range(last):
+        s.is_lossy = s.is_lossy or nodes[VISCOSITY, j] > 0.0
+    s.creep = math.inf
+    if s.is_massless and s.is_lossy:
+        s.creep = nodes[STIFFNESS, 0] / nodes[VISCOSITY, 0]
+    # What takes half of the momentum of a free end in half a step ends its alternation at once
+    if joint > 0:
+        nodes[VISCOSITY, joint - 1] += 2.0 / s.step * nodes[MASS, joint]
+    if joint + 2 <= last:
+        nodes[VISCOSITY, joint + 1] += 2.0 / s.step * nodes[MASS, joint + 1]
+    s.known[0] = 1 if s.is_massless else 0
+    s.known[1] = 1 if joint == 0 else 0
+    factorise(s, nodes, s.step, joint, 0)
+    factorise(s, nodes, s.step, joint, 1)
+    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
+    # such cells part meet as one.
+    s.bodies[0], s.bodies[1] = joint, joint + 1
+    while s.bodies[0] > 1 and nodes[STIFF, s.bodies[0] - 1] > 0.0:
+        s.bodies[0] -= 1
+    while s.bodies[1] < last and nodes[STIFF, s.bodies[1]] > 0.0:
+        s.bodies[1] += 1
+    s.body_masses[0] = nodes[MASS, s.bodies[0] : joint + 1].sum()
+    s.body_masses[1] = nodes[MASS, joint + 1 : s.bodies[1] + 1].sum()
+    s.thrown = nodes[MASS, joint + 1 :].sum()
+    # At rest every cell carries the projectile, and what of the layer is thrown along
+    carried = s.mass * s.gravity
+    for j in range(top - 1, s.bottom - 1, -1):
+        if s.bottom > 0:
+            own = nodes[MASS, j + 1] - (s.face_mass if j + 1 == top else 0.0)
+            carried += own * s.gravity
+        nodes[BURDEN, j] = carried
+        nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
+    for j in range(s.bottom, top):
+        nodes[REST, j + 1] = nodes[REST, j] + (1.0 - nodes[STATIC, j]) / nodes[INVERSE, j]
+    s.rest_height = nodes[REST, top]
+    s.edge_strains[0], s.edge_strains[1] = nodes[STATIC, s.bottom], nodes[STATIC, top - 1]
+    s.plate_force = s.thrown * s.gravity
+
+
+@_jit
+def _accelerate(s, nodes):
+    """Compute the stress in all links, and the velocities of all nodes at the whole step."""
+    now = s.index & 1
+    for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        nodes[STRESS + now, j] = nodes[STIFFNESS, j] * stretch
+    # In flight both sides of the joint are free of the weight
+    nodes[STRESS + now, s.joint] = 0.0 if s.contact else s.thrown * s.gravity
+    solve(s, nodes, now, 1 if s.contact else 0)
+
+
+@_jit
+def _tension(s, nodes, j):
+    """Compute the tension of a link with its viscous part, and that of a stiff cell."""
+    w, case = MEAN_VELOCITY + (s.index & 1), 1 if s.contact else 0
+    rate = nodes[w, j + 1] - nodes[w, j]
+    change = rate - nodes[VELOCITY, j + 1] + nodes[VELOCITY, j]
+    viscous = nodes[VISCOSITY + case, j] * rate + nodes[STIFF, j] * change * s.rate
+    return nodes[STRESS + (s.index & 1), j] + viscous
+
+
+@_jit
+def _drive(s, nodes, path):
+    """Move the plate, and what goes with it; return its velocity."""
+    w = MEAN_VELOCITY + (s.index & 1)
+    stretch = s.joint_before[0] - nodes[DISPLACEMENT, 0]
+    if s.plate_kind == DAMPED:
+        # Rotations of a phasor that is evaluated anew for every block
+        k = s.index & (_BLOCK - 1)
+        if k == 0:
+            time = s.index * s.step
+            fading = s.growth * time
+            size = 0.0 if fading < -600.0 else math.exp(fading)
+            s.phasor[0], s.phasor[1] = (
+                size * math.cos(s.turn * time),
+                size * math.sin(s.turn * time),
+            )
+        real = s.phasor[0] * path[0, k] - s.phasor[1] * path[1, k]
+        imaginary = s.phasor[0] * path[1, k] + s.phasor[1] * path[0, k]
+        nodes[DISPLACEMENT, 0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+        speed = s.factor * imaginary
+        s.plate_acceleration = s.factor * (s.turn * real + s.growth * imaginary)
+    else:
+        nodes[DISPLACEMENT, 0], speed, s.plate_acceleration = motion_at(s, path, s.index * s.step)
+    nodes[w, 0], nodes[VELOCITY, 0] = speed, speed - 0.5 * s.step * s.plate_acceleration
+    if s.joint == 0 and s.contact:
+        nodes[DISPLACEMENT, 1], nodes[VELOCITY, 1], nodes[w, 1] = (
+            nodes[DISPLACEMENT, 0],
+            nodes[VELOCITY, 0],
+            nodes[w, 0],
+        )
+    elif s.is_massless and not s.contact:  # the free end creeps to where it has no load
+        free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
+        stretch = (stretch - free) * math.exp(-s.creep * s.step)
+        nodes[DISPLACEMENT, 1] = nodes[DISPLACEMENT, 0] + free + stretch
+        nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.joint_before[0]) / s.step
+        nodes[w, 1] = nodes[w, 0] - (s.creep * stretch if s.is_lossy else 0.0)
+    return speed
+
+
+@_jit
+def _speed_of_thrown(s, nodes):
+    """Compute the speed of the centre of mass of what is thrown, at the half step."""
+    momentum = 0.0
+    for j in range(s.joint + 1, nodes.shape[1]):
+        momentum += nodes[MASS, j] * nodes[VELOCITY, j]
+    return momentum / s.thrown
+
+
+@_jit
+def _note_event(s, events, kind, part, height, velocity):
+    """Write down an event in the last step; without room for it, the march ends."""
+    s.event_time, s.event_velocity = (s.index - 1 + part) * s.step, velocity
+    s.events += 1
+    if s.events <= events.shape[0]:
+        row = events[s.events - 1]
+        row[0], row[1], row[2], row[3] = kind, s.event_time, s.rest_height + height, velocity
+
+
+@_jit
+def _leave(s, nodes, events):
+    """Let go, now that the force is below zero."""
+    after, before, earlier, first = s.forces[0], s.forces[1], s.forces[2], s.forces[3]
+    if s.known_forces < 4:  # so short after a landing it is a line
+        earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
+    third = (after - first + 3.0 * (earlier - before)) / 6.0
+    second = 0.5 * (earlier + after) - before
+    slope = after - before - second - third
+    low, high = 0.0, 1.0
+    while True:  # bisect until no number is between
+        part = 0.5 * (low + high)
+        if not low < part < high:
+            break
+        if before + part * (slope + part * (second + part * third)) < 0.0:
+            high = part
+        else:
+            low = part
+    # What the force less the weight does from half of the step on, where the mean velocity of the
+    # step is that at its middle and a 24th of its bend
+    impulse = (before - s.thrown * s.gravity) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
+    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
+    impulse -= (after - before) / 24.0
+    velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
+    if s.events == 0:
+        s.first_work = s.work[0] + part * s.step * s.power
+    s.contact = False
+    _note_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
+
+
+@_jit
+def _land(s, nodes, events):
+    """Close the gap, now that it is negative."""
+    j = s.joint
+    u, v, before = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + 1 - (s.index & 1)]
+    gap, closed = s.joint_before[1] - s.joint_before[0], u[j + 1] - u[j]
+    bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
+    low, high = 0.0, 1.0
+    while True:  # bisect until no number is between
+        part = 0.5 * (low + high)
+        if not low < part < high:
+            break
+        if gap + part * (closed - gap) - bend * part * (1.0 - part) < 0.0:
+            high = part
+        else:
+            low = part
+    face = s.cells + 1
+    height = u[face] - s.step * (1.0 - part) * (v[face] + part * (v[face] - before[face]))
+    velocity = _speed_of_thrown(s, nodes) - s.gravity * s.step * (part - 0.5)
+    overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
+    part_above = 1.0
+    if j > 0:
+        part_above = s.body_masses[0] / (s.body_masses[0] + s.body_masses[1])
+        for k in range(s.bodies[0], j + 1):
+            u[k] -= (1.0 - part_above) * overlap
+            v[k] -= (1.0 - part_above) * approach
+    else:
+        s.work[1] += s.body_masses[1] * approach * v[0]
+    for k in range(j + 1, s.bodies[1] + 1):
+        u[k] += part_above * overlap
+        v[k] += part_above * approach
+    s.contact = True
+    s.known_forces = 0
+    s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
+    _note_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
+
+
+@_jit
+def _weigh(s, nodes):
+    """Compute the forces of the layer on plate and projectile, and that in the contact."""
+    w, j, face, last = MEAN_VELOCITY + (s.index & 1), s.joint + 1, s.cells + 1, nodes.shape[1] - 1
+    weight = s.mass * s.gravity
+    change = nodes[w, j] - nodes[VELOCITY, j]
+    force = s.thrown * s.gravity + nodes[MASS, j] * s.rate * change
+    if j < last:
+        force -= _tension(s, nodes, j)
+    if s.contact:
+        s.forces[3], s.forces[2], s.forces[1] = s.forces[2], s.forces[1], s.forces[0]
+        s.forces[0] = force
+        s.known_forces += 1
+    pushed = 0.0
+    if s.contact or s.joint == 0:
+        change = nodes[w, face] - nodes[VELOCITY, face]
+        pushed = weight + s.face_mass * s.rate * change
+        if face < last:
+            pushed -= _tension(s, nodes, face)
+    s.on_projectile[2] = pushed
+    if s.joint == 0:
+        s.on_plate[2] = -force if s.contact else 0.0
+    else:
+        s.on_plate[2] = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
+
+
+@_jit
+def _march(s, nodes, path, events):
+    """Advance by one step."""
+    step, joint = s.step, s.joint
+    w = MEAN_VELOCITY + (s.index & 1)
+    s.joint_before[0], s.joint_before[1] = (
+        nodes[DISPLACEMENT, joint],
+        nodes[DISPLACEMENT, joint + 1],
+    )
+    for j in range(nodes.shape[1]):
+        nodes[VELOCITY, j] = 2.0 * nodes[w, j] - nodes[VELOCITY, j]
+        nodes[DISPLACEMENT, j] += step * nodes[VELOCITY, j]
+    s.index += 1
+    s.event_time = math.inf
+    s.on_plate[0], s.on_projectile[0] = s.on_plate[2], s.on_projectile[2]
+    s.work[0], s.heat[0] = s.work[1], s.heat[1]
+    speed = _drive(s, nodes, path)
+    gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
+    lands = not s.contact and gap < 0.0
+    if lands:
+        _land(s, nodes, events)
+    _accelerate(s, nodes)
+    _weigh(s, nodes)
+    before = 0 if lands else 2
+    s.on_plate[1], s.on_projectile[1] = s.on_plate[before], s.on_projectile[before]
+    if s.contact and not lands and s.forces[0] < s.release_threshold:
+        _leave(s, nodes, events)
+        _accelerate(s, nodes)
+        _weigh(s, nodes)
+    power = -s.on_plate[2] * speed
+    s.work[1] += 0.5 * step * (s.power + power)
+    s.power = power
+    if s.is_lossy:
+        heating = _heating(nodes, s.index & 1)
+        s.heat[1] += 0.5 * step * (s.heating + heating)
+        s.heating = heating
+    if s.events == 0:
+        _compare_loads(s, nodes)
+
+
+@nb.njit(**_options, fastmath={'contract', 'reassoc'})
+def _heating(nodes, now):
+    """Compute the power that turns to heat in the layer."""
+    total = 0.0
+    for j in range(nodes.shape[1] - 1):
+        rate = nodes[MEAN_VELOCITY + now, j + 1] - nodes[MEAN_VELOCITY + now, j]
+        total += nodes[VISCOSITY + 1, j] * rate * rate
+    return total
+
+
+@_jit
+def _strain(nodes, row, j):
+    """Compute the strain of a cell from displacements or positions."""
+    stretch = nodes[row, j + 1] - nodes[row, j]
+    return stretch * nodes[INVERSE, j] - nodes[STATIC, j]
+
+
+@_jit
+def _compare_loads(s, nodes):
+    """Look whether anything is larger than it has been."""
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        strain = abs(stretch * nodes[INVERSE, j] - nodes[STATIC, j])
+        nodes[LARGEST, j] = strain if strain > nodes[LARGEST, j] else nodes[LARGEST, j]
+    for end in range(2):
+        strain = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 0])
+        other = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 1])
+        strain += s.edge_weights[end] * (other - strain)
+        s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
+    acceleration = s.on_projectile[2] / s.mass - s.gravity
+    s.acceleration = max(s.acceleration, abs(acceleration))
+    s.plate_force = max(s.plate_force, abs(s.on_plate[2]))
+
+
+@_jit
+def _motion(s, nodes, j, part):
+    """Interpolate displacement and velocity of a node between the last two steps."""
+    u, v, step = nodes[DISPLACEMENT, j], nodes[VELOCITY, j], s.step
+    if s.index == 0:
+        return u, v
+    now = s.index & 1
+    # Changes of velocity in half a step, of an acceleration that is linear in time
+    old, new = v - nodes[MEAN_VELOCITY + 1 - now, j], nodes[MEAN_VELOCITY + now, j] - v
+    before = u - step * v
+    if j == s.joint or j == s.joint + 1:  # which a landing may have moved
+        before = s.joint_before[j - s.joint]
+    bend = old * (2.0 - part) + new * (1.0 + part)
+    height = before + part * (u - before) - step * part * (1.0 - part) * bend / 3.0
+    turn = old * (2.0 * part - part * part - 2.0 / 3.0) + new * (part * part - 1.0 / 3.0)
+    return height, v + turn
+
+
+@_jit
+def _advance(time, core, nodes, path, events):
+    """Advance to `time`; the number of events so far, or what is wrong."""
+    grid, s = core[0], core[1]
+    if not time >= s.time:
+        return BACKWARDS
+    step = grid.step
+    if time >= 4e15 * step:
+        return TOO_FAR
+    goal = int(time / step)
+    while goal * step < time:
+        goal += 1
+    while goal > 0 and (goal - 1) * step >= time:
+        goal -= 1
+    if goal * step > grid.horizon:
+        return BEYOND_HORIZON
+    while grid.index < goal and grid.events <= events.shape[0]:
+        _march(grid, nodes, path, events)
+    if grid.events > events.shape[0]:
+        return TOO_MANY_EVENTS
+    piece = s.piece  # the grid's may be further on
+    core[1] = core[0]
+    s.piece = piece
+    s.time = time
+    s.part = 1.0
+    if goal > 0:
+        s.part = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
+    s.work[1] = s.work[0] + s.part * (s.work[1] - s.work[0])
+    s.heat[1] = s.heat[0] + s.part * (s.heat[1] - s.heat[0])
+    after, weight = 2, 1.0
+    if time < s.event_time:  # the event is still to come
+        if s.event_time < math.inf:
+            s.contact = not s.contact
+            s.events -= 1
+        after, weight = 1, s.part
+    state = s.state
+    state[TIME] = time
+    state[PLATE_POSITION], state[PLATE_VELOCITY], _ = motion_at(s, path, time)
+    height, state[PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.part)
+    state[PROJECTILE_POSITION] = s.rest_height + height
+    s.surface, _ = _motion(s, nodes, s.bottom + s.cells, s.part)
+    state[PLATE_FORCE] = s.on_plate[0] + weight * (s.on_plate[after] - s.on_plate[0])
+    rise = s.on_projectile[after] - s.on_projectile[0]
+    state[PROJECTILE_FORCE] = s.on_projectile[0] + weight * rise
+    return s.events
+
+
+@_jit
+def _move_nodes(s, nodes):
+    """Bring all nodes and the forces through all cells to the time asked for."""
+    now, part = s.index & 1, s.part if s.index > 0 else 1.0
+    old, new, before, after = (
+        MEAN_VELOCITY + 1 - now,
+        MEAN_VELOCITY + now,
+        STRESS + 1 - now,
+        STRESS + now,
+    )
+    back, bend = (part - 1.0) * s.step, (part - 1.0) * s.step * part / 3.0
+    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
+    for j in range(nodes.shape[1]):  # as `_motion`
+        u, v = nodes[DISPLACEMENT, j], nodes[VELOCITY, j]
+        first, second = v - nodes[old, j], nodes[new, j] - v
+        turn = first * (2.0 - part) + second * (1.0 + part)
+        nodes[POSITION, j] = u + back * v + bend * turn
+        nodes[SPEED, j] = v + from_old * first + from_new * second
+    for j in range(s.joint, s.joint + 2):
+        nodes[POSITION, j], nodes[SPEED, j] = _motion(s, nodes, j, part)
+    nodes[POSITION, 0], nodes[SPEED, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
+    viscosity = VISCOSITY + (1 if s.contact else 0)
+    for j in range(nodes.shape[1] - 1):  # as `_tension`
+        middle = nodes[VELOCITY, j + 1] - nodes[VELOCITY, j]
+        first, second = nodes[old, j + 1] - nodes[old, j], nodes[new, j + 1] - nodes[new, j]
+        earlier = nodes[viscosity, j] * first + nodes[STIFF, j] * (middle - first) * s.rate
+        later = nodes[viscosity, j] * second + nodes[STIFF, j] * (second - middle) * s.rate
+        earlier, later = nodes[before, j] + earlier, nodes[after, j] + later
+        nodes[FORCE, j] = nodes[BURDEN, j] - earlier - part * (later - earlier)
+
+
+@_jit
+def _read_layer(core, nodes, places, height, velocity, force):
+    """Read height, velocity and force of the layer from plate to top."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    for n in range(places.size):
+        j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
+        below, above = (
+            nodes[REST, j] + nodes[POSITION, j],
+            nodes[REST, j + 1] + nodes[POSITION, j + 1],
+        )
+        height[n] = below + part * (above - below)
+        velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
+        force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
+
+
+@_jit
+def _read_strain(core, nodes, places, strain):
+    """Read the strain of the layer from plate to top."""
+    _move_nodes(core[1], nodes)
+    for n in range(places.size):
+        here = _strain(nodes, POSITION, places[n].cell)
+        there = _strain(nodes, POSITION, places[n].beside)
+        strain[n] = here + places[n].weight * (there - here)
+
+
+@_jit
+def _stored_energy(core, nodes):
+    """Add up the energy of layer and projectile against rest."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    position, speed = nodes[POSITION], nodes[SPEED]
+    weight = s.thrown * s.gravity
+    total = 0.5 * nodes[MASS, 0] * speed[0] ** 2
+    total += weight * (position[0] + position[s.joint + 1] - position[s.joint])
+    for j in range(position.size - 1):
+        total += 0.5 * nodes[STIFFNESS, j] * (position[j + 1] - position[j]) ** 2
+        total += 0.5 * nodes[MASS, j + 1] * speed[j + 1] ** 2
+    return total
+
+
+@_jit
+def _reset(core, nodes, path):
+    """Put everything back to rest."""
+    core[0] = core[2]
+    s = core[0]
+    nodes[DISPLACEMENT : STRESS + 2] = 0.0
+    nodes[LARGEST] = nodes[STATIC]
+    speed = _drive(s, nodes, path)
+    _accelerate(s, nodes)
+    _weigh(s, nodes)
+    # The plate has not moved yet, whatever its acceleration
+    weight = s.mass * s.gravity
+    s.on_plate[:] = -s.thrown * s.gravity if s.joint == 0 else -weight
+    s.on_projectile[:] = weight
+    s.power = -s.on_plate[2] * speed
+    core[1] = core[0]
+
+
+@_jit
+def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found):
+    """
+    Compute rows of `FirstThrows` but for its energy transfer, NaN if there is no release.
+
+    Units: mass and crossing time of the layer, amplitude of the plate. A row of `cases` has what
+    `first_throws` takes, in its order.
+    """
+    events = np.empty((0, 4))
+    for n in range(cases.shape[0]):
+        mu, kappa, zeta, gravity, loss, crossing = cases[n]
+        omega, root = 2.0 * math.pi / kappa, math.sqrt(1.0 - zeta * zeta)
+        core[2] = core[3]
+        s = core[2]
+        s.step, s.cells = 1.0 / cells, cells
+        s.bottom, s.joint = (1, 0) if is_on_projectile else (0, cells)
+        s.mass = s.face_mass = mu
+        s.gravity = gravity * omega * omega
+        s.release_threshold = -_NOISE * omega
+        s.edge_weights[:] = -0.5
+        s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
+        s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
+        s.horizon = math.inf
+        s.amplitude, s.growth, s.turn = 1.0, -zeta * omega, root * omega
+        s.factor = omega / root
+        for k in range(_BLOCK):
+            size = math.exp(s.growth * s.step * k)
+            path[0, k] = size * math.cos(s.turn * s.step * k)
+            path[1, k] = size * math.sin(s.turn * s.step * k)
+        nodes[:] = 0.0
+        nodes[INVERSE, s.bottom : s.bottom + cells] = cells
+        add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
+        if bars > 0:
+            s.face_mass = 0.5 * mu / bars
+            add_cells(nodes, cells + 1, bars, mu, mu / crossing**2, 0.0, s.step)
+        else:
+            nodes[MASS, cells + 1] += mu
+        _prepare(s, nodes)
+        _reset(core, nodes, path)
+        grid = core[0]
+        periods = MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
+        last = math.ceil(min(1.0 + periods, MAX_CROSSINGS) * cells)
+        while grid.events == 0 and grid.index < last:
+            _march(grid, nodes, path, events)
+        row = found[n]
+        row[:] = math.nan
+        if grid.events > 0:
+            strain = max(grid.edge_strains[0], grid.edge_strains[1])
+            for j in range(nodes.shape[1]):
+                strain = max(strain, nodes[LARGEST, j])
+            row[0], row[1] = grid.event_time / kappa, grid.event_velocity / omega
+            row[2], row[3] = strain / omega, grid.acceleration / omega**2
+            row[4], row[5] = grid.plate_force / omega, grid.first_work / (mu * omega**2)
+
+
+def first_throws(
+    *,
+    mass_ratio: ArrayLike,
+    speed_ratio: ArrayLike,
+    damping_ratio: ArrayLike = 0.0,
+    gravity_ratio: ArrayLike = 0.0,
+    loss_tangent: ArrayLike = 0.0,
+    crossing_ratio: ArrayLike = 0.0,
+    glued_to: Literal['plate', 'projectile'] = 'plate',
+    cells: int | None = None,
+    unresolved: Literal['raise', 'nan'] = 'raise',
+    threads: int | None = None,
+) -> FirstThrows:
+    r"""
+    Throw many times up to the first release.
+
+    The layers are of one material; the plate moves as `plate.Underdamped`.
+
+    Parameters
+    ----------
+    mass_ratio : array_like
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : array_like
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    damping_ratio : array_like
+        Of the plate, :math:`\zeta`. [-]
+    gravity_ratio : array_like
+        :math:`g / (A \omega^2)`. [-]
+    loss_tangent : array_like
+        Of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
+    crossing_ratio : array_like
+        What a wave needs through the projectile over what it needs through the layer,
+        :math:`L_r c_s / (c_r L_s)`; 0 is rigid, and `MAX_CROSSING_RATIO` is the most. [-]
+    glued_to : {'plate', 'projectile'}
+        Where the layer is glued. On the projectile it is thrown along, as in [1]_, and the
+        release is at the plate.
+    cells : int, optional
+        Of the layer, from 8 to `MAX_CELLS`; if not given at least 64, and as many as it takes for
+        1e-4, throw by throw (up to 1024). Errors are of second order: 16 cells, which take a
+        tenth of the time, are good for 1e-3 where the layer has loss.
+    unresolved : {'raise', 'nan'}
+        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+    threads : int, optional
+        Largest number of threads, all cores if not given. Results do not depend on it.
+
+    Returns
+    -------
+    FirstThrows
+        Of arrays with the common shape. The speed is that of the centre of mass of what is
+        thrown.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not finite and positive (damping: in [0, 1); gravity, loss and crossing
+        ratio: not negative), a projectile is too slow, the shapes do not fit, or an option is not
+        one of its values.
+    ThrowUnresolvedError
+        If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
+        `unresolved` is 'nan'.
+
+    References
+    ----------
+    .. [1] Celestini, Raufaste et al. (2020), reference 27 of the paper.
+
+    Examples
+    --------
+    Internal loss costs energy:
+
+    >>> throws = first_throws(
+    ...     mass_ratio=0.234231, speed_ratio=8.242210, loss_tangent=[0.0, 0.02]
+    ... )
+    >>> throws.energy_transfer.round(3)
+    array([4.123, 3.798])
+
+    """
+    if glued_to not in ('plate', 'projectile'):
+        raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
+    if unresolved not in ('raise', 'nan'):
+        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
+    if threads is not None:
+        require_count('threads', threads, low=1, high=1 << 16)
+    if cells is not None:
+        require_count('cells', cells, low=8, high=MAX_CELLS)
+    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
+    crossing_ratio = checks.not_negative_array('crossing_ratio', crossing_ratio)
+    if crossing_ratio.max(initial=0.0) > MAX_CROSSING_RATIO:
+        raise ValueError(
+            f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {crossing_ratio.max()}'
+        )
+    cases = np.broadcast_arrays(
+        checks.positive_array('mass_ratio', mass_ratio),
+        checks.positive_array('speed_ratio', speed_ratio),
+        damping_ratio,
+        checks.not_negative_array('gravity_ratio', gravity_ratio),
+        checks.not_negative_array('loss_tangent', loss_tangent),
+        crossing_ratio,
+    )
+    rows = np.stack([case.ravel() for case in cases], axis=1)
+    found = _throw_in_threads(
+        rows, cells, glued_to == 'projectile', threads or os.cpu_count() or 1
+    )
+    failed = np.flatnonzero(np.isnan(found[:, 0]))
+    if failed.size and unresolved == 'raise':
+        names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')
+        case = ', '.join(
+            f'{name}_{"tangent" if name == "loss" else "ratio"} {value:g}'
+            for name, value in zip(names, rows[failed[0]], strict=True)
+        )
+        raise ThrowUnresolvedError(f'no release in {MAX_PERIODS:g} periods for {case}')
+    phase, speed, strain, acceleration, force, work = found.T.reshape(6, *cases[0].shape)
+    fastest = np.vectorize(peak_velocity_ratio, otypes=[float])(damping_ratio)
+    return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
+
+
+def _throw_in_threads(
+    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int
+) -> Floats:
+    """Compute all rows, those with the same number of cells by one call."""
+    found = np.empty((rows.shape[0], 6))
+    counts = np.full(rows.shape[0], cells or _CELLS)
+    if cells is None:
+        wanted = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
+        while (too_few := (counts < wanted) & (counts < _MOST_FOR_BATCH)).any():
+            counts[too_few] *= 2
+    bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (counts * rows[:, 5]).astype(np.int64)), 0)
+
+    def run(members: NDArray[np.int64]) -> None:
+        count, bar = int(counts[members[0]]), int(bars[members[0]])
+        rows_found = np.empty((members.size, 6))
+        core, nodes = np.zeros(4, _CORE), np.empty((ROWS, count + bar + 2))
+        path = np.empty((2, _BLOCK))
+        _throw_first(rows[members], count, bar, is_on_projectile, core, nodes, path, rows_found)
+        found[members] = rows_found
+
+    tasks = []
+    for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True))):
+        members = np.flatnonzero((counts == count) & (bars == bar))
+        parts = min(threads, max(1, members.size // _THROWS_PER_TASK))
+        tasks += [members[part::parts] for part in range(parts)]
+    if threads == 1 or len(tasks) == 1:
+        for task in tasks:
+            run(task)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(run, tasks))
+    return found
+
+
+class CellStepper(Stepper):
+    """
+    A throw by cells.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig; its layer may be a stack, and have loss.
+    motion : Underdamped, SampledMotion, 'measured' or None
+        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
+        `append_plate_states`. A sampled motion must not begin before time 0.
+    model : str
+        One of `MODELS`: with a rigid projectile (default), with an elastic one, with the layer
+        glued to the (rigid) projectile, or without mass in the layer.
+    cells : int, optional
+        Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.
+    field_points : int
+        Heights at which the layer is read, 2 or more.
+
+    Raises
+    ------
+    ValueError
+        If the rig cannot be stepped in real time (see `cells_per_layer`), or an argument is out
+        of range.
+
+    Notes
+    -----
+    See the module for the scheme, and `Stepper` for what all steppers promise. An event carries
+    the velocity of the centre of mass of what is thrown, and `state` that of the projectile's
+    lower face. `stored_energy` and `heat` add up to `work_so_far` to second order, and to first
+    after landings. Loads are those at the steps of the grid.
+
+    Examples
+    --------
+    A layer with internal loss:
+
+    >>> from soft_throw_ros.core.rig import Layer
+    >>> stepper = CellStepper(Rig(layer=Layer(loss_tangent=0.05)))
+    >>> stepper.advance_to(0.010)
+    1
+    >>> [release] = stepper.events()
+    >>> f'{release.kind} after {1e3 * release.time:.3f} ms with {release.velocity:.3f} m/s'
+    'release after 7.336 ms with 1.301 m/s'
+
+    """
+
+    _advance = staticmethod(_advance)
+    _changing = ('_core', '_nodes')
+
+    def __init__(
+        self,
+        rig: Rig,
+        motion: PlateMotion | Literal['measured'] | None = None,
+        *,
+        model: str = 'finite_difference',
+        cells: int | None = None,
+        field_points: int = 64,
+    ) -> None:
+        _require_model(model)
+        super().__init__(rig, field_points)
+        if cells is None:
+            cells = cells_per_layer(rig, model)
+        require_count('cells', cells, low=1, high=MAX_CELLS)
+        if model == 'spring_mass':
+            grid = cut_massless(rig, step=_spring_step(rig))
+        else:
+            is_elastic = model == 'finite_difference_elastic'
+            is_on_projectile = model == 'finite_difference_glued'
+            grid = cut(rig, cells=cells, is_elastic=is_elastic, is_on_projectile=is_on_projectile)
+        self.model = model
+        self.cells = grid.count
+        self.step = grid.step
+        self._nodes = grid.nodes
+        points = np.linspace(0.0, grid.heights[-1], field_points).tolist()
+        self._places = np.array([grid.place(height) for height in points], _PLACE)
+        for name in ('cell', 'beside'):
+            self._places[name] += grid.bottom
+        self._core = np.zeros(3, _CORE)
+        start = self._core[2]
+        self._path = write_motion(start, motion, rig.engine)
+        self._is_measured = isinstance(motion, str)
+        if start['plate_kind'] == DAMPED:
+            exponent = complex(start['growth'], start['turn'])
+            turns = np.exp(exponent * grid.step * np.arange(_BLOCK))
+            self._path = np.array([turns.real, turns.imag])
+        start['step'], start['cells'] = grid.step, grid.count
+        start['bottom'], start['joint'] = grid.bottom, grid.joint
+        start['mass'], start['face_mass'] = rig.projectile.mass, grid.face_mass
+        start['gravity'] = rig.gravity
+        start['release_threshold'] = -_NOISE * rig.engine.speed_scale * rig.layer.impedance
+        edges = self._places[[0, -1]]
+        start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
+        start['edge_weights'] = edges['weight']
+        _prepare(start, self._nodes)
+        self._memory = (self._core, self._nodes, self._path, self._events)
+        self.state = self._core['state'][1]
+        self.state.flags.writeable = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to time 0, everything at rest; states appended are forgotten."""
+        _reset(self._core, self._nodes, self._path)
+        self._advance(0.0, *self._memory)
+
+    def _read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
+        _read_layer(self._core, self._nodes, self._places, height, velocity, force)
+
+    def _read_strain(self, strain: Floats) -> None:
+        _read_strain(self._core, self._nodes, self._places, strain)
+
+    @property
+    def horizon(self) -> float:
+        """Until when `advance_to` can go: the last step at which the plate is known. [s]"""
+        known = float(self._core['horizon'][0])
+        if math.isinf(known):
+            return known
+        steps = int(known / self.step)
+        while steps * self.step > known:
+            steps -= 1
+        return steps * self.step
+
+    @property
+    def loads(self) -> Loads:
+        """Largest loads up to the first release, or so far if that is to come."""
+        now = self._core[1]
+        plate, contact = now['edge_strains'].tolist()
+        inside = float(self._nodes[LARGEST].max())
+        acceleration, force = float(now['acceleration']), float(now['plate_force'])
+        return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
+
+    @property
+    def plate_work(self) -> float:
+        """Work of the plate up to the first release, or so far if that is to come. [J]"""
+        now = self._core[1]
+        return float(now['first_work'] if self.event_count else now['work'][1])
+
+    @property
+    def work_so_far(self) -> float:
+        """Work of the plate from the start to now, whatever has happened. [J]"""
+        return float(self._core[1]['work'][1])
+
+    @property
+    def heat(self) -> float:
+        """What internal loss has taken so far. [J]"""
+        return float(self._core[1]['heat'][1])
+
+    def stored_energy(self) -> float:
+        """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+        return float(_stored_energy(self._core, self._nodes))
+
+
+def warm_up() -> None:
+    """Compile or load all kernels."""
+    stepper = CellStepper(Rig(), 'measured', field_points=2)
+    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.advance_to(stepper.horizon / 1024.0)
+    stepper.read_layer(np.empty(2), np.empty(2), np.empty(2))
+    stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
+    stepper.stored_energy()
+    stepper.fork().sync_from(stepper)
+    first_throws(mass_ratio=1.0, speed_ratio=8.0, cells=8)

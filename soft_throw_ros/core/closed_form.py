@@ -1,0 +1,585 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+When and how fast a rigid projectile first leaves the layer, exactly (Sec. IV of the paper).
+
+In closed form and for any number of crossings of the wave. What happens later, peak strains,
+fields and measured plates are for `soft_throw_ros.core.wave_stepper`.
+
+Notes
+-----
+Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, so that
+:math:`V_p = \Im e^{\lambda t}`. In the wave interval :math:`k`, that is
+:math:`t = 2 k + 1 + \sigma` with :math:`0 \le \sigma \le 2`, upward wave and mass move with
+
+.. math::
+
+    v_+ &= \Im\, Q_k e^{\lambda \sigma} - \sum_{j<k} c_{k-1-j}\, \phi_j(\sigma / \mu) \\
+    V_m &= \Im\, \frac{2 Q_k}{1 + \lambda \mu} e^{\lambda \sigma}
+           + \sum_{j \le k} (c_{k-j} - c_{k-1-j})\, \phi_j(\sigma / \mu)
+
+where :math:`\phi_j(u) = e^{-u} L_j(2 u)` are Laguerre functions. They are what the powers of the
+all-pass response :math:`r(s) = (\tau s - 1)/(\tau s + 1)` look like in time, never exceed 1, and
+so nothing cancels, however small :math:`\mu` is. With :math:`Q_k = e^{2 k \lambda} +
+r(\lambda) Q_{k-1}`, and :math:`c_k` from the continuity of :math:`V_m`,
+
+.. math::
+
+    c_k = S_k - S_{k-1} - \Im \frac{2 r(\lambda)^k}{1 + \lambda \mu}, \qquad
+    S_k = \sum_{j<k} c_{k-1-j}\, \phi_j(2 / \mu),
+
+one more interval costs :math:`O(k)` and no transcendental function. The contact force is
+:math:`F = (m / \tau) G` with :math:`G = 2 v_+ - V_m`, and the projectile leaves when G first
+falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. (14) is
+:math:`k = 1`, where it stops.
+
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.threads import in_threads
+
+MAX_INTERVALS = 2048
+"""Wave intervals (two crossings each) that are followed before a named error is raised."""
+
+_RELEASED = 0
+_NOT_WITHIN = 1
+_INACCURATE = 2
+
+_GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 within the box
+_SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
+_THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
+_INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+_inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
+_peak_velocity_ratio = nb.vectorize(cache=True)(peak_velocity_ratio)
+
+
+class ThrowUnresolvedError(ValueError):
+    """No release within the intervals that are followed, or none to the promised accuracy."""
+
+
+class FirstRelease(NamedTuple):
+    r"""
+    When and how fast the projectile first leaves the layer.
+
+    Attributes
+    ----------
+    ejection_phase : float or ndarray
+        :math:`t_e f`, in plate periods. [-]
+    speed : float or ndarray
+        :math:`V_e / (A \omega)`. [-]
+    energy_transfer : float or ndarray
+        :math:`\alpha = (V_e / V_p^*)^2`. [-]
+
+    """
+
+    ejection_phase: float | NDArray[np.float64]
+    speed: float | NDArray[np.float64]
+    energy_transfer: float | NDArray[np.float64]
+
+
+def first_release(
+    *,
+    mass_ratio: float,
+    speed_ratio: float,
+    damping_ratio: float = 0.0,
+    gravity_ratio: float = 0.0,
+) -> FirstRelease:
+    r"""
+    Find when a rigid projectile first leaves the layer, and how fast.
+
+    The plate moves as `plate.Underdamped`; the layer is lossless.
+
+    Parameters
+    ----------
+    mass_ratio : float
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : float
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    damping_ratio : float
+        Of the plate, :math:`\zeta`. [-]
+    gravity_ratio : float
+        :math:`g / (A \omega^2)`. [-]
+
+    Returns
+    -------
+    FirstRelease
+        Of floats. Errors: 1e-9 in the ejection phase and relative in the energy transfer for
+        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
+        a few roundings in practice.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative).
+    ThrowUnresolvedError
+        If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
+        them worth a search), or rounding would spoil the promised accuracy (strong damping and
+        many crossings).
+
+    Notes
+    -----
+    See the module. The interval of release is found from G at the ends of intervals; within it the
+    root is bracketed and polished by Newton's iteration.
+
+    In interval 0 the bracket is certain: G rises at most until the plate is fastest, falls through
+    0 before the plate stops, and with gravity falls at least until the plate brakes hardest.
+    Later, G may dip to 0 in an interval at whose end it is positive again (k >= 2 and stiff
+    layers). In dense scans of 10^5 throws it did so only with G at one end of the interval below
+    0.28 :math:`\omega t_s` and rising at its end. Hence every minimum is looked for if G comes
+    below 1 :math:`\omega t_s` and does not clearly fall. With gravity the limit found is 0.8
+    :math:`\omega t_s` times the largest steady amplitude so far, and 2 is taken; and as G may
+    also be negative at the end for the second time (never seen for k <= 3 and
+    :math:`\kappa > 4`), those intervals are searched as well.
+
+    Examples
+    --------
+    The largest energy transfer that a layer can give to a harmonic plate:
+
+    >>> release = first_release(mass_ratio=0.234231, speed_ratio=8.242210)
+    >>> round(release.ejection_phase, 6), round(release.energy_transfer, 6)
+    (0.39944, 4.123215)
+
+    """
+    case = (
+        checks.positive('mass_ratio', mass_ratio),
+        checks.positive('speed_ratio', speed_ratio),
+        checks.below_one('damping_ratio', damping_ratio),
+        checks.not_negative('gravity_ratio', gravity_ratio),
+    )
+    phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
+    if status != _RELEASED:
+        raise _unresolved(status, phase, *case)
+    return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
+
+
+def first_releases(
+    *,
+    mass_ratio: ArrayLike,
+    speed_ratio: ArrayLike,
+    damping_ratio: ArrayLike = 0.0,
+    gravity_ratio: ArrayLike = 0.0,
+    unresolved: Literal['raise', 'nan'] = 'raise',
+    threads: int | None = None,
+) -> FirstRelease:
+    """
+    Find when and how fast rigid projectiles first leave their layers, for many throws.
+
+    Parameters
+    ----------
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
+        As for `first_release`; broadcast against each other. [-]
+    unresolved : {'raise', 'nan'}
+        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+    threads : int, optional
+        Largest number of threads, all cores if not given. Results do not depend on it.
+
+    Returns
+    -------
+    FirstRelease
+        Of arrays with the common shape.
+
+    Raises
+    ------
+    ValueError
+        As for `first_release`, or if the shapes do not fit or an option is not one of its values.
+    ThrowUnresolvedError
+        As for `first_release`, unless `unresolved` is 'nan'.
+
+    Examples
+    --------
+    Layers of one material, twice as thick from one to the next, under the same projectile:
+
+    >>> thickness = np.array([1.0, 2.0, 4.0])
+    >>> throws = first_releases(mass_ratio=0.8 / thickness, speed_ratio=24.0 / thickness)
+    >>> throws.energy_transfer.round(4)
+    array([2.003 , 3.546 , 3.8322])
+
+    """
+    if unresolved not in ('raise', 'nan'):
+        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
+    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
+    cases = np.broadcast_arrays(
+        checks.positive_array('mass_ratio', mass_ratio),
+        checks.positive_array('speed_ratio', speed_ratio),
+        damping_ratio,
+        checks.not_negative_array('gravity_ratio', gravity_ratio),
+    )
+    shape = cases[0].shape
+    ratios = np.stack([case.ravel() for case in cases])
+    phase, speed = np.empty((2, ratios.shape[1]))
+    status = np.empty(ratios.shape[1], dtype=np.int64)
+    in_threads(
+        lambda part, parts: _release_part(ratios, phase, speed, status, part, parts),
+        count=ratios.shape[1],
+        per_thread=_THROWS_PER_THREAD,
+        threads=threads,
+    )
+    failed = np.flatnonzero(status != _RELEASED)
+    if failed.size:
+        if unresolved == 'raise':
+            first = int(failed[0])
+            raise _unresolved(status[first], phase[first], *ratios[:, first])
+        phase[failed] = np.nan
+    phase = phase.reshape(shape)
+    speed = speed.reshape(shape)
+    energy_transfer = (speed / _peak_velocity_ratio(damping_ratio)) ** 2
+    return FirstRelease(phase, speed, energy_transfer)
+
+
+def _unresolved(
+    status: int,
+    crossings: float,
+    mass_ratio: float,
+    speed_ratio: float,
+    damping_ratio: float,
+    gravity_ratio: float,
+) -> ThrowUnresolvedError:
+    case = (
+        f'mass_ratio {mass_ratio:g}, speed_ratio {speed_ratio:g}, '
+        f'damping_ratio {damping_ratio:g}, gravity_ratio {gravity_ratio:g}'
+    )
+    if status == _NOT_WITHIN:
+        return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
+    return ThrowUnresolvedError(
+        f'the release cannot be computed to 1e-9 in double precision for {case}; '
+        'fewer crossings or less damping can'
+    )
+
+
+@_jit
+def first_release_kernel(
+    mu: float, kappa: float, zeta: float, gravity: float, work: NDArray[np.float64]
+) -> tuple[float, float, int]:
+    """
+    Compute one release without checks: (t_e f, V_e / (A w), status), status 0 when found.
+
+    With another status the first value is the number of crossings that were followed, the second
+    is NaN. `work` is a float array of shape (2, MAX_INTERVALS), which afterwards holds c_0 ... c_k
+    of the interval of release in its first row. For use inside compiled code.
+    """
+    c = work[0]
+    wave = _wave(mu, kappa, zeta, gravity)
+    found = _find(wave, c, work[1])
+    phase = 2.0 * found.k + 1.0
+    speed = math.nan
+    status = found.status
+    if status == _RELEASED:
+        phase, speed, status = _polish(_guess(wave, found), wave, found, c)
+    return phase, speed, status
+
+
+@_jit
+def _release_part(ratios, phase, speed, status, part, parts):
+    """Compute every throw of `parts`, from number `part` on; `ratios` has a row for each ratio."""
+    work = np.empty((2, MAX_INTERVALS))
+    for n in range(part, phase.size, parts):
+        phase[n], speed[n], status[n] = first_release_kernel(
+            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
+        )
+
+
+class _Wave(NamedTuple):
+    """What stays the same from interval to interval."""
+
+    mu: float
+    rate: float  # 1 / mu
+    kappa: float
+    root: float  # sqrt(1 - zeta^2)
+    weight: float  # g tau
+    lam: complex  # lambda
+    inverse: complex  # 1 / (1 + lambda mu)
+    reflection: complex  # r(lambda)
+    to_force: complex  # from the steady upward wave to the steady G
+    step: complex  # e^{2 lambda}
+    fade: float  # e^{-2 / mu}
+
+
+class _Interval(NamedTuple):
+    """The interval of release, and where in it G + weight falls through 0."""
+
+    status: int
+    k: int
+    low: float  # the bracket
+    high: float
+    steady: complex  # Q_k
+    start: float  # G + weight at both ends of the interval, and its slopes
+    end: float
+    start_slope: float
+    end_slope: float
+
+
+@_inline
+def _phasor(lam, sigma):
+    """Compute e^{lambda sigma}."""
+    size, angle = math.exp(lam.real * sigma), lam.imag * sigma
+    return complex(size * math.cos(angle), size * math.sin(angle))
+
+
+@_inline
+def _wave(mu, kappa, zeta, gravity):
+    root = math.sqrt(1.0 - zeta * zeta)
+    rate = 1.0 / mu
+    crossing = 2.0 * math.pi / kappa  # w t_s
+    lam = complex(-zeta * crossing, root * crossing)
+    below = 1.0 + lam * mu
+    scale = 1.0 / (below.real * below.real + below.imag * below.imag)
+    inverse = complex(below.real * scale, -below.imag * scale)
+    return _Wave(
+        mu,
+        rate,
+        kappa,
+        root,
+        gravity * crossing * mu * root,
+        lam,
+        inverse,
+        (lam * mu - 1.0) * inverse,
+        2.0 * (lam * mu) * inverse,
+        _phasor(lam, 2.0),
+        math.exp(-2.0 * rate),
+    )
+
+
+@_inline
+def _find(wave, c, b):
+    """Go through the intervals to that of the release; fill c with c_j, b with phi_j(2 / mu)."""
+    turn = wave.lam.imag
+    weight = wave.weight
+    steady = complex(1.0, 0.0)  # Q_k
+    c[0] = -2.0 * wave.inverse.imag
+    b[0] = wave.fade
+    s_now = 0.0
+    s_next = c[0] * b[0]
+    force = (wave.to_force * wave.step).imag - s_next + weight  # at the end of the interval
+    if weight == 0.0:
+        # G rises, at most until the plate is fastest, and falls through 0 before it stops.
+        high = min(2.0, math.pi / turn)
+        if high < 2.0 or force <= 0.0:
+            return _bracket(0, 0.0, high, steady)
+    else:
+        # G falls at least until the plate brakes hardest, and later periods push it off less
+        # than the first.
+        high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
+        if _force(0, high, wave, steady, c)[0] <= 0.0:
+            return _bracket(0, 0.0, high, steady)
+        if high < 2.0:
+            low, high = _search(0, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
+            if high > 0.0:
+                return _bracket(0, low, high, steady)
+    effort = 0.0
+    arriving = complex(1.0, 0.0)  # e^{2 k lambda}
+    power = complex(1.0, 0.0)  # r^k
+    largest = 1.0
+    margin = turn
+    for k in range(1, MAX_INTERVALS):
+        arriving *= wave.step
+        power *= wave.reflection
+        steady = arriving + wave.reflection * steady
+        if _size(steady) > _GROWTH_LIMIT**2 or _underflows(k, wave.mu):
+            return _failure(_INACCURATE, k)
+        older = b[k - 2] if k > 1 else 0.0
+        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
+        s_before, s_now = s_now, s_next
+        c[k] = s_now - s_before - 2.0 * (power * wave.inverse).imag
+        s_next = c[k] * b[0]
+        for j in range(1, k + 1):
+            s_next += c[k - j] * b[j]
+        pull = wave.to_force * steady
+        before = force
+        force = (pull * wave.step).imag - s_next - s_now + weight
+        # Where may G + weight come down to 0 and rise again within the interval? See the Notes.
+        smooth = True
+        if weight > 0.0:
+            smooth = k <= 3 and turn < 0.5 * math.pi
+            largest = max(largest, _size(pull))
+            margin = 2.0 * turn * math.sqrt(largest)
+        if force > 0.0 and min(before, force) > margin:
+            continue
+        start_slope, end_slope = _end_slopes(k, wave, pull, c, b)
+        if force <= 0.0 and smooth:
+            return _Interval(_RELEASED, k, 0.0, 2.0, steady, before, force, start_slope, end_slope)
+        if smooth and end_slope < -0.25 * turn:
+            continue
+        effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
+        if effort > _SEARCH_EFFORT:
+            return _failure(_NOT_WITHIN, k)
+        low, high = _search(k, 0.0, 2.0, wave, steady, c)
+        if high > 0.0:
+            return _bracket(k, low, high, steady)
+    return _failure(_NOT_WITHIN, MAX_INTERVALS)
+
+
+@_inline
+def _bracket(k, low, high, steady):
+    """Make an interval of which a bracket alone is known, not what is at the ends."""
+    return _Interval(_RELEASED, k, low, high, steady, 1.0, -1.0, 0.0, 0.0)
+
+
+@_inline
+def _failure(status, k):
+    """Make what tells that the intervals before k have no release."""
+    return _Interval(status, k, 0.0, 0.0, complex(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+
+
+@_inline
+def _size(z):
+    """Compute |z|^2."""
+    return z.real * z.real + z.imag * z.imag
+
+
+@_inline
+def _underflows(k, mu):
+    """Tell whether e^{-sigma / mu} may be lost where phi_k is not negligible."""
+    return k > 250 and mu < 2.0 / 700.0
+
+
+@_inline
+def _end_slopes(k, wave, pull, c, b):
+    """Compute G' just after the start and at the end of interval k from what is at hand."""
+    weight = c[k] + c[k - 1]
+    dphi = -b[0]
+    at_start = weight
+    at_end = weight * dphi
+    for j in range(1, k + 1):
+        dphi -= b[j - 1] + b[j]
+        weight = c[k - j]
+        if j < k:
+            weight += c[k - j - 1]
+        at_start += (2 * j + 1) * weight
+        at_end += weight * dphi
+    slope = wave.lam * pull
+    return slope.imag + at_start * wave.rate, (slope * wave.step).imag - at_end * wave.rate
+
+
+@_inline
+def _guess(wave, found):
+    """Guess where in the bracket G + weight is 0, to a few percent as a rule."""
+    if found.k == 0:
+        x = wave.lam.imag * wave.mu
+        # pi/2 + atan(w tau), were the start forgotten
+        angle = x / (1.0 + 0.28 * x * x) if x < 1.0 else 0.5 * math.pi - x / (x * x + 0.28)
+        guess = (0.5 * math.pi + angle) / wave.lam.imag
+    else:
+        guess = _hermite_root(found.start, found.end, found.start_slope, found.end_slope)
+    return guess if found.low < guess < found.high else 0.5 * (found.low + found.high)
+
+
+@_inline
+def _hermite_root(start, end, start_slope, end_slope):
+    """Root in [0, 2] of the cubic with these values and slopes at 0 and 2."""
+    start_slope *= 2.0
+    end_slope *= 2.0
+    square = 3.0 * (end - start) - 2.0 * start_slope - end_slope
+    cube = 2.0 * (start - end) + start_slope + end_slope
+    t = start / (start - end)
+    for _ in range(3):
+        value = ((cube * t + square) * t + start_slope) * t + start
+        following = t - value / ((3.0 * cube * t + 2.0 * square) * t + start_slope)
+        t = following if 0.0 < following < 1.0 else t
+    return 2.0 * t
+
+
+@_jit
+def _attached(k, sigma, wave, steady, c):
+    """Compute G, its derivative, and v_+ in interval k, while the projectile is attached."""
+    phasor = steady * _phasor(wave.lam, sigma)
+    pull = wave.to_force * phasor
+    newer = c[k]
+    older = c[k - 1] if k > 0 else 0.0
+    x = 2.0 * sigma * wave.rate
+    before, phi = 0.0, math.exp(-sigma * wave.rate)  # phi_{j-1}, phi_j
+    dphi = -phi
+    force, slope, upward = (newer + older) * phi, (newer + older) * dphi, older * phi
+    for j in range(1, k + 1):
+        newer = older
+        older = c[k - j - 1] if j < k else 0.0
+        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
+        dphi -= phi + following
+        before, phi = phi, following
+        force += (newer + older) * phi
+        slope += (newer + older) * dphi
+        upward += older * phi
+    return (
+        pull.imag - force,
+        (wave.lam * pull).imag - slope * wave.rate,
+        phasor.imag - upward,
+    )
+
+
+@_jit
+def _polish(sigma, wave, found, c):
+    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
+    k, low, high = found.k, found.low, found.high
+    tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
+    change = high - low
+    for i in range(160):
+        force, slope, _ = _attached(k, sigma, wave, found.steady, c)
+        force += wave.weight
+        low = sigma if force > 0.0 else low
+        high = high if force > 0.0 else sigma
+        following = sigma - force / slope if slope != 0.0 else low
+        if not low <= following <= high or i > 40:  # it left the bracket, or goes round in circles
+            following = 0.5 * (low + high)
+        change = abs(following - sigma)
+        sigma = following
+        if change <= tolerance:  # the next error is of second order in this one
+            break
+    phase = (2 * k + 1 + sigma) / wave.kappa
+    force, _, upward = _attached(k, sigma, wave, found.steady, c)
+    speed = (2.0 * upward - force) / wave.root
+    if not (min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)):
+        return 2.0 * k + 1.0, math.nan, _INACCURATE
+    return phase, speed, _RELEASED
+
+
+@_jit
+def _force(k, sigma, wave, steady, c):
+    """Compute G + weight and G' in interval k."""
+    force, slope, _ = _attached(k, sigma, wave, steady, c)
+    return force + wave.weight, slope
+
+
+@_jit
+def _search(k, start, stop, wave, steady, c):
+    """Bracket the first root of G + weight between two points of interval k; (0, -1) if none."""
+    layer = min(stop - start, (4 * k + 8) * wave.mu)  # the Laguerre functions live here
+    rest = stop - start - layer
+    fine = 16 + 8 * k
+    coarse = 4 + int(8.0 * wave.lam.imag * rest / math.pi) if rest > 0.0 else 0
+    low = start
+    low_force = 0.0
+    low_slope = 0.0
+    for i in range(fine + coarse + 1):
+        high = start + layer * min(1.0, i / fine) ** 2
+        if i > fine:
+            high += rest * ((i - fine) / coarse)
+        force, slope = _force(k, high, wave, steady, c)
+        if force <= 0.0 and i > 0:
+            return low, high
+        width = high - low
+        # a minimum in between, and not above where the tangents are at the other end
+        lowest = min(low_force + low_slope * width, force - slope * width)
+        if low_slope < 0.0 < slope and lowest <= 0.0:
+            left, right = low, high
+            while right - left > 1e-12 * right:
+                middle = 0.5 * (left + right)
+                force_there, slope_there = _force(k, middle, wave, steady, c)
+                if force_there <= 0.0:
+                    return low, middle
+                if slope_there < 0.0:
+                    left = middle
+                else:
+                    right = middle
+        low = high
+        low_force = force
+        low_slope = slope
+    return 0.0, -1.0

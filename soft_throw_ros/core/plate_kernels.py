@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The plate's motion inside compiled steppers.
+
+A stepper's record has the fields `PLATE`. An underdamped plate is evaluated from them; any other
+is a *path*: an array of shape (7, n) with a column for each piece, its start time in the first row
+and the six coefficients of a quintic in height in the others. A path is a ring: pieces of a plate
+that is measured while the stepper runs overwrite those that it has passed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Engine
+
+Floats = NDArray[np.float64]
+
+MAX_PIECES_AHEAD = 4096
+"""Most states of a measured plate that can be known ahead of the stepper."""
+
+DAMPED, PIECES = 0, 1
+"""Kinds of plate motion."""
+
+_ROWS = 7
+
+PLATE = [
+    ('plate_kind', 'i8'),
+    ('amplitude', 'f8'),  # of the underdamped plate, with its exponent and velocity factor
+    ('growth', 'f8'),
+    ('turn', 'f8'),
+    ('factor', 'f8'),
+    ('piece', 'i8'),  # number of the present piece
+    ('pieces', 'i8'),  # how many are known; number 0 is rest before the first state
+    ('horizon', 'f8'),  # until when the plate is known [s]
+    ('last', 'f8', (4,)),  # time, height, velocity and acceleration appended last
+]
+"""Fields of a record, for `numpy.dtype`."""
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+
+
+def write_motion(
+    record: NDArray[np.void], motion: PlateMotion | Literal['measured'] | None, engine: Engine
+) -> Floats:
+    """
+    Write a motion into a record of a stepper, and return its path.
+
+    Parameters
+    ----------
+    record : ndarray
+        With the fields `PLATE`, all zero; written to.
+    motion : Underdamped, SampledMotion, 'measured' or None
+        None is that of `engine`; 'measured' is at rest until `append_states`.
+    engine : Engine
+        Of the rig.
+
+    Returns
+    -------
+    ndarray, shape (7, n)
+
+    Raises
+    ------
+    ValueError
+        If the motion is of another kind, or begins before time 0.
+
+    """
+    record['horizon'] = math.inf
+    if motion is None:
+        motion = Underdamped.of(engine)
+    if isinstance(motion, Underdamped):
+        exponent = motion.exponent
+        record['plate_kind'] = DAMPED
+        record['amplitude'] = motion.amplitude
+        record['growth'] = exponent.real
+        record['turn'] = exponent.imag
+        record['factor'] = motion.velocity_factor
+        return np.zeros((_ROWS, 1))
+    record['plate_kind'] = PIECES
+    record['pieces'] = 1
+    record['horizon'] = 0.0
+    record['last'][0] = -math.inf
+    if isinstance(motion, str) and motion == 'measured':
+        return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
+    if not isinstance(motion, SampledMotion):
+        raise ValueError(
+            "motion must be Underdamped, SampledMotion, 'measured' or None, "
+            f'got {motion!r}; SampledMotion.from_velocities takes any other'
+        )
+    if motion.start_time < 0.0:
+        raise ValueError(
+            'a sampled motion must begin at time 0 or later, got a first sample at '
+            f'{motion.start_time:g} s'
+        )
+    path = np.zeros((_ROWS, motion.times.size + 1))
+    append_states(record, path, motion.times, motion.states)
+    if motion.after == 'hold':
+        path[:2, -1] = motion.end_time, motion.states[-1, 0]
+        record['pieces'] += 1
+        record['horizon'] = math.inf
+    return path
+
+
+@_jit
+def piece_at(s: Any, path: Floats, time: float) -> int:
+    """Go to the piece at `time`, which never goes back, and return its column."""
+    capacity = path.shape[1]
+    while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
+        s.piece += 1
+    return s.piece % capacity  # type: ignore[no-any-return]
+
+
+@_jit
+def velocity_of_piece(path: Floats, k: int, time: float) -> float:
+    """Evaluate the velocity of piece k."""
+    u = time - path[0, k]
+    return path[2, k] + u * (  # type: ignore[no-any-return]
+        2.0 * path[3, k] + u * (3.0 * path[4, k] + u * (4.0 * path[5, k] + u * 5.0 * path[6, k]))
+    )
+
+
+@_jit
+def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
+    """Evaluate height, velocity and acceleration of the plate."""
+    if s.plate_kind == DAMPED:
+        half_sine, half_cosine = math.sin(0.5 * s.turn * time), math.cos(0.5 * s.turn * time)
+        fading = math.expm1(s.growth * time)
+        decayed = 1.0 + fading
+        # 1 - cos as 2 sin^2, so that the first micrometres keep their digits (as `Underdamped`).
+        sine, versine = 2.0 * half_sine * half_cosine, 2.0 * half_sine * half_sine
+        rise = versine * decayed - fading + s.growth / s.turn * decayed * sine  # Eq. (D2)
+        turning = s.turn * (1.0 - versine) + s.growth * sine
+        return s.amplitude * rise, s.factor * decayed * sine, s.factor * decayed * turning
+    k = piece_at(s, path, time)
+    u = time - path[0, k]
+    height = path[1, k] + u * (
+        path[2, k] + u * (path[3, k] + u * (path[4, k] + u * (path[5, k] + u * path[6, k])))
+    )
+    acceleration = 2.0 * path[3, k] + u * (
+        6.0 * path[4, k] + u * (12.0 * path[5, k] + u * 20.0 * path[6, k])
+    )
+    return height, velocity_of_piece(path, k, time), acceleration
+
+
+@_jit
+def append_states(s: Any, path: Floats, times: Floats, states: Floats) -> None:
+    """Append states of the plate (height, velocity, acceleration), joined by quintics."""
+    last = s.last
+    for n in range(times.size):
+        if last[0] >= 0.0:
+            piece = path[:, s.pieces % path.shape[1]]
+            D = times[n] - last[0]
+            rise = states[n, 0] - last[1]
+            v, w = last[2] * D, states[n, 1] * D
+            q, r = last[3] * D * D, states[n, 2] * D * D
+            piece[0], piece[1], piece[2], piece[3] = last[0], last[1], last[2], 0.5 * last[3]
+            piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
+            piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
+            piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
+            s.pieces += 1
+        last[0], last[1], last[2], last[3] = times[n], states[n, 0], states[n, 1], states[n, 2]
+        s.horizon = times[n]
+
+
+@_jit
+def extrapolate(s: Any, path: Floats) -> None:
+    """Let the plate go on for ever with the acceleration that it has at the horizon."""
+    if not math.isinf(s.horizon) and s.last[0] >= 0.0:
+        piece = path[:, s.pieces % path.shape[1]]
+        piece[0], piece[1], piece[2] = s.last[0], s.last[1], s.last[2]
+        piece[3] = 0.5 * s.last[3]
+        piece[4:] = 0.0
+        s.pieces += 1
+    s.horizon = math.inf
