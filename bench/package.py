@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import finite_difference
-from soft_throw_ros.core.grid_stepper import GridStepper
-from soft_throw_ros.core.plate import peak_velocity_ratio, Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.smoothing import smooth
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import (
+from soft_throw_ros.core.cell_stepper import CellStepper, first_throws
+from soft_throw_ros.core.closed_form import (
     first_release,
     first_release_kernel,
     first_releases,
     MAX_INTERVALS,
 )
+from soft_throw_ros.core.plate import peak_velocity_ratio, Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.smoothing import smooth
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.objective import Limits, Robust
 from soft_throw_ros.design.recommendation import recommend
 
@@ -52,22 +51,22 @@ Floats = NDArray[np.float64]
 
 def wave_stepper(rig: Rig, *, steps: int | None = None) -> Any:
     """Make the stepper of travelling waves, with so many steps per crossing."""
-    return Stepper(rig, steps=steps)
+    return WaveStepper(rig, steps=steps)
 
 
 def cell_stepper(rig: Rig, model: str = 'finite_difference', *, cells: int | None = None) -> Any:
     """Make the stepper of cells."""
-    return GridStepper(rig, model=model, cells=cells)
+    return CellStepper(rig, model=model, cells=cells)
 
 
 def reader_of(stepper: Any) -> Callable[[], Any]:
     """Return a call that reads the layer, as the twin does at every field."""
-    return partial(stepper.read_field, *np.empty((2, stepper.field_points)))
+    return partial(stepper.read_layer, np.empty((3, stepper.field_points)))
 
 
 def map_by_cells(mu: Floats, kappa: Floats, crossing_ratio: Floats | float, **options: Any) -> Any:
     """Compute first releases by cells; the projectile is rigid if its crossing ratio is 0."""
-    return finite_difference.first_releases(
+    return first_throws(
         mass_ratio=mu,
         speed_ratio=kappa,
         crossing_ratio=crossing_ratio,
