@@ -40,9 +40,7 @@ References
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 import math
-import os
 from typing import Literal
 
 import numba as nb
@@ -74,6 +72,7 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
 from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
 from soft_throw_ros.core.rig import Rig
@@ -97,7 +96,7 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -113,7 +112,7 @@ MAX_CELLS = 4096
 """Most cells of a layer."""
 
 MAX_UPDATE_RATE = 4e7
-"""Most cells times steps in a second of rig time, of which a processor takes 3e8 and more. [1/s]"""
+"""Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
 
 MAX_PERIODS = 16.0
 """Plate periods, and periods of the projectile on the layer, in which `first_throws` waits."""
@@ -130,9 +129,10 @@ _FEWEST_PER_RELAXATION = 4.0  # and for 1e-3
 _STEPS_PER_PERIOD = 120.0
 _FEWEST_PER_PERIOD = 80.0
 _SLOWEST = 8.0  # projectile in real time, whose waves take so many times longer than the layer's
+_UPDATE_COST = 4e-9  # of a cell in a step, of a processor [s]
 _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projectile
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
-_THROWS_PER_TASK = 16
+_THROWS_PER_THREAD = 16
 
 _BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
@@ -172,7 +172,8 @@ _CORE = np.dtype(
         # how the plate moves, and where it has got to
         *PLATE,
         ('slope', 'f8'),  # growth over turn
-        ('phasor', 'f8', (2,)),  # at the start of the block
+        ('cosine', 'f8'),  # decayed, at the start of the block
+        ('sine', 'f8'),
         ('plate_acceleration', 'f8'),
         # where the grid has got to
         ('time', 'f8'),
@@ -183,12 +184,20 @@ _CORE = np.dtype(
         ('events', 'i8'),
         ('event_time', 'f8'),  # of the event in the last step, or of none
         ('event_velocity', 'f8'),
-        ('forces', 'f8', (4,)),  # in the contact, the latest first
+        ('force', 'f8'),  # in the contact: now, and at the three steps before
+        ('force_1', 'f8'),
+        ('force_2', 'f8'),
+        ('force_3', 'f8'),
         ('known_forces', 'i8'),
-        ('joint_before', 'f8', (2,)),  # displacements a step ago
+        ('below_before', 'f8'),  # displacements of the joint's nodes a step ago
+        ('above_before', 'f8'),
         # forces of the layer on plate and projectile: a step ago, in the end, and after an event
-        ('on_plate', 'f8', (3,)),
-        ('on_projectile', 'f8', (3,)),
+        ('on_plate_before', 'f8'),
+        ('on_plate_until', 'f8'),
+        ('on_plate_now', 'f8'),
+        ('on_projectile_before', 'f8'),
+        ('on_projectile_until', 'f8'),
+        ('on_projectile_now', 'f8'),
         # loads up to the first release
         ('edge_strains', 'f8', (2,)),
         ('acceleration', 'f8'),
@@ -197,8 +206,10 @@ _CORE = np.dtype(
         # energy
         ('power', 'f8'),
         ('heating', 'f8'),
-        ('work', 'f8', (2,)),  # a step ago, and now
-        ('heat', 'f8', (2,)),
+        ('work_before', 'f8'),  # a step ago
+        ('heat_before', 'f8'),
+        ('work', 'f8'),
+        ('heat', 'f8'),
         # at `time`
         ('surface', 'f8'),
         ('state', 'f8', (7,)),
@@ -307,11 +318,18 @@ def _spring_step(rig: Rig) -> float:
 
 
 @_jit
+def _set_contact(s, contact):
+    """Choose the system of equations."""
+    s.contact = contact
+    system = s.systems[1 if contact else 0]
+    s.known, s.first, s.end, s.quarter = system[0], system[1], system[2], system[3]
+
+
+@_jit
 def _prepare(s, nodes):
     """Complete a record at rest from step, cells, masses, gravity and the cells' properties."""
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
     s.rate = 2.0 / s.step
-    s.contact = True
     s.event_time = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
@@ -327,10 +345,9 @@ def _prepare(s, nodes):
         nodes[VISCOSITY, joint - 1] += 2.0 / s.step * nodes[MASS, joint]
     if joint + 2 <= last:
         nodes[VISCOSITY, joint + 1] += 2.0 / s.step * nodes[MASS, joint + 1]
-    s.known[0] = 1 if s.is_massless else 0
-    s.known[1] = 1 if joint == 0 else 0
-    factorise(s, nodes, s.step, joint, 0)
-    factorise(s, nodes, s.step, joint, 1)
+    factorise(s, nodes, s.step, joint, 1 if s.is_massless else 0, 0)
+    factorise(s, nodes, s.step, joint, 1 if joint == 0 else 0, 1)
+    _set_contact(s, True)
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
     s.bodies[0], s.bodies[1] = joint, joint + 1
@@ -382,7 +399,7 @@ def _tension(s, nodes, j):
 def _drive(s, nodes, path):
     """Move the plate, and what goes with it; return its velocity."""
     w = MEAN_VELOCITY + (s.index & 1)
-    stretch = s.joint_before[0] - nodes[DISPLACEMENT, 0]
+    stretch = s.below_before - nodes[DISPLACEMENT, 0]
     if s.plate_kind == DAMPED:
         # Rotations of a phasor that is evaluated anew for every block
         k = s.index & (_BLOCK - 1)
@@ -390,12 +407,12 @@ def _drive(s, nodes, path):
             time = s.index * s.step
             fading = s.growth * time
             size = 0.0 if fading < -600.0 else math.exp(fading)
-            s.phasor[0], s.phasor[1] = (
+            s.cosine, s.sine = (
                 size * math.cos(s.turn * time),
                 size * math.sin(s.turn * time),
             )
-        real = s.phasor[0] * path[0, k] - s.phasor[1] * path[1, k]
-        imaginary = s.phasor[0] * path[1, k] + s.phasor[1] * path[0, k]
+        real = s.cosine * path[0, k] - s.sine * path[1, k]
+        imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
         nodes[DISPLACEMENT, 0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
         speed = s.factor * imaginary
         s.plate_acceleration = s.factor * (s.turn * real + s.growth * imaginary)
@@ -412,7 +429,7 @@ def _drive(s, nodes, path):
         free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
         stretch = (stretch - free) * math.exp(-s.creep * s.step)
         nodes[DISPLACEMENT, 1] = nodes[DISPLACEMENT, 0] + free + stretch
-        nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.joint_before[0]) / s.step
+        nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.below_before) / s.step
         nodes[w, 1] = nodes[w, 0] - (s.creep * stretch if s.is_lossy else 0.0)
     return speed
 
@@ -439,7 +456,7 @@ def _note_event(s, events, kind, part, height, velocity):
 @_jit
 def _leave(s, nodes, events):
     """Let go, now that the force is below zero."""
-    after, before, earlier, first = s.forces[0], s.forces[1], s.forces[2], s.forces[3]
+    after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
     if s.known_forces < 4:  # so short after a landing it is a line
         earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
     third = (after - first + 3.0 * (earlier - before)) / 6.0
@@ -461,8 +478,8 @@ def _leave(s, nodes, events):
     impulse -= (after - before) / 24.0
     velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
     if s.events == 0:
-        s.first_work = s.work[0] + part * s.step * s.power
-    s.contact = False
+        s.first_work = s.work_before + part * s.step * s.power
+    _set_contact(s, False)
     _note_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
 
 
@@ -471,7 +488,7 @@ def _land(s, nodes, events):
     """Close the gap, now that it is negative."""
     j = s.joint
     u, v, before = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + 1 - (s.index & 1)]
-    gap, closed = s.joint_before[1] - s.joint_before[0], u[j + 1] - u[j]
+    gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     low, high = 0.0, 1.0
     while True:  # bisect until no number is between
@@ -493,11 +510,11 @@ def _land(s, nodes, events):
             u[k] -= (1.0 - part_above) * overlap
             v[k] -= (1.0 - part_above) * approach
     else:
-        s.work[1] += s.body_masses[1] * approach * v[0]
+        s.work += s.body_masses[1] * approach * v[0]
     for k in range(j + 1, s.bodies[1] + 1):
         u[k] += part_above * overlap
         v[k] += part_above * approach
-    s.contact = True
+    _set_contact(s, True)
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     _note_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
@@ -513,8 +530,8 @@ def _weigh(s, nodes):
     if j < last:
         force -= _tension(s, nodes, j)
     if s.contact:
-        s.forces[3], s.forces[2], s.forces[1] = s.forces[2], s.forces[1], s.forces[0]
-        s.forces[0] = force
+        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        s.force = force
         s.known_forces += 1
     pushed = 0.0
     if s.contact or s.joint == 0:
@@ -522,11 +539,11 @@ def _weigh(s, nodes):
         pushed = weight + s.face_mass * s.rate * change
         if face < last:
             pushed -= _tension(s, nodes, face)
-    s.on_projectile[2] = pushed
+    s.on_projectile_now = pushed
     if s.joint == 0:
-        s.on_plate[2] = -force if s.contact else 0.0
+        s.on_plate_now = -force if s.contact else 0.0
     else:
-        s.on_plate[2] = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
+        s.on_plate_now = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
 
 
 @_jit
@@ -534,7 +551,7 @@ def _march(s, nodes, path, events):
     """Advance by one step."""
     step, joint = s.step, s.joint
     w = MEAN_VELOCITY + (s.index & 1)
-    s.joint_before[0], s.joint_before[1] = (
+    s.below_before, s.above_before = (
         nodes[DISPLACEMENT, joint],
         nodes[DISPLACEMENT, joint + 1],
     )
@@ -543,8 +560,8 @@ def _march(s, nodes, path, events):
         nodes[DISPLACEMENT, j] += step * nodes[VELOCITY, j]
     s.index += 1
     s.event_time = math.inf
-    s.on_plate[0], s.on_projectile[0] = s.on_plate[2], s.on_projectile[2]
-    s.work[0], s.heat[0] = s.work[1], s.heat[1]
+    s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
+    s.work_before, s.heat_before = s.work, s.heat
     speed = _drive(s, nodes, path)
     gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
     lands = not s.contact and gap < 0.0
@@ -552,18 +569,18 @@ def _march(s, nodes, path, events):
         _land(s, nodes, events)
     _accelerate(s, nodes)
     _weigh(s, nodes)
-    before = 0 if lands else 2
-    s.on_plate[1], s.on_projectile[1] = s.on_plate[before], s.on_projectile[before]
-    if s.contact and not lands and s.forces[0] < s.release_threshold:
+    s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
+    s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
+    if s.contact and not lands and s.force < s.release_threshold:
         _leave(s, nodes, events)
         _accelerate(s, nodes)
         _weigh(s, nodes)
-    power = -s.on_plate[2] * speed
-    s.work[1] += 0.5 * step * (s.power + power)
+    power = -s.on_plate_now * speed
+    s.work += 0.5 * step * (s.power + power)
     s.power = power
     if s.is_lossy:
         heating = _heating(nodes, s.index & 1)
-        s.heat[1] += 0.5 * step * (s.heating + heating)
+        s.heat += 0.5 * step * (s.heating + heating)
         s.heating = heating
     if s.events == 0:
         _compare_loads(s, nodes)
@@ -598,9 +615,9 @@ def _compare_loads(s, nodes):
         other = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 1])
         strain += s.edge_weights[end] * (other - strain)
         s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
-    acceleration = s.on_projectile[2] / s.mass - s.gravity
+    acceleration = s.on_projectile_now / s.mass - s.gravity
     s.acceleration = max(s.acceleration, abs(acceleration))
-    s.plate_force = max(s.plate_force, abs(s.on_plate[2]))
+    s.plate_force = max(s.plate_force, abs(s.on_plate_now))
 
 
 @_jit
@@ -614,7 +631,7 @@ def _motion(s, nodes, j, part):
     old, new = v - nodes[MEAN_VELOCITY + 1 - now, j], nodes[MEAN_VELOCITY + now, j] - v
     before = u - step * v
     if j == s.joint or j == s.joint + 1:  # which a landing may have moved
-        before = s.joint_before[j - s.joint]
+        before = s.below_before if j == s.joint else s.above_before
     bend = old * (2.0 - part) + new * (1.0 + part)
     height = before + part * (u - before) - step * part * (1.0 - part) * bend / 3.0
     turn = old * (2.0 * part - part * part - 2.0 / 3.0) + new * (part * part - 1.0 / 3.0)
@@ -648,23 +665,24 @@ def _advance(time, core, nodes, path, events):
     s.part = 1.0
     if goal > 0:
         s.part = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
-    s.work[1] = s.work[0] + s.part * (s.work[1] - s.work[0])
-    s.heat[1] = s.heat[0] + s.part * (s.heat[1] - s.heat[0])
-    after, weight = 2, 1.0
+    s.work = s.work_before + s.part * (s.work - s.work_before)
+    s.heat = s.heat_before + s.part * (s.heat - s.heat_before)
+    on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
     if time < s.event_time:  # the event is still to come
         if s.event_time < math.inf:
             s.contact = not s.contact
             s.events -= 1
-        after, weight = 1, s.part
+        on_plate, on_projectile, weight = s.on_plate_until, s.on_projectile_until, s.part
     state = s.state
     state[TIME] = time
     state[PLATE_POSITION], state[PLATE_VELOCITY], _ = motion_at(s, path, time)
     height, state[PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.part)
     state[PROJECTILE_POSITION] = s.rest_height + height
     s.surface, _ = _motion(s, nodes, s.bottom + s.cells, s.part)
-    state[PLATE_FORCE] = s.on_plate[0] + weight * (s.on_plate[after] - s.on_plate[0])
-    rise = s.on_projectile[after] - s.on_projectile[0]
-    state[PROJECTILE_FORCE] = s.on_projectile[0] + weight * rise
+    rise = on_plate - s.on_plate_before
+    state[PLATE_FORCE] = s.on_plate_before + weight * rise
+    rise = on_projectile - s.on_projectile_before
+    state[PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
     return s.events
 
 
@@ -700,9 +718,10 @@ def _move_nodes(s, nodes):
 
 
 @_jit
-def _read_layer(core, nodes, places, height, velocity, force):
-    """Read height, velocity and force of the layer from plate to top."""
+def _read_layer(core, nodes, places, out):
+    """Read heights, velocities and forces of the layer from plate to top."""
     s = core[1]
+    height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
     for n in range(places.size):
         j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
@@ -752,9 +771,11 @@ def _reset(core, nodes, path):
     _weigh(s, nodes)
     # The plate has not moved yet, whatever its acceleration
     weight = s.mass * s.gravity
-    s.on_plate[:] = -s.thrown * s.gravity if s.joint == 0 else -weight
-    s.on_projectile[:] = weight
-    s.power = -s.on_plate[2] * speed
+    s.on_plate_now = -s.thrown * s.gravity if s.joint == 0 else -weight
+    s.on_projectile_now = weight
+    s.on_plate_before = s.on_plate_until = s.on_plate_now
+    s.on_projectile_before = s.on_projectile_until = weight
+    s.power = -s.on_plate_now * speed
     core[1] = core[0]
 
 
@@ -893,8 +914,6 @@ def first_throws(
         raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    if threads is not None:
-        require_count('threads', threads, low=1, high=1 << 16)
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
     damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
@@ -912,9 +931,7 @@ def first_throws(
         crossing_ratio,
     )
     rows = np.stack([case.ravel() for case in cases], axis=1)
-    found = _throw_in_threads(
-        rows, cells, glued_to == 'projectile', threads or os.cpu_count() or 1
-    )
+    found = _throw_all(rows, cells, glued_to == 'projectile', threads)
     failed = np.flatnonzero(np.isnan(found[:, 0]))
     if failed.size and unresolved == 'raise':
         names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')
@@ -928,10 +945,10 @@ def first_throws(
     return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
 
 
-def _throw_in_threads(
-    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int
+def _throw_all(
+    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int | None
 ) -> Floats:
-    """Compute all rows, those with the same number of cells by one call."""
+    """Compute all rows, those with the same number of cells by one call in each thread."""
     found = np.empty((rows.shape[0], 6))
     counts = np.full(rows.shape[0], cells or _CELLS)
     if cells is None:
@@ -939,26 +956,20 @@ def _throw_in_threads(
         while (too_few := (counts < wanted) & (counts < _MOST_FOR_BATCH)).any():
             counts[too_few] *= 2
     bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (counts * rows[:, 5]).astype(np.int64)), 0)
+    groups = [
+        (count, bar, np.flatnonzero((counts == count) & (bars == bar)))
+        for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True)))
+    ]
 
-    def run(members: NDArray[np.int64]) -> None:
-        count, bar = int(counts[members[0]]), int(bars[members[0]])
-        rows_found = np.empty((members.size, 6))
-        core, nodes = np.zeros(4, _CORE), np.empty((ROWS, count + bar + 2))
-        path = np.empty((2, _BLOCK))
-        _throw_first(rows[members], count, bar, is_on_projectile, core, nodes, path, rows_found)
-        found[members] = rows_found
+    def run(part: int, parts: int) -> None:
+        core, path = np.zeros(4, _CORE), np.empty((2, _BLOCK))
+        for count, bar, members in groups:
+            own = members[part::parts]
+            nodes, results = np.empty((ROWS, count + bar + 2)), np.empty((own.size, 6))
+            _throw_first(rows[own], count, bar, is_on_projectile, core, nodes, path, results)
+            found[own] = results
 
-    tasks = []
-    for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True))):
-        members = np.flatnonzero((counts == count) & (bars == bar))
-        parts = min(threads, max(1, members.size // _THROWS_PER_TASK))
-        tasks += [members[part::parts] for part in range(parts)]
-    if threads == 1 or len(tasks) == 1:
-        for task in tasks:
-            run(task)
-    else:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, tasks))
+    in_threads(run, count=rows.shape[0], per_thread=_THROWS_PER_THREAD, threads=threads)
     return found
 
 
@@ -1066,8 +1077,8 @@ class CellStepper(Stepper):
         _reset(self._core, self._nodes, self._path)
         self._advance(0.0, *self._memory)
 
-    def _read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
-        _read_layer(self._core, self._nodes, self._places, height, velocity, force)
+    def _read_layer(self, out: Floats) -> None:
+        _read_layer(self._core, self._nodes, self._places, out)
 
     def _read_strain(self, strain: Floats) -> None:
         _read_strain(self._core, self._nodes, self._places, strain)
@@ -1084,6 +1095,11 @@ class CellStepper(Stepper):
         return steps * self.step
 
     @property
+    def cost(self) -> float:
+        """Time of a processor over time of the rig, about. [-]"""
+        return _UPDATE_COST * self._nodes.shape[1] / self.step
+
+    @property
     def loads(self) -> Loads:
         """Largest loads up to the first release, or so far if that is to come."""
         now = self._core[1]
@@ -1096,17 +1112,17 @@ class CellStepper(Stepper):
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or so far if that is to come. [J]"""
         now = self._core[1]
-        return float(now['first_work'] if self.event_count else now['work'][1])
+        return float(now['first_work'] if self.event_count else now['work'])
 
     @property
     def work_so_far(self) -> float:
         """Work of the plate from the start to now, whatever has happened. [J]"""
-        return float(self._core[1]['work'][1])
+        return float(self._core[1]['work'])
 
     @property
     def heat(self) -> float:
         """What internal loss has taken so far. [J]"""
-        return float(self._core[1]['heat'][1])
+        return float(self._core[1]['heat'])
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
@@ -1118,7 +1134,7 @@ def warm_up() -> None:
     stepper = CellStepper(Rig(), 'measured', field_points=2)
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty(2), np.empty(2), np.empty(2))
+    stepper.read_layer(np.empty((3, 2)))
     stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
     stepper.stored_energy()
     stepper.fork().sync_from(stepper)

@@ -73,13 +73,15 @@ MAX_PROJECTILE_CELLS = 1 << 15
 ) = range(32)
 
 SOLVER = [
-    ('known', 'i8', (2,)),  # highest node whose motion is given
-    ('first', 'i8', (2,)),  # of the nodes that are coupled
-    ('end', 'i8', (2,)),
-    ('quarter', 'i8', (2,)),  # length of the four chains, 0 for one chain from the top down
-    ('stiff', 'i8', (2,)),  # first and last link that is too fast for the step
+    ('systems', 'i8', (2, 4)),  # what follows, in flight and in contact
+    ('known', 'i8'),  # highest node whose motion is given
+    ('first', 'i8'),  # of the nodes that are coupled
+    ('end', 'i8'),
+    ('quarter', 'i8'),  # length of the four chains, 0 for one chain from the top down
+    ('first_stiff', 'i8'),  # link that is too fast for the step
+    ('last_stiff', 'i8'),
 ]
-"""Fields of a record for `solve`, each in flight and in contact."""
+"""Fields of a record for `solve`."""
 
 _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast for the step
 _FEWEST_PROJECTILE_CELLS = 2
@@ -252,26 +254,24 @@ def add_cells(nodes, first, count, mass, stiffness, lag, step):
 
 
 @_jit
-def factorise(s, nodes, step, joint, case):
+def factorise(s, nodes, step, joint, known, case):
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     rigid = joint if case == 1 else -1
     last = nodes.shape[1] - 1
     mass, coupling = nodes[MASS], nodes[COUPLING + case]
     gain, response = nodes[GAIN + case], nodes[RESPONSE + case]
     low, high = last, -1
-    s.stiff[0], s.stiff[1] = last, -1
+    s.first_stiff, s.last_stiff = last, -1
     for j in range(last):
         if nodes[STIFF, j] > 0.0:
-            s.stiff[0], s.stiff[1] = min(s.stiff[0], j), j
+            s.first_stiff, s.last_stiff = min(s.first_stiff, j), j
         coupling[j] = nodes[STIFF, j] + 0.5 * step * nodes[VISCOSITY + case, j]
         if coupling[j] > 0.0 or j == rigid:
             low, high = min(low, j), max(high, j)
-    known = s.known[case]
     first = known + 1 if low <= known else low
     end = high + 1
     if end < first:  # nothing is coupled
         first, end = last + 1, last
-    s.first[case], s.end[case] = first, end
     for j in range(1, last + 1):
         is_coupled = first <= j <= end
         nodes[MOMENTUM + case, j] = mass[j] if is_coupled else 1.0
@@ -283,7 +283,8 @@ def factorise(s, nodes, step, joint, case):
     separator = first + 2 * quarter + 1
     if separator in (rigid, rigid + 1):  # which must be eliminated itself
         quarter = 0
-    s.quarter[case] = quarter
+    system = s.systems[case]
+    system[0], system[1], system[2], system[3] = known, first, end, quarter
     if quarter == 0:
         if count > 0:
             _eliminate(nodes, case, first, first, end, rigid)
@@ -371,7 +372,7 @@ def solve(s, nodes, now, case):
         MOMENTUM + case,
         IMPULSE + case,
     )
-    known, first, end, quarter = s.known[case], s.first[case], s.end[case], s.quarter[case]
+    known, first, end, quarter = s.known, s.first, s.end, s.quarter
     given = nodes[w, known]
     for j in range(1, nodes.shape[1]):
         force = nodes[stress, j] - nodes[stress, j - 1]
@@ -379,7 +380,7 @@ def solve(s, nodes, now, case):
     nodes[w, known] = given
     if end < first:
         return
-    for j in range(s.stiff[0], s.stiff[1] + 1):
+    for j in range(s.first_stiff, s.last_stiff + 1):
         part = nodes[STIFF, j] * (nodes[VELOCITY, j + 1] - nodes[VELOCITY, j])
         nodes[w, j + 1] += part
         if j > known:
