@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import sys
 
 from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import (
+from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     read_settings,
     RECOMMENDATION_OPTIONS,
+    slow_notice,
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.design.aiming import Aim, fly
 from soft_throw_ros.design.recommendation import predict, Prediction
 from soft_throw_ros.design.requests import answer
@@ -67,7 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     """
     settings = {**read_settings(arguments), 'recommendation.objective': 'aim'}
-    with patience('design aim'):
+    given = vars(arguments).keys()
+    if not given & {'config', 'recommendation.target_height', 'recommendation.target_speed'}:
+        raise ValueError('nothing to aim at: give --target-height M or --target-speed M/S')
+    with slow_notice('design aim'):
         best = answer(settings)
         assert isinstance(best, Aim)  # as it is the objective
         if arguments.json:
@@ -102,7 +105,7 @@ def _now(settings: Settings) -> _Now | None:
 
 
 def _lines(settings: Settings, best: Aim) -> Iterator[str]:
-    yield best.why
+    yield best.summary
     yield ''
     head = 'aimed' if best.is_reached else 'the_most'
     columns = {'now': _now(settings), head: best, **_with_this_layer(settings, best)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-import contextlib
 import errno
 import importlib.util
 import math
@@ -21,26 +20,24 @@ from soft_throw_ros.commands.executors import (
     open_executor,
     WorkersLostError,
 )
-from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
+from soft_throw_ros.commands.options import add_rig_options, read_settings, slow_notice
 from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.landscape import (
     AXES,
     Axis,
+    compute_landscape,
     Landscape,
     MODELS,
     Release,
     RESULTS,
-    survey,
 )
-from soft_throw_ros.design.sweep import Checkpoint, whole_file
 from soft_throw_ros.recording.viewer import has_display, HOST, listens, Viewer, ViewerError
 from tqdm import tqdm
 
 if TYPE_CHECKING:
     from soft_throw_ros.recording import rerun_scene
-
-_EXACT, _EXACT_WITH_LOSS = 'travelling_wave', 'normal_modes'
 
 _POINTS = 256
 
@@ -96,8 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = (
         'An axis is NAME or NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
-        f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}. '
-        'What Ctrl-C breaks off, the same command takes up again.'
+        f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}.'
     )
     parser.add_argument(
         'axes', metavar='AXIS', nargs='*', help="two of them (default: the paper's, x and C)"
@@ -105,7 +101,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--model',
         choices=MODELS,
-        help=f'one of {", ".join(MODELS)} (default: {_EXACT}, or {_EXACT_WITH_LOSS} with loss)',
+        help=f'one of {", ".join(MODELS)} '
+        '(default travelling_wave, or finite_difference with loss)',
         metavar='NAME',
     )
     parser.add_argument(
@@ -146,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
     Returns
     -------
     int
-        0, or 130 after Ctrl-C, or 1 if the workers are gone; what is done is kept.
+        0, or 130 after Ctrl-C, or 1 if the workers are gone.
 
     Raises
     ------
@@ -161,35 +158,33 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rerun:
         _check_viewer()
     has_loss = rig.layer.loss_tangent > 0.0 or 'layer.loss_tangent' in axes
-    checkpoint = Checkpoint(arguments.output[0]) if arguments.output else None
     total = int(np.prod([values.size for values in axes.values()]))
     try:
         with (
-            checkpoint or contextlib.nullcontext(),
+            slow_notice('design map'),
             open_executor(arguments) as executor,
             tqdm(total=total, unit=' throws', disable=None, delay=0.5, leave=False) as bar,
         ):
-            landscape = survey(
+            landscape = compute_landscape(
                 rig,
                 axes,
-                model=arguments.model or (_EXACT_WITH_LOSS if has_loss else _EXACT),
+                model=arguments.model or ('finite_difference' if has_loss else 'travelling_wave'),
                 release=arguments.release,
                 density_ratio=arguments.density_ratio,
                 executor=executor,
                 progress=bar.update,
-                checkpoint=checkpoint,
             )
-            for path in arguments.output:
-                _WRITERS[path.suffix](landscape, path)
-            if arguments.rerun:
-                _view(landscape)
+        for path in arguments.output:
+            _WRITERS[path.suffix](landscape, path)
+        if arguments.rerun:
+            _view(landscape)
     except OSError as error:
-        raise OutputError(f'{error.filename}: {error.strerror}; {_kept(checkpoint)}') from None
+        raise OutputError(f'{error.filename}: {error.strerror}') from None
     except KeyboardInterrupt:
-        print(f'design map: stopped; {_kept(checkpoint)}', file=sys.stderr)
+        print('design map: stopped, and nothing written', file=sys.stderr)
         return 130
     except WorkersLostError as error:
-        print(f'design map: {error}; {_kept(checkpoint)}', file=sys.stderr)
+        print(f'design map: {error}; nothing is written', file=sys.stderr)
         return 1
     print(describe(landscape), end='')
     return 0
@@ -259,29 +254,22 @@ def _check_viewer() -> None:
         )
 
 
-def _kept(checkpoint: Checkpoint | None) -> str:
-    """Say what has become of what was done."""
-    if checkpoint is None or checkpoint.path is None or not checkpoint.path.exists():
-        return 'nothing is kept'
-    return f'what is done is in {checkpoint.path}, and the same command goes on from there'
-
-
 def describe(landscape: Landscape) -> str:
     """Tell the largest energy transfer and where it is, in a few lines."""
     first, second = landscape.axes
     size = f'{first.values.size} x {second.values.size}'
     lines = [f'{size} throws, {landscape.release} release by {landscape.model}']
-    summit = landscape.summit
-    if summit is None:
+    optimum = landscape.optimum
+    if optimum is None:
         lines.append('the projectile leaves nowhere')
     else:
         place = ', '.join(
             f'{axis.name} {value:.5g} {axis.quantity.unit}'.rstrip()
-            for axis, value in zip(landscape.axes, summit.place, strict=True)
+            for axis, value in zip(landscape.axes, optimum.place, strict=True)
         )
         lines.append(
-            f'largest alpha {summit.energy_transfer:.4f} at {place}; '
-            f't_e f {summit.ejection_phase:.4f}'
+            f'largest alpha {optimum.energy_transfer:.4f} at {place}; '
+            f't_e f {optimum.ejection_phase:.4f}'
         )
     lost = int(np.isnan(landscape.energy_transfer).sum())
     if lost:
@@ -293,7 +281,7 @@ def describe(landscape: Landscape) -> str:
 
 def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
     """
-    Draw ejection phase and energy transfer side by side, with summit, ridge and a rig marked.
+    Draw ejection phase and energy transfer side by side, with optimum, ridge and a rig marked.
 
     Parameters
     ----------
@@ -350,7 +338,7 @@ def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
         facecolor='0.5',
         labelcolor='white',
     )
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
 
 
@@ -375,7 +363,7 @@ def record(landscape: Landscape, path: Path) -> None:
     """
     from soft_throw_ros.recording import rerun_scene
 
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         stream = rerun_scene.new_stream()
         rerun_scene.save_to(stream, unfinished, is_live=False)
         _send(landscape, stream)
@@ -439,7 +427,7 @@ def _map_axis(axis: Axis) -> rerun_scene.MapAxis:
 
 def _highest(landscape: Landscape, name: str) -> float | None:
     """Say where the colours of a result end; None is at its largest value."""
-    if name == 'ejection_phase' and landscape.summit is not None:
+    if name == 'ejection_phase' and landscape.optimum is not None:
         # some are so late that all others look alike
         return float(np.nanpercentile(landscape.ejection_phase, 95.0))
     return None
@@ -475,9 +463,9 @@ def _shown(axis: Axis) -> tuple[Floats, str, str]:
 def _marks(landscape: Landscape, rig: Rig) -> Iterator[tuple[str, str, list[float]]]:
     """Give label, marker and place of the highest point, and of a rig that is on the map."""
     places = [('this rig', 'o', landscape.place(rig))]
-    if landscape.summit is not None:
-        label = rf'largest $\alpha$, {landscape.summit.energy_transfer:.3f}'
-        places.append((label, '*', landscape.summit.place))
+    if landscape.optimum is not None:
+        label = rf'largest $\alpha$, {landscape.optimum.energy_transfer:.3f}'
+        places.append((label, '*', landscape.optimum.place))
     for label, marker, place in places:
         if all(
             axis.values[0] <= value <= axis.values[-1]

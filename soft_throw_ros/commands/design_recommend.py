@@ -5,29 +5,44 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 import sys
+from typing import get_args
 
 from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
-from soft_throw_ros.commands.patience import patience
-from soft_throw_ros.commands.rig_options import (
+from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     read_settings,
     RECOMMENDATION_OPTIONS,
+    slow_notice,
     UNCERTAINTY_OPTIONS,
 )
-from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.design.recommendation import (
     Prediction,
     Recommendation,
     Sensitivity,
     TOLERATED,
     UNITS,
+    Vary,
     WITHIN,
 )
 from soft_throw_ros.design.requests import answer
 
 _OF_AIMING = ('max_amplitude', 'target_height', 'target_speed')
+
+_OBJECTIVE = replace(
+    TWIN.by_name['recommendation.objective'],
+    meaning='What to look for: the most energy per throw, in the worst case of the uncertainties, '
+    'or in the worst of several throws',
+    choices=('peak', 'robust', 'versatile'),
+)
+_VARY = replace(
+    TWIN.by_name['recommendation.vary'],
+    meaning='What of the layer may be changed; a pick from the library changes all of it',
+    choices=get_args(Vary),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
     asked = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(_OF_AIMING)]
-    add_options(parser, asked, title='what is asked of the layer')
+    add_options(parser, asked, title='what is asked of the layer', entries=(_OBJECTIVE, _VARY))
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
 
@@ -66,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     """
     settings = read_settings(arguments)
-    with patience('design recommend'):
+    with slow_notice('design recommend'):
         best = answer(settings)
         if not isinstance(best, Recommendation):
             raise ValueError(
@@ -81,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
-    yield best.why
+    yield best.summary
     yield ''
     others = {
         f'by_{name}': getattr(best, f'by_{name}')
@@ -101,7 +116,7 @@ def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
         yield ''
         yield from _candidate_lines(best)
     yield ''
-    yield best.note
+    yield best.remarks
 
 
 def _sensitivity_line(item: Sensitivity) -> str:

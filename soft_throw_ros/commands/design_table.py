@@ -9,8 +9,7 @@ import json
 import math
 from typing import Any
 
-from soft_throw_ros.commands.columns import Row, write_columns
-from soft_throw_ros.commands.rig_options import OPTIONS
+from soft_throw_ros.commands.options import OPTIONS, Row, write_columns
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.recommendation import Prediction
@@ -30,10 +29,8 @@ _ROWS = (
     Row('ejection_speed', 'ejection speed V_e', 'm/s'),
     Row('energy_transfer', 'energy transfer alpha'),
     Row('speed', 'speed of last release', 'm/s'),
-    Row('height', 'rise', 'mm', 1e3),
+    Row('height', 'rise above the layer', 'mm', 1e3),
     Row('peak_strain', 'peak strain', '%', 1e2),
-    Row('peak_strain_depth', '  at y', 'mm', 1e3),
-    Row('peak_contact_strain', '  at the projectile', '%', 1e2),
     Row('peak_acceleration', 'peak acceleration', 'm/s2'),
     Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
     Row('peak_force', 'peak force on plate', 'N'),
@@ -78,7 +75,7 @@ def prediction_lines(
 def uncertainty_line(rig: Rig, settings: Settings) -> str:
     """Say how far the first release of a rig may be off."""
     uncertainty = prediction_uncertainty(rig, uncertainties_of(settings))
-    return f'From what is uncertain (--uncertain-...): {uncertainty.sentence()}'
+    return f'From what is uncertain (--uncertain-...): {uncertainty.describe()}'
 
 
 def to_json(settings: Settings, rig: Rig, **parts: Any) -> str:

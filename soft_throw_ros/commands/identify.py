@@ -29,8 +29,8 @@ from soft_throw_ros.commands.identify_video import (
 from soft_throw_ros.commands.identify_watch import watch
 from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
 from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.sweep import whole_file
 from soft_throw_ros.identification.fit import Fit, FitError, Value
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.problem import (
@@ -507,7 +507,7 @@ def _write(settings: Settings, report: Report, path: Path) -> None:
     title += [f'{name} {_scaled(value, _unit(name))}' for name, value in report.found.items()]
     title += [f'Doubtful: {warning}' for warning in report.warnings]
     try:
-        with whole_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
+        with atomic_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
             files.write(unfinished, kept, title='\n'.join(title))
     except OSError as error:
         raise ValueError(f'{path}: {error.strerror}') from None

@@ -12,7 +12,7 @@ import sys
 import threading
 from typing import NamedTuple
 
-from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
 
 _WIDTH = 12  # of a column of numbers
 
@@ -62,12 +62,23 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_options(
-    parser: argparse.ArgumentParser, names: Iterable[str], *, title: str, description: str = ''
+    parser: argparse.ArgumentParser,
+    names: Iterable[str],
+    *,
+    title: str,
+    description: str = '',
+    entries: Iterable[Entry] = (),
 ) -> None:
-    """Add a group with an option for each of some parameters; `read_settings` reads them."""
+    """
+    Add a group with an option for each of some parameters; `read_settings` reads them.
+
+    `entries` stand for rows of the table of parameters where a command takes less than these.
+
+    """
+    special = {entry.name: entry for entry in (_MOTION, *entries)}
     group = parser.add_argument_group(title, description)
     for name in names:
-        entry = _MOTION if name == _MOTION.name else TWIN.by_name[name]
+        entry = special.get(name, TWIN.by_name[name])
         is_text = isinstance(entry.default, str)
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':

@@ -220,7 +220,7 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     uncertainty = None
     try:
         found = prediction_uncertainty(rig, uncertainties_of(settings))
-        uncertainty, notes['uncertainty'] = found.values(), f'95 % of throws: {found.sentence()}'
+        uncertainty, notes['uncertainty'] = found.values(), f'95 % of throws: {found.describe()}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
     strains = [(result or {}).get('peak_strain', 0.0) for result in models.values()]

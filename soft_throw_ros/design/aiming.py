@@ -2,41 +2,62 @@
 """
 Aim a throw: find the amplitude, or layer and amplitude, that reach a height or a speed.
 
-What flies up is what leaves for the last time, so re-contacts count here, unless the layer has
-internal loss: then the first release is taken.
+What flies up is what leaves for the last time, so re-contacts count here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from soft_throw_ros.configuration.layers import Material
-from soft_throw_ros.core import checks, normal_modes, travelling_wave
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.stepping import EventLimitError, PROJECTILE_POSITION
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
-from soft_throw_ros.design.objective import Limits, Peak, problem_of
-from soft_throw_ros.design.recommendation import places, predict, Prediction, Span
-from soft_throw_ros.design.search import find_summit, Problem
+from soft_throw_ros.core.stepper import FirstThrows
+from soft_throw_ros.design.evaluate import (
+    Cancelled,
+    first_throws,
+    last_release,
+    SEARCH_CELLS,
+    SearchCancelledError,
+)
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.optimise import find_best_layer
+from soft_throw_ros.design.recommendation import (
+    grid_step,
+    predict,
+    Prediction,
+    search_spaces,
+    SearchSpace,
+)
+from soft_throw_ros.design.uncertainty import Variants
+
+Floats = NDArray[np.float64]
 
 Vary: TypeAlias = Literal['amplitude', 'thickness', 'wave_speed', 'both', 'library']
 
-_AFTER = 2.0  # plate periods for which re-contacts are waited for
+MAX_STRAIN = 1.0
+"""Beyond it a layer would be compressed by more than its thickness, so nothing is aimed so. [-]"""
+
 _STEP = 0.1  # of the logarithm of the amplitude, in looking for a bracket, ...
 _HIGHEST = 10.0  # and where that ends [m]
-_NEVER = 10.0  # as a logarithm: what is not thrown
-_EXACT = 1e-12  # in the logarithm of the amplitude
-_JUMP = 1e-6  # likewise; what is found further from the target lies at a jump
-_ROUNDS = 6  # of layer and amplitude in turn
-_SAME = 1e-7  # amplitudes of two rounds that differ by less are the same
+_NOTHING = -10.0  # as a logarithm: what is not thrown
+_EXACT = 1e-9  # in the logarithm of the amplitude
+_JUMP = 1e-5  # likewise; what is found further from the target lies at a jump
+_ROUNDS = 4  # of layer and amplitude in turn
+_SAME = 1e-6  # amplitudes of two rounds that differ by less are the same
+_ITERATIONS = 3  # of the amplitude that a layer needs, which gravity makes depend on itself
+_WORTH = 1.1  # times the least amplitude that others may seem to need to be looked at
+_NEAREST = 3  # layers that are followed to the last release if none reaches the target
 _MARGIN = 1e-6  # a load this far beyond its limit is at the limit, ...
-_ROOM = 1e-5  # and so much is left in a search
-_OF_LAYER = ('thickness_min', 'thickness_max', 'wave_speed_min', 'wave_speed_max')
+_ROOM = 1e-3  # and so much is left for what is not seen in a search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +68,7 @@ class Target:
     Parameters
     ----------
     height : float
-        How far the projectile rises above where it rests; infinite without gravity. [m]
+        How far the projectile rises above where it rests on the layer. [m]
     speed : float
         How fast it leaves. [m/s]
 
@@ -65,14 +86,13 @@ class Target:
         given = [name for name in ('height', 'speed') if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(
-                'either a height or a speed must be given as target, got '
-                f'{"both" if given else "neither"}'
+                f'give either a height or a speed as target, got {"both" if given else "neither"}'
             )
         name = given[0]
         object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """What is aimed at, in words."""
         return f'{self.height:g} m high' if self.height else f'{self.speed:g} m/s'
 
@@ -83,7 +103,7 @@ class Target:
         assert value is not None  # one of them is positive
         return value
 
-    def reached(self, flight: Flight) -> float:
+    def reached(self, flight: FreeFlight) -> float:
         """Return what of a flight compares with `value`."""
         return flight.height if self.height else flight.speed
 
@@ -94,7 +114,7 @@ class Target:
         return math.sqrt(2.0 * gravity * max(self.height - rise, 1e-3 * self.height))
 
 
-class Flight(NamedTuple):
+class FreeFlight(NamedTuple):
     """Speed of the last release [m/s], rise until then [m], and the height reached [m]."""
 
     speed: float
@@ -102,19 +122,19 @@ class Flight(NamedTuple):
     height: float
 
 
-def fly(rig: Rig) -> Flight:
+def fly(rig: Rig) -> FreeFlight:
     r"""
     Follow a throw until the projectile has left for good.
 
     Parameters
     ----------
     rig : Rig
-        What throws. With loss in its layer, only the first release is taken.
+        What throws.
 
     Returns
     -------
-    Flight
-        As the stepper has it: without loss its speed is off by 1e-6 of :math:`A \omega` at most.
+    FreeFlight
+        The height counts from where the projectile rested on the layer.
 
     Raises
     ------
@@ -128,39 +148,11 @@ def fly(rig: Rig) -> Flight:
     (1.375, 100.51)
 
     """
-    engine = rig.engine
-    ratios = {
-        'mass_ratio': rig.mass_ratio,
-        'speed_ratio': rig.speed_ratio,
-        'damping_ratio': engine.damping_ratio,
-        'gravity_ratio': rig.gravity_ratio,
-    }
-    loss = rig.layer.loss_tangent
-    if loss > 0.0:
-        release = normal_modes.first_release(**ratios, loss_tangent=loss)
-        speed = float(release.speed) * engine.speed_scale
-        rise = normal_modes.first_rise(**ratios, loss_tangent=loss) * engine.amplitude
-    else:
-        release = travelling_wave.first_release(**ratios)
-        stepper = Stepper(rig, field_points=2)
-        try:
-            stepper.advance_to((float(release.ejection_phase) + _AFTER) / engine.frequency)
-        except EventLimitError as error:
-            raise ThrowUnresolvedError(f'the projectile chatters without end: {error}') from error
-        last = None
-        for event in stepper.events():
-            if event.kind == 'release':
-                last = event
-            elif event.velocity <= 0.0 and rig.gravity > 0.0:
-                break  # it has come down
-        assert last is not None  # the closed form has found one
-        speed = last.velocity
-        stepper.reset()
-        stepper.advance_to(last.time)
-        rise = float(stepper.state[PROJECTILE_POSITION]) - stepper.rest_position
+    last = last_release(rig)
     if rig.gravity == 0.0:
-        return Flight(speed, rise, math.inf)
-    return Flight(speed, rise, rise + max(speed, 0.0) ** 2 / (2.0 * rig.gravity))
+        return FreeFlight(last.speed, last.rise, math.inf)
+    height = last.rise + max(last.speed, 0.0) ** 2 / (2.0 * rig.gravity)
+    return FreeFlight(last.speed, last.rise, height)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,14 +171,15 @@ class Aim(Prediction):
     amplitude : float
         Of the plate. [m]
     height : float
-        How far the projectile rises; infinite without gravity. [m]
+        How far the projectile rises above where it rests on the layer; infinite without
+        gravity. [m]
     speed : float
         Of its last release. [m/s]
     is_reached : bool
         Whether that is the target.
     rig : Rig
         The rig that throws so.
-    why : str
+    summary : str
         What it takes, or why the target is not reached and what would reach it.
 
     """
@@ -200,7 +193,7 @@ class Aim(Prediction):
     speed: float
     is_reached: bool
     rig: Rig
-    why: str
+    summary: str
 
     def values(self) -> dict[str, float | str | bool]:
         """Return all that is one value by its name."""
@@ -219,6 +212,7 @@ def aim(
     limits: Limits | None = None,
     max_amplitude: float = 0.1,
     materials: Mapping[str, Material] | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Aim:
     """
     Find the smallest amplitude that reaches a target, with this layer or the best one.
@@ -232,11 +226,14 @@ def aim(
     vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
         What may change of the layer besides the amplitude.
     limits : Limits, optional
-        What must not be exceeded. Those of the layer do not concern what may not change.
+        What must not be exceeded; a strain of `MAX_STRAIN` never is. Those of the layer do not
+        concern what may not change.
     max_amplitude : float
         That the plate can do. [m]
     materials : mapping of str to Material, optional
         From which one is picked, if `vary` is 'library'.
+    cancelled : callable, optional
+        Asked between batches of throws, some tenths of a second each, whether to give up.
 
     Returns
     -------
@@ -250,6 +247,8 @@ def aim(
         is aimed at without gravity.
     ThrowUnresolvedError
         If nothing is thrown at all within the limits.
+    SearchCancelledError
+        If `cancelled` says so.
 
     Notes
     -----
@@ -273,40 +272,48 @@ def aim(
         raise ValueError(f'only layers of one material are aimed with, got {rig.layer!r}')
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
-    task = _Task(rig, target, limits, max_amplitude)
-    # what each layer needs when its loads do not matter: it never needs less
+    limits = replace(limits, max_strain=min(limits.max_strain, MAX_STRAIN))
+    task = _Task(rig, target, limits, max_amplitude, cancelled)
+    spaces = list(search_spaces(rig, vary, limits, materials or {}))
+    # What each layer needs when its loads do not matter: it never needs less.
     free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
-    choices = list(_choices(task, vary, materials or {}))
-    needed = [(shot, choice) for choice in choices if (shot := _reach(task, choice, free))]
-    needed.sort(key=lambda pair: pair[0].amplitude)
-    best: _Shot | None = None
-    for easiest, choice in needed:
-        if best is None or easiest.amplitude < best.amplitude:
-            shot = _reach(task, choice, limits) if task.excess(easiest) else easiest
-            if shot is not None and not task.excess(shot):
-                best = shot if best is None or shot.amplitude < best.amplitude else best
+    speed = target.speed_after(0.0, rig.gravity)
+    guesses = [_layer_that_needs_least(task, space, space.rig, free, speed) for space in spaces]
+    order = sorted((guess.amplitude, i) for i, guess in enumerate(guesses) if guess is not None)
+    easiest: _Candidate | None = None
+    best: _Candidate | None = None
+    for amplitude, i in order:
+        # Re-contacts may make a throw better than its first release tells, but not by so much.
+        if best is not None and amplitude > _WORTH * best.amplitude:
+            break
+        found = _reach(task, spaces[i], free)
+        if found is not None and (easiest is None or found.amplitude < easiest.amplitude):
+            easiest = found
+        if found is not None and task.excess(found):
+            found = _reach(task, spaces[i], limits)
+        if found is not None and not task.excess(found):
+            best = found if best is None or found.amplitude < best.amplitude else best
     if best is not None:
         return _aim(task, vary, best, _how(task, best), is_reached=True)
-    nearest = [shot for choice in choices if (shot := _approach(task, choice))]
-    if not nearest:
+    most = _approach(task, spaces)
+    if most is None:
         raise ThrowUnresolvedError(
-            f'nothing is thrown within the limits, let alone {target.words}'
+            f'nothing is thrown within the limits, let alone {target.summary}'
         )
-    most = max(nearest, key=lambda shot: target.reached(shot.flight))
-    reason = task.excess(needed[0][0]) if needed else ''
+    reason = task.excess(easiest) if easiest is not None else ''
     return _aim(task, vary, most, _why_not(task, vary, reason, most), is_reached=False)
 
 
-class _Shot(NamedTuple):
+class _Candidate(NamedTuple):
     """A rig, the name of its layer in the library, and what its throw gives."""
 
     rig: Rig
     layer: str
-    flight: Flight
+    flight: FreeFlight
     prediction: Prediction
 
     @classmethod
-    def of(cls, rig: Rig, layer: str) -> _Shot:
+    def of(cls, rig: Rig, layer: str) -> _Candidate:
         """Throw."""
         return cls(rig, layer, fly(rig), predict(rig))
 
@@ -323,153 +330,197 @@ class _Task(NamedTuple):
     target: Target
     limits: Limits
     max_amplitude: float
+    cancelled: Cancelled | None
 
-    def excess(self, shot: _Shot) -> str:
-        """Say what of a shot is beyond the limits; nothing if nothing is."""
-        loads = shot.prediction
-        words = [
+    def excess(self, found: _Candidate) -> str:
+        """Say what of a throw is beyond the limits; nothing if nothing is."""
+        loads = found.prediction
+        parts = [
             f'{what} of {scale * value:.3g}{unit} instead of at most {scale * limit:.3g}{unit}'
             for what, value, limit, scale, unit in (
-                ('an amplitude', shot.amplitude, self.max_amplitude, 1e3, ' mm'),
+                ('an amplitude', found.amplitude, self.max_amplitude, 1e3, ' mm'),
                 ('a strain', loads.peak_strain, self.limits.max_strain, 1e2, ' %'),
                 ('an acceleration', loads.peak_acceleration, self.limits.max_acceleration,
                  1.0, ' m/s2'),
             )
             if value > limit * (1.0 + _MARGIN)
         ]  # fmt: skip
-        return ' and '.join(words)
+        return ' and '.join(parts)
 
 
-class _Choice(NamedTuple):
-    """A layer with what may vary of it, and its name in the library."""
+class _Throws(NamedTuple):
+    """Throws from layers of a rig, at an amplitude for each."""
 
     rig: Rig
-    layer: str
-    thickness: Span | None
-    wave_speed: Span | None
+    wave_speed: Floats
+    amplitude: Floats
+    throws: FirstThrows
 
+    @classmethod
+    def compute(
+        cls,
+        task: _Task,
+        rig: Rig,
+        thickness: Floats,
+        wave_speed: Floats,
+        amplitude: Floats,
+        *,
+        loads: bool,
+    ) -> _Throws:
+        """Throw."""
+        ratios, _ = Variants.of(rig).ratios(rig, thickness, wave_speed)
+        omega = rig.engine.angular_frequency
+        ratios = ratios._replace(gravity_ratio=rig.gravity / (amplitude * omega * omega))
+        throws = first_throws(ratios, loads=loads, cells=SEARCH_CELLS, cancelled=task.cancelled)
+        return cls(rig, wave_speed, amplitude, throws)
 
-def _choices(task: _Task, vary: Vary, materials: Mapping[str, Material]) -> Iterator[_Choice]:
-    """Yield what there is to choose from."""
-    limits = task.limits
-    if vary == 'library':
-        for place in places(task.rig, limits, materials):
-            yield _Choice(place.rig, place.layer, place.thickness, None)
-    else:
-        thickness = limits.thickness if vary in ('thickness', 'both') else None
-        wave_speed = limits.wave_speed if vary in ('wave_speed', 'both') else None
-        yield _Choice(task.rig, '', thickness, wave_speed)
+    def needed(self, speed: float) -> Floats:
+        """Compute the amplitudes that give a speed, as far as gravity stays as it is."""
+        relative = np.where(self.throws.speed > 0.0, self.throws.speed, np.inf)
+        amplitude: Floats = np.asarray(speed / (relative * self.rig.engine.angular_frequency))
+        return np.where(amplitude > 0.0, amplitude, np.inf)
+
+    def allowed(self, limits: Limits) -> Floats:
+        """Compute the amplitudes that the limits allow, were the loads proportional to them."""
+        omega = self.rig.engine.angular_frequency
+        strain = self.throws.peak_strain * self.amplitude * omega / self.wave_speed
+        acceleration = self.throws.peak_acceleration * self.amplitude * omega * omega
+        factor = np.minimum(limits.max_strain / strain, limits.max_acceleration / acceleration)
+        return np.where(self.throws.speed > 0.0, self.amplitude * factor, 0.0)
 
 
 def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
     return replace(rig, engine=replace(rig.engine, amplitude=amplitude))
 
 
-def _reach(task: _Task, choice: _Choice, limits: Limits) -> _Shot | None:
+class _Need(NamedTuple):
+    """A layer, and the amplitude that it needs by its first release. [m]"""
+
+    layer: Layer
+    amplitude: float
+
+
+def _reach(task: _Task, space: SearchSpace, limits: Limits) -> _Candidate | None:
     """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
     target = task.target
     rise = 0.0
-    speed = target.speed_after(rise, choice.rig.gravity)
-    rig = _with_amplitude(choice.rig, speed / choice.rig.engine.angular_frequency)
+    found = None
+    rig = space.rig
     for _ in range(_ROUNDS):
-        before = rig
-        if choice.thickness or choice.wave_speed:
-            speed = target.speed_after(rise, rig.gravity)
-            problem = problem_of(rig, Peak(), _tightened(limits), target_speed=speed)
-            layer = _best_layer(problem, choice, rig)
-            if layer is None:
-                return None
-            rig = replace(rig, layer=layer)
-        amplitude = _amplitude(rig, target)
+        speed = target.speed_after(rise, rig.gravity)
+        need = _layer_that_needs_least(task, space, rig, limits, speed)
+        if need is None:
+            return None
+        rig = replace(rig, layer=need.layer)
+        amplitude = _amplitude(rig, target, task.cancelled)
         if amplitude is None:
             return None
+        is_same = abs(amplitude / rig.engine.amplitude - 1.0) < _SAME
         rig = _with_amplitude(rig, amplitude)
-        shot = _Shot.of(rig, choice.layer)
-        rise = shot.flight.rise
-        is_same = abs(amplitude / before.engine.amplitude - 1.0) < _SAME
-        if is_same or not (choice.thickness or choice.wave_speed):
+        found = _Candidate.of(rig, space.name)
+        rise = found.flight.rise
+        if is_same or _is_one(space):
             break
-    return shot
+    return found
 
 
-def _approach(task: _Task, choice: _Choice) -> _Shot | None:
-    """Find layer and amplitude that reach the most within the limits; None if none throws."""
-    rig = _with_amplitude(choice.rig, task.max_amplitude)
-    shot = None
-    for _ in range(_ROUNDS):
-        before = rig.engine.amplitude
-        if choice.thickness or choice.wave_speed:
-            problem = problem_of(rig, Peak(), task.limits)
-            problem = problem._replace(cap=task.max_amplitude / rig.engine.amplitude)
-            layer = _best_layer(problem, choice, rig)
-            if layer is None:
-                return None
-            rig = replace(rig, layer=layer)
-        try:
-            for _ in range(_ROUNDS):
-                rig = _with_amplitude(rig, _allowed_amplitude(rig, task))
-            shot = _Shot.of(rig, choice.layer)
-        except ThrowUnresolvedError:
-            return None
-        if abs(rig.engine.amplitude / before - 1.0) < _SAME:
-            break
-    return shot
+def _is_one(space: SearchSpace) -> bool:
+    """Tell whether there is but one layer to choose."""
+    return all(low == high for low, high in space.layers)
 
 
-def _best_layer(problem: Problem, choice: _Choice, rig: Rig) -> Layer | None:
-    """Find the best layer for a problem, which counts from that of the rig."""
-    given = rig.layer
-    thickness = choice.thickness or (given.thickness, given.thickness)
-    wave_speed = choice.wave_speed or (given.wave_speed, given.wave_speed)
-    summit = find_summit(
-        problem,
-        thickness_factors=(thickness[0] / given.thickness, thickness[1] / given.thickness),
-        wave_speed_factors=(wave_speed[0] / given.wave_speed, wave_speed[1] / given.wave_speed),
-    )
-    if math.isnan(summit.score):
-        return None
-    return replace(
-        given,
-        thickness=min(max(given.thickness * summit.thickness_factor, thickness[0]), thickness[1]),
-        wave_speed=min(
-            max(given.wave_speed * summit.wave_speed_factor, wave_speed[0]), wave_speed[1]
-        ),
-    )
-
-
-def _tightened(limits: Limits) -> Limits:
-    """Leave room for what a search by steps does not see."""
-    return replace(
+def _layer_that_needs_least(
+    task: _Task, space: SearchSpace, rig: Rig, limits: Limits, speed: float
+) -> _Need | None:
+    """Find the layer that reaches a speed with the least amplitude."""
+    limits = replace(
         limits,
         max_strain=limits.max_strain * (1.0 - _ROOM),
         max_acceleration=limits.max_acceleration * (1.0 - _ROOM),
     )
+    has_limits = limits.of_loads and not _is_one(space)
+
+    def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
+        """Compute what the amplitudes needed are below a metre."""
+        amplitude = np.full(thickness.shape, speed / rig.engine.angular_frequency)
+        for _ in range(_ITERATIONS if rig.gravity > 0.0 else 1):
+            step = _Throws.compute(task, rig, thickness, wave_speed, amplitude, loads=False)
+            amplitude = np.minimum(step.needed(speed), _HIGHEST)
+        result = np.where(amplitude < _HIGHEST, 1.0 / amplitude, 0.0)
+        alive = np.flatnonzero(result > least)
+        if has_limits and alive.size:
+            loaded = _Throws.compute(
+                task, rig, thickness[alive], wave_speed[alive], amplitude[alive], loads=True
+            )
+            result[alive] *= loaded.allowed(limits) >= amplitude[alive]
+        return result
+
+    best = find_best_layer(score, space.layers, step=grid_step(space))
+    if best is None:
+        return None
+    layer = replace(rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
+    return _Need(layer, 1.0 / best.score)
 
 
-def _allowed_amplitude(rig: Rig, task: _Task) -> float:
-    """Scale the amplitude to what the limits allow, were the loads proportional to it."""
-    loads = predict(rig)
-    factor = min(
-        task.limits.max_strain / loads.peak_strain,
-        task.limits.max_acceleration / loads.peak_acceleration,
-    )
-    return min(rig.engine.amplitude * factor, task.max_amplitude)
+def _approach(task: _Task, spaces: list[SearchSpace]) -> _Candidate | None:
+    """Find layer and amplitude that reach the most within the limits; None if none throws."""
+    found = []
+    for space in spaces:
+        nearest = _layer_that_reaches_most(task, space)
+        if nearest is not None:
+            speed, rig = nearest
+            found.append((speed, rig, space.name))
+    found.sort(key=lambda item: -item[0])
+    candidates = []
+    for _, rig, name in found[:_NEAREST]:
+        with contextlib.suppress(ThrowUnresolvedError):
+            candidates.append(_Candidate.of(rig, name))
+    return max(candidates, key=lambda each: task.target.reached(each.flight), default=None)
 
 
-def _amplitude(rig: Rig, target: Target) -> float | None:
+def _layer_that_reaches_most(task: _Task, space: SearchSpace) -> tuple[float, Rig] | None:
+    """Find the layer whose projectile leaves fastest within the limits: (speed, rig)."""
+    omega = space.rig.engine.angular_frequency
+
+    def throw(thickness: Floats, wave_speed: Floats) -> tuple[Floats, Floats]:
+        """Compute the amplitudes allowed, and the speeds that they give."""
+        amplitude = np.full(np.shape(thickness), task.max_amplitude)
+        for _ in range(_ITERATIONS):
+            step = _Throws.compute(task, space.rig, thickness, wave_speed, amplitude, loads=True)
+            allowed = np.minimum(step.allowed(task.limits), task.max_amplitude)
+            amplitude = np.where(allowed > 0.0, allowed, amplitude)
+        speed = np.where(step.throws.speed > 0.0, step.throws.speed, 0.0)
+        return amplitude, amplitude * speed * omega
+
+    def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
+        _, speed = throw(thickness, wave_speed)
+        return np.where(speed >= least, speed, 0.0)
+
+    best = find_best_layer(score, space.layers, step=grid_step(space))
+    if best is None:
+        return None
+    amplitude, _ = throw(np.array([best.thickness]), np.array([best.wave_speed]))
+    layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
+    return best.score, _with_amplitude(replace(space.rig, layer=layer), float(amplitude[0]))
+
+
+def _amplitude(rig: Rig, target: Target, cancelled: Cancelled | None) -> float | None:
     """Find the smallest amplitude that reaches a target with a layer; None if none does."""
 
     def excess(logarithm: float) -> float:
         """Compute the logarithm of what is reached over the target."""
+        if cancelled is not None and cancelled():
+            raise SearchCancelledError('the search was cancelled')
         try:
             flight = fly(_with_amplitude(rig, math.exp(logarithm)))
         except ThrowUnresolvedError:
-            return -_NEVER
+            return _NOTHING
         reached = target.reached(flight)
-        return math.log(reached / target.value) if reached > 0.0 else -_NEVER
+        return math.log(reached / target.value) if reached > 0.0 else _NOTHING
 
-    free = fly(replace(rig, gravity=0.0)).speed
-    if free <= 0.0:
+    try:
+        free = fly(replace(rig, gravity=0.0)).speed
+    except ThrowUnresolvedError:
         return None
     speed = target.speed_after(0.0, rig.gravity)
     low = math.log(rig.engine.amplitude * speed / free)
@@ -487,57 +538,57 @@ def _amplitude(rig: Rig, target: Target) -> float | None:
     return math.exp(logarithm) if abs(excess(logarithm)) < _JUMP else None
 
 
-def _aim(task: _Task, vary: Vary, shot: _Shot, why: str, *, is_reached: bool) -> Aim:
+def _aim(task: _Task, vary: Vary, found: _Candidate, summary: str, *, is_reached: bool) -> Aim:
     return Aim(
-        **vars(shot.prediction),
+        **vars(found.prediction),
         target_height=task.target.height,
         target_speed=task.target.speed,
         vary=vary,
-        layer=shot.layer,
-        amplitude=shot.amplitude,
-        height=shot.flight.height,
-        speed=shot.flight.speed,
+        layer=found.layer,
+        amplitude=found.amplitude,
+        height=found.flight.height,
+        speed=found.flight.speed,
         is_reached=is_reached,
-        rig=shot.rig,
-        why=why,
+        rig=found.rig,
+        summary=summary,
     )
 
 
-def _layer_in_words(shot: _Shot) -> str:
-    layer = shot.rig.layer
-    name = f'{shot.layer}, ' if shot.layer else ''
+def _describe_layer(found: _Candidate) -> str:
+    layer = found.rig.layer
+    name = f'{found.layer}, ' if found.layer else ''
     return f'{name}{1e3 * layer.thickness:.4g} mm and {layer.wave_speed:.4g} m/s'
 
 
-def _loads_in_words(shot: _Shot) -> str:
-    loads = shot.prediction
+def _describe_loads(found: _Candidate) -> str:
+    loads = found.prediction
     return (
-        f'amplitude {1e3 * shot.amplitude:.4g} mm, strain {1e2 * loads.peak_strain:.3g} %, '
+        f'amplitude {1e3 * found.amplitude:.4g} mm, strain {1e2 * loads.peak_strain:.3g} %, '
         f'acceleration {loads.peak_acceleration:.3g} m/s2'
     )
 
 
-def _how(task: _Task, shot: _Shot) -> str:
+def _how(task: _Task, found: _Candidate) -> str:
     """Say what reaches the target."""
-    changed = shot.rig.layer != task.rig.layer
+    changed = found.rig.layer != task.rig.layer
     layer = (
-        f'a layer of {_layer_in_words(shot)}' if changed or shot.layer else 'the layer as it is'
+        f'a layer of {_describe_layer(found)}' if changed or found.layer else 'the layer as it is'
     )
-    return f'{layer} reaches {task.target.words}: {_loads_in_words(shot)}'
+    return f'{layer} reaches {task.target.summary}: {_describe_loads(found)}'
 
 
-def _why_not(task: _Task, vary: Vary, reason: str, most: _Shot) -> str:
+def _why_not(task: _Task, vary: Vary, reason: str, most: _Candidate) -> str:
     """Say why the target is not reached, and what would reach it."""
     flight = most.flight
     reached = f'{flight.height:.4g} m high' if task.target.height else f'{flight.speed:.4g} m/s'
     text = (
-        f'{task.target.words} is not reached: '
+        f'{task.target.summary} is not reached: '
         f'{f"it takes {reason}" if reason else "no amplitude does it"}; '
-        f'the most is {reached}, with {_loads_in_words(most)}'
+        f'the most is {reached}, with {_describe_loads(most)}'
     )
     if vary == 'amplitude':
-        other = next(_choices(task, 'both', {}))
-        shot = _reach(task, other, task.limits)
-        if shot is not None and not task.excess(shot):
-            text += f'; a layer of {_layer_in_words(shot)} would do it: {_loads_in_words(shot)}'
+        (other,) = search_spaces(task.rig, 'both', task.limits, {})
+        found = _reach(task, other, task.limits)
+        if found is not None and not task.excess(found):
+            text += f'; a layer of {_describe_layer(found)} would do it: {_describe_loads(found)}'
     return text

@@ -24,7 +24,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
+from concurrent.futures import as_completed, Executor
 from dataclasses import asdict, dataclass
 import functools
 import itertools
@@ -32,31 +32,19 @@ import json
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, get_args, Literal, NamedTuple, TYPE_CHECKING
+from typing import get_args, Literal, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.io import netcdf_file
 import soft_throw_ros
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core import (
-    checks,
-    finite_difference,
-    normal_modes,
-    spring_mass,
-    travelling_wave,
-)
-from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.stepping import (
-    Event,
-    EventLimitError,
-    PROJECTILE_POSITION,
-    ThrowStepper,
-)
-from soft_throw_ros.design.sweep import Checkpoint, Progress, sweep, whole_file
+from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios
 
 if TYPE_CHECKING:
     import xarray
@@ -64,6 +52,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 Release = Literal['first', 'last']
+
+Progress = Callable[[int], object]
+"""Is told that so many more throws are done."""
 
 
 class Quantity(NamedTuple):
@@ -107,16 +98,44 @@ RESULTS: Mapping[str, Quantity] = {
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
 _BESIDE_RATIOS = ('engine.amplitude', 'engine.damping_ratio', 'layer.loss_tangent', 'gravity')
-_LAST_CELLS = 128  # of the layer, at least, where throws are followed to the last release
-_LOOKS = 64  # at the top of the layer per window
-_MAX_WINDOWS = 50  # of two periods of the plate and more, in which the projectile may be gone
-_DECIDES = {
+_RATIO_OF = {
     'engine.damping_ratio': 'damping_ratio',
     'engine.amplitude': 'gravity_ratio',
     'gravity': 'gravity_ratio',
     'layer.loss_tangent': 'loss_tangent',
 }
 """Parameters that not every model knows, and the ratio that they are for."""
+
+
+class Model(NamedTuple):
+    """
+    A model of the layer, as landscapes use it.
+
+    Attributes
+    ----------
+    ratios : tuple of str
+        Fields of `Ratios` that it knows.
+    blocks : mapping of str to int
+        Throws per call, by the releases that it can tell: some tenths of a second.
+
+    """
+
+    ratios: tuple[str, ...]
+    blocks: Mapping[Release, int]
+
+
+_RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
+_LOSSY = (*_RIGID, 'loss_tangent')
+_CELLS: Mapping[Release, int] = {'first': 256, 'last': 8}
+
+MODELS: Mapping[str, Model] = {
+    'travelling_wave': Model(_RIGID, {'first': 1 << 16, 'last': 32}),
+    'finite_difference': Model(_LOSSY, _CELLS),
+    'finite_difference_elastic': Model(Ratios._fields, _CELLS),
+    'finite_difference_glued': Model(_LOSSY, _CELLS),
+    'spring_mass': Model(('mass_ratio', 'speed_ratio'), {'first': 1 << 16}),
+}
+"""Models by name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,8 +189,8 @@ class Axis:
         return self.name.replace('.', '_')
 
 
-class Summit(NamedTuple):
-    """The highest point of a landscape: where it is on each axis, and what it gives."""
+class HighestPoint(NamedTuple):
+    """The best point of a landscape: where it is on each axis, and what it gives."""
 
     place: tuple[float, float]
     ejection_phase: float
@@ -181,7 +200,7 @@ class Summit(NamedTuple):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Landscape:
     r"""
-    Ejection phase and energy transfer over two axes. Made by `survey`.
+    Ejection phase and energy transfer over two axes. Made by `compute_landscape`.
 
     Parameters
     ----------
@@ -212,12 +231,12 @@ class Landscape:
     density_ratio: float
 
     @property
-    def summit(self) -> Summit | None:
+    def optimum(self) -> HighestPoint | None:
         """Where the energy transfer is largest; None if all is NaN."""
         if np.isnan(self.energy_transfer).all():
             return None
         i, j = np.unravel_index(np.nanargmax(self.energy_transfer), self.energy_transfer.shape)
-        return Summit(
+        return HighestPoint(
             (float(self.axes[0].values[i]), float(self.axes[1].values[j])),
             float(self.ejection_phase[i, j]),
             float(self.energy_transfer[i, j]),
@@ -236,11 +255,11 @@ class Landscape:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Name the parameters of the rig that would count, but not in this model."""
-        known = MODELS[self.model][self.release].ratios
+        known = MODELS[self.model].ratios
         return tuple(
             name
             for name in ('engine.damping_ratio', 'gravity')
-            if attrgetter(name)(self.rig) > 0.0 and _DECIDES[name] not in known
+            if attrgetter(name)(self.rig) > 0.0 and _RATIO_OF[name] not in known
         )
 
     @property
@@ -298,7 +317,7 @@ class Landscape:
         write = _WRITERS.get(path.suffix)
         if write is None:
             raise ValueError(f'a landscape is saved as {" or ".join(_WRITERS)}, got {str(path)!r}')
-        with whole_file(path) as unfinished:
+        with atomic_file(path) as unfinished:
             write(self, unfinished)
 
 
@@ -312,10 +331,10 @@ def _variables(landscape: Landscape) -> Iterator[tuple[str, tuple[str, ...], Flo
 
 
 def _write_npz(landscape: Landscape, path: Path) -> None:
-    arrays: dict[str, Any] = {name: values for name, _, values, _ in _variables(landscape)}
+    arrays = {name: values for name, _, values, _ in _variables(landscape)}
     attributes = {'dimensions': [axis.key for axis in landscape.axes], **landscape.attributes}
     with path.open('wb') as file:
-        np.savez(file, attributes=np.array(json.dumps(attributes)), **arrays)
+        np.savez(file, allow_pickle=False, attributes=np.array(json.dumps(attributes)), **arrays)
 
 
 def _write_netcdf(landscape: Landscape, path: Path) -> None:
@@ -339,7 +358,7 @@ def _described(quantity: Quantity) -> dict[str, str]:
     return {'long_name': quantity.meaning, 'units': quantity.unit or '1'}
 
 
-def survey(
+def compute_landscape(
     rig: Rig,
     axes: Mapping[str, ArrayLike],
     *,
@@ -348,7 +367,6 @@ def survey(
     density_ratio: float | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    checkpoint: Checkpoint | None = None,
 ) -> Landscape:
     r"""
     Compute a landscape.
@@ -367,8 +385,10 @@ def survey(
         The first one, or the last one before the projectile falls back for good.
     density_ratio : float, optional
         Projectile over layer, for the axes x and C; that of the rig if not given. [-]
-    executor, progress, checkpoint
-        As for `soft_throw_ros.design.sweep.sweep`; the results do not depend on them.
+    executor : Executor, optional
+        Who computes blocks of throws; the caller if not given. Results do not depend on it.
+    progress : callable, optional
+        Told how many more throws are done.
 
     Returns
     -------
@@ -381,58 +401,39 @@ def survey(
 
     Notes
     -----
-    ========================= ============================================= =======
-    model                     is for                                        error
-    ========================= ============================================= =======
-    travelling_wave           a rigid projectile on a lossless layer        1e-9
-    normal_modes              a rigid projectile on a layer with loss       1e-8
-    finite_difference         either                                        1e-3
-    finite_difference_elastic an elastic projectile                         1e-3
-    spring_mass               a layer without mass, a harmonic plate,       large
-                              no gravity
-    ========================= ============================================= =======
+    ========================= ==================================================== =======
+    model                     is for                                               error
+    ========================= ==================================================== =======
+    travelling_wave           a rigid projectile on a lossless layer               1e-9
+    finite_difference         a rigid projectile, with or without loss             1e-4
+    finite_difference_elastic an elastic projectile                                1e-4
+    finite_difference_glued   the layer on the projectile, thrown along            1e-4
+    spring_mass               a layer without mass, a harmonic plate, no gravity   large
+    ========================= ==================================================== =======
 
-    Last releases are followed in steps: by the travelling wave to 1e-6, by finite differences to
-    some 1e-3. But a projectile that chatters on the layer is beyond any model: neighbouring points
-    may then differ at random.
+    Last releases are followed in steps. A projectile that chatters on the layer is beyond any
+    model: neighbouring points may then differ at random.
 
     Examples
     --------
     Thickness and wave speed of the layer, by a coarse net:
 
-    >>> landscape = survey(
+    >>> landscape = compute_landscape(
     ...     Rig(), {'layer.thickness': [0.01, 0.015, 0.02], 'layer.wave_speed': [6.0, 9.0]}
     ... )
     >>> landscape.energy_transfer.round(2)
     array([[3.61, 3.45],
            [3.04, 3.92],
            [2.8 , 3.67]])
-    >>> landscape.summit.place
+    >>> landscape.optimum.place
     (0.015, 9.0)
 
     """
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
-    if release not in get_args(Release):
-        raise ValueError(f"release must be 'first' or 'last', got {release!r}")
-    if release not in MODELS[model]:
-        able = ', '.join(name for name, methods in MODELS.items() if release in methods)
-        raise ValueError(f'the {release} release is known to {able}, got model {model!r}')
     if len(axes) != 2:
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
     first, second = (Axis(name=name, values=np.asarray(axes[name])) for name in axes)
     _check_axes(first.name, second.name)
-    method = MODELS[model][release]
-    for name, ratio in _DECIDES.items():
-        if name in axes and ratio not in method.ratios:
-            raise ValueError(f'{name} is an axis, but the model {model} does not know it')
-    if type(rig.layer) is not Layer:  # a graded one is a kind of it
-        raise ValueError(f'landscapes are of layers of one material, got {rig.layer!r}')
-    if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in method.ratios:
-        raise ValueError(
-            f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
-            f'got {rig.layer.loss_tangent:g}'
-        )
+    _check_model(rig, axes, model, release)
     if density_ratio is None:
         projectile = rig.projectile
         density_ratio = projectile.mass / (rig.layer.section * projectile.length)
@@ -440,20 +441,20 @@ def survey(
     checks.positive('density_ratio', density_ratio)
     shape = (first.values.size, second.values.size)
     along = {first.name: first.values[:, None], second.name: second.values[None, :]}
-    ratios = _ratios(rig, along, density_ratio)
-    cases = np.empty((len(method.ratios), *shape))
-    for row, name in zip(cases, method.ratios, strict=True):
-        row[:] = ratios[name]
-    results = sweep(
-        functools.partial(_compute, model, release, None if executor is None else 1),
-        cases.reshape(len(method.ratios), -1),
-        outputs=len(RESULTS),
-        block=method.block,
-        executor=executor,
-        progress=progress,
-        checkpoint=checkpoint,
-        request=f'{soft_throw_ros.__version__} {model} {release}',
-    )
+    cases = np.zeros((len(Ratios._fields), math.prod(shape)))
+    for name, row, ratio in zip(
+        Ratios._fields, cases, _ratios(rig, along, density_ratio), strict=True
+    ):
+        if name in MODELS[model].ratios:
+            row.reshape(shape)[...] = ratio
+    compute = functools.partial(_compute, model, release, None if executor is None else 1)
+    size = MODELS[model].blocks[release]
+    blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
+    results = np.empty((len(RESULTS), cases.shape[1]))
+    for start, part in _computed(compute, blocks, executor):
+        results[:, start : start + size] = part
+        if progress is not None:
+            progress(part.shape[1])
     phase, transfer = results.reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
@@ -464,6 +465,44 @@ def survey(
         release=release,
         density_ratio=density_ratio,
     )
+
+
+def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: Release) -> None:
+    """Refuse what a model does not know."""
+    if model not in MODELS:
+        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    if release not in get_args(Release):
+        raise ValueError(f"release must be 'first' or 'last', got {release!r}")
+    if release not in MODELS[model].blocks:
+        able = ', '.join(name for name, other in MODELS.items() if release in other.blocks)
+        raise ValueError(f'the {release} release is known to {able}, got model {model!r}')
+    for name, ratio in _RATIO_OF.items():
+        if name in axes and ratio not in MODELS[model].ratios:
+            raise ValueError(f'{name} is an axis, but the model {model} does not know it')
+    if type(rig.layer) is not Layer:  # a graded one is a kind of it
+        raise ValueError(f'landscapes are of layers of one material, got {rig.layer!r}')
+    if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model].ratios:
+        raise ValueError(
+            f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
+            f'got {rig.layer.loss_tangent:g}'
+        )
+
+
+def _computed(
+    compute: Callable[[Floats], Floats], blocks: Mapping[int, Floats], executor: Executor | None
+) -> Iterator[tuple[int, Floats]]:
+    """Yield where blocks begin, and their results, in whatever order they come."""
+    if executor is None:
+        for start, block in blocks.items():
+            yield start, compute(block)
+        return
+    futures = {executor.submit(compute, block): start for start, block in blocks.items()}
+    try:
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    finally:  # after Ctrl-C, or if the workers are lost
+        for future in futures:
+            future.cancel()
 
 
 def _check_axes(first: str, second: str) -> None:
@@ -479,11 +518,11 @@ def _check_axes(first: str, second: str) -> None:
             )
 
 
-def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Any]:
+def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Ratios:
     """Compute what decides a throw, as `Rig` does, from its parameters and those that vary."""
 
-    def parameter(name: str) -> Any:
-        return along[name] if name in along else attrgetter(name)(rig)
+    def parameter(name: str) -> Floats | float:
+        return along[name] if name in along else float(attrgetter(name)(rig))
 
     section = 0.25 * math.pi * parameter('layer.diameter') ** 2
     thickness, mass = parameter('layer.thickness'), parameter('projectile.mass')
@@ -499,84 +538,33 @@ def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict
     kappa = along.get('kappa', kappa)
     projectile = rig.projectile
     crossing = np.sqrt(projectile.length * mass / (projectile.youngs_modulus * section))
-    return {
-        'mass_ratio': mu,
-        'speed_ratio': kappa,
-        'damping_ratio': parameter('engine.damping_ratio'),
-        'gravity_ratio': parameter('gravity') / (parameter('engine.amplitude') * omega * omega),
-        'loss_tangent': parameter('layer.loss_tangent'),
-        'crossing_ratio': crossing * frequency * kappa,
-    }
-
-
-class _Method(NamedTuple):
-    """A way to the releases of a block of cases."""
-
-    compute: Callable[[dict[str, Any], int | None], Floats]
-    ratios: tuple[str, ...]  # that it is given: the rows of the cases
-    block: int  # cases that take some tenths of a second, and seconds at worst
+    return Ratios(
+        mass_ratio=mu,
+        speed_ratio=kappa,
+        damping_ratio=parameter('engine.damping_ratio'),
+        gravity_ratio=parameter('gravity') / (parameter('engine.amplitude') * omega * omega),
+        loss_tangent=parameter('layer.loss_tangent'),
+        crossing_ratio=crossing * frequency * kappa,
+    )
 
 
 def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:
-    """Compute a block of cases; on its own, so that other processes find it by name."""
-    method = MODELS[model][release]
-    return method.compute(dict(zip(method.ratios, cases, strict=True)), threads)
+    """Compute a block of throws; on its own, so that other processes find it by name."""
+    if release == 'first':
+        throws = first_throws(Ratios(*cases), model=model, threads=threads)
+        return np.stack([throws.ejection_phase, throws.energy_transfer])
+    rows: Floats = np.array([_last(model, *case) for case in cases.T.tolist()])
+    return rows.T
 
 
-def _first_by_travelling_wave(case: dict[str, Any], threads: int | None) -> Floats:
-    return _of(travelling_wave.first_releases(**case, unresolved='nan', threads=threads))
-
-
-def _first_by_normal_modes(case: dict[str, Any], threads: int | None) -> Floats:
-    """Without loss modes converge slowly, and the travelling wave is the same model."""
-    found = np.empty((len(RESULTS), case['loss_tangent'].size))
-    for lossy in (False, True):
-        chosen = (case['loss_tangent'] > 0.0) == lossy
-        part = {name: ratios[chosen] for name, ratios in case.items()}
-        if lossy:
-            releases = normal_modes.first_releases(**part, unresolved='nan')
-            found[:, chosen] = _of(releases)
-        else:
-            del part['loss_tangent']
-            found[:, chosen] = _first_by_travelling_wave(part, threads)
-    return found
-
-
-def _first_by_finite_difference(case: dict[str, Any], threads: int | None) -> Floats:
-    return _of(finite_difference.first_releases(**case, unresolved='nan', threads=threads))
-
-
-def _last_by_travelling_wave(case: dict[str, Any], _threads: int | None) -> Floats:
-    return _last(functools.partial(Stepper, field_points=2), case)
-
-
-def _last_by_finite_difference(case: dict[str, Any], _threads: int | None) -> Floats:
-    model = 'finite_difference_elastic' if 'crossing_ratio' in case else 'finite_difference'
-
-    def make(rig: Rig) -> GridStepper:
-        cells = max(_LAST_CELLS, cells_per_layer(rig, model))
-        return GridStepper(rig, model=model, cells=cells, field_points=2)
-
-    return _last(make, case)
-
-
-def _last(make: Callable[[Rig], ThrowStepper], case: dict[str, Any]) -> Floats:
-    rows = [
-        _last_release(make, **dict(zip(case, ratios, strict=True)))
-        for ratios in zip(*case.values(), strict=True)
-    ]
-    return np.asarray([*zip(*rows, strict=True)], dtype=np.float64)
-
-
-def _last_release(
-    make: Callable[[Rig], ThrowStepper],
-    *,
+def _last(
+    model: str,
     mass_ratio: float,
     speed_ratio: float,
     damping_ratio: float,
     gravity_ratio: float,
-    loss_tangent: float = 0.0,
-    crossing_ratio: float = 1.0,
+    loss_tangent: float,
+    crossing_ratio: float,
 ) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
     engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
@@ -591,78 +579,13 @@ def _last_release(
             loss_tangent=loss_tangent,
         ),
         projectile=Projectile(
-            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / crossing_ratio**2
+            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / (crossing_ratio or 1.0) ** 2
         ),
         gravity=gravity_ratio * omega * omega,
     )
     try:
-        released = _follow(make(rig), gravity=rig.gravity, window=8.0 + 2.0 * speed_ratio)
-    except (ValueError, EventLimitError):  # the projectile is too light, or chatters for ever
-        released = []
-    if not released:
+        last = last_release(rig, model=model)
+    except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
     peak = engine.speed_scale * peak_velocity_ratio(damping_ratio)
-    return released[-1].time / speed_ratio, (released[-1].velocity / peak) ** 2
-
-
-def _follow(stepper: ThrowStepper, *, gravity: float, window: float) -> list[Event]:
-    """Return the releases until the projectile falls back, or is out of reach for a window."""
-    released: list[Event] = []
-    for i in range(_MAX_WINDOWS):
-        heights = []
-        count = stepper.event_count
-        for time in np.linspace(i * window, (i + 1) * window, _LOOKS):
-            stepper.advance_to(time)
-            heights.append(stepper.surface_position)
-        events = stepper.events()
-        rising = list(
-            itertools.takewhile(
-                lambda event: event.kind == 'release' or event.velocity > 0.0 or not gravity,
-                events,
-            )
-        )
-        released = [event for event in rising if event.kind == 'release']
-        ahead = stepper.state[PROJECTILE_POSITION] - max(heights)
-        is_gone = (
-            not gravity
-            and stepper.event_count == count
-            and not stepper.in_contact
-            and released[-1].velocity > 0.0
-            and ahead > np.ptp(heights)
-        )
-        if is_gone or len(rising) < len(events):
-            break
-    return released
-
-
-def _first_by_spring_mass(case: dict[str, Any], _threads: int | None) -> Floats:
-    return _of(spring_mass.first_release(frequency_ratio=spring_mass.frequency_ratio(**case)))
-
-
-def _of(found: travelling_wave.FirstRelease) -> Floats:
-    """Return what of releases is in `RESULTS`."""
-    return np.asarray((found.ejection_phase, found.energy_transfer), dtype=np.float64)
-
-
-_RATIOS = ('mass_ratio', 'speed_ratio')
-_DAMPED = (*_RATIOS, 'damping_ratio', 'gravity_ratio')
-_LOSSY = (*_DAMPED, 'loss_tangent')
-_ELASTIC = (*_LOSSY, 'crossing_ratio')
-
-MODELS: Mapping[str, Mapping[str, _Method]] = {
-    'travelling_wave': {
-        'first': _Method(_first_by_travelling_wave, _DAMPED, 1 << 16),
-        'last': _Method(_last_by_travelling_wave, _DAMPED, 32),
-    },
-    'normal_modes': {'first': _Method(_first_by_normal_modes, _LOSSY, 4096)},
-    'finite_difference': {
-        'first': _Method(_first_by_finite_difference, _LOSSY, 256),
-        'last': _Method(_last_by_finite_difference, _LOSSY, 8),
-    },
-    'finite_difference_elastic': {
-        'first': _Method(_first_by_finite_difference, _ELASTIC, 256),
-        'last': _Method(_last_by_finite_difference, _ELASTIC, 8),
-    },
-    'spring_mass': {'first': _Method(_first_by_spring_mass, _RATIOS, 1 << 16)},
-}
-"""Models by name, and the releases that each can tell."""
+    return last.time / speed_ratio, (last.speed / peak) ** 2

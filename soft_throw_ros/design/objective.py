@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a layer is to be good at, and within which limits."""
+"""What a layer is to be good at, within which limits, and how good it is."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import math
 from typing import ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.search import one_throw, Problem
-from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties
+from soft_throw_ros.core.stepper import FirstThrows
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
+from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
 
+MAX_VALUES = 16
+"""Masses, and frequencies, that a versatile layer may be for."""
+
 _INSIDE = 31  # throws between the corners of what is uncertain
-_SAMPLE = 127  # throws from which a quantile is taken
+_SAMPLE = 41  # throws from which a quantile is taken
+_STAGES = (1, 4, 12)  # so many throws of a layer are computed before the others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,22 +79,24 @@ class Limits:
         """Smallest and largest. [m/s]"""
         return self.wave_speed_min, self.wave_speed_max
 
+    @property
+    def of_loads(self) -> bool:
+        """Whether strain or acceleration is limited."""
+        return min(self.max_strain, self.max_acceleration) < math.inf
+
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
     """The most energy from the throw of the rig as it is."""
 
     name: ClassVar[str] = 'peak'
-    words: ClassVar[str] = 'alpha'
+    summary: ClassVar[str] = 'alpha'
     quantile: ClassVar[float] = 0.0
+    limits_hold_for_all: ClassVar[bool] = False
 
-    def throws(self, rig: Rig) -> Floats:
-        """Return `Problem.throws`, all to be checked."""
-        return one_throw(rig.engine.damping_ratio)
-
-    def checked(self, _throws: Floats) -> int:
-        """Return for how many of them the limits hold."""
-        return 1
+    def variants(self, rig: Rig) -> Variants:
+        """Return the throws that count."""
+        return Variants.of(rig)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,27 +127,33 @@ class Robust:
     uncertainties: Uncertainties = field(default_factory=Uncertainties)
     quantile: float = 0.0
     name: ClassVar[str] = 'robust'
+    limits_hold_for_all: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'quantile', checks.below_one('quantile', self.quantile))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """What counts, in words."""
         return f'{100.0 * self.quantile:g} % quantile of alpha' if self.quantile else 'worst alpha'
 
-    def throws(self, rig: Rig) -> Floats:
-        """Return `Problem.throws`; the first is that of the rig as it should be."""
+    def variants(self, rig: Rig) -> Variants:
+        """Return the throws that count; the first is that of the rig as it should be."""
         if self.quantile > 0.0:
             offsets = even_offsets(_SAMPLE)
         else:
-            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
+            # Thickness, wave speed and frequency count by c / (L f) above all, which is farthest
+            # off where the frequency is off against the wave speed.
+            corners = np.array(
+                [
+                    (wave_speed, thickness, mass, -wave_speed, damping_ratio)
+                    for wave_speed, thickness, mass, damping_ratio in itertools.product(
+                        (-1.0, 1.0), repeat=4
+                    )
+                ]
+            )
             offsets = np.concatenate([np.zeros((1, 5)), corners, even_offsets(_INSIDE + 1)[1:]])
-        return self.uncertainties.throws(rig, offsets)
-
-    def checked(self, _throws: Floats) -> int:
-        """Return for how many of them the limits hold."""
-        return 1
+        return self.uncertainties.variants(rig, offsets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,14 +164,14 @@ class Versatile:
     Parameters
     ----------
     masses : tuple of float
-        Of the projectiles. [kg]
+        Of the projectiles, at most `MAX_VALUES`. [kg]
     frequencies : tuple of float
-        Of the plate; every projectile is thrown with each. [Hz]
+        Of the plate, at most `MAX_VALUES`; every projectile is thrown with each. [Hz]
 
     Raises
     ------
     ValueError
-        If there is none of either, or one is not finite and positive.
+        If there is none of either, or too many, or one is not finite and positive.
 
     Notes
     -----
@@ -170,48 +183,45 @@ class Versatile:
     masses: tuple[float, ...]
     frequencies: tuple[float, ...]
     name: ClassVar[str] = 'versatile'
-    words: ClassVar[str] = 'worst alpha'
+    summary: ClassVar[str] = 'worst alpha'
     quantile: ClassVar[float] = 0.0
+    limits_hold_for_all: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for name in ('masses', 'frequencies'):
             values = tuple(checks.positive(name, value) for value in getattr(self, name))
-            if not values:
-                raise ValueError(f'{name} must be at least one number, got none')
+            if not 1 <= len(values) <= MAX_VALUES:
+                raise ValueError(
+                    f'{name} must be 1 to {MAX_VALUES} numbers, got {len(values)}: '
+                    f'{", ".join(f"{value:g}" for value in values)}'
+                )
             object.__setattr__(self, name, values)
 
-    def throws(self, rig: Rig) -> Floats:
-        """Return `Problem.throws`, all to be checked."""
-        return np.array([
-            (mass / rig.projectile.mass, frequency / rig.engine.frequency,
-             rig.engine.damping_ratio, 0.0, 0.0)
-            for mass, frequency in itertools.product(self.masses, self.frequencies)
-        ])  # fmt: skip
-
-    def checked(self, throws: Floats) -> int:
-        """Return for how many of them the limits hold."""
-        return len(throws)
+    def variants(self, rig: Rig) -> Variants:
+        """Return the throws that count."""
+        pairs = np.array(list(itertools.product(self.masses, self.frequencies)))
+        return Variants.of(rig)._replace(mass=pairs[:, 0], frequency=pairs[:, 1])
 
 
 Objective: TypeAlias = Peak | Robust | Versatile
 
 
-def problem_of(
-    rig: Rig, objective: Objective, limits: Limits, *, target_speed: float = 0.0
-) -> Problem:
+class LayerScore:
     """
-    Put into numbers what is asked of a layer.
+    How good layers are for an objective: the function that a search makes as large as it can.
 
     Parameters
     ----------
     rig : Rig
-        With the layer that others are compared with.
+        All but thickness and wave speed of the layer.
     objective : Peak, Robust or Versatile
-        What the layer is to be good at.
-    limits : Limits
-        What it must not exceed.
-    target_speed : float
-        If above 0, the amplitude is not the rig's, but what gives this ejection speed. [m/s]
+        What a layer is to be good at.
+    limits : Limits, optional
+        What the loads of its throws must not exceed; where it may lie is for the search.
+    cells : int, optional
+        Of layers with loss, as for `first_throws`.
+    cancelled : callable, optional
+        Asked between batches of throws.
 
     Raises
     ------
@@ -219,17 +229,114 @@ def problem_of(
         If an uncertainty is as large as what is uncertain.
 
     """
-    speed = rig.engine.speed_scale
-    throws = objective.throws(rig)
-    return Problem(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        gravity_ratio=rig.gravity_ratio,
-        loss_tangent=rig.layer.loss_tangent,
-        throws=throws,
-        quantile=objective.quantile,
-        checked=objective.checked(throws),
-        strain=limits.max_strain * rig.layer.wave_speed / speed,
-        acceleration=limits.max_acceleration / (speed * rig.engine.angular_frequency),
-        target=target_speed / speed,
-    )
+
+    def __init__(
+        self,
+        rig: Rig,
+        objective: Objective,
+        limits: Limits | None = None,
+        *,
+        cells: int | None = None,
+        cancelled: Cancelled | None = None,
+    ) -> None:
+        self.rig = rig
+        self._cells = cells
+        self._objective = objective
+        self._limits = limits if limits is not None and limits.of_loads else None
+        self._cancelled = cancelled
+        self._variants = objective.variants(rig)
+        # The lowest throws first, as far as known: most layers are out after a few of them.
+        self._order = np.arange(self._variants.mass.size)
+
+    def __call__(
+        self,
+        thickness: ArrayLike,
+        wave_speed: ArrayLike,
+        *,
+        least: ArrayLike = 0.0,
+        mass_factor: ArrayLike = 1.0,
+        frequency_factor: ArrayLike = 1.0,
+        damping_factor: ArrayLike = 1.0,
+    ) -> Floats:
+        """
+        Compute the energy transfers that count.
+
+        Parameters
+        ----------
+        thickness, wave_speed : array_like, shape (n,)
+            Of the layers. [m], [m/s]
+        least : array_like
+            What is below this need not be known: it becomes 0. [-]
+        mass_factor, frequency_factor, damping_factor : array_like
+            What every throw's mass, frequency and damping ratio are multiplied by. [-]
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            0 for layers that throw nothing or exceed a limit. [-]
+
+        Raises
+        ------
+        SearchCancelledError
+            If `cancelled` says so.
+
+        """
+        columns = np.broadcast_arrays(
+            *map(np.atleast_1d, (thickness, wave_speed, least)),
+            *map(np.atleast_1d, (mass_factor, frequency_factor, damping_factor)),
+        )
+        thickness, wave_speed, least, mass, frequency, damping = (
+            np.asarray(column, dtype=np.float64)[:, None] for column in columns
+        )
+        variants = self._variants._replace(
+            mass=mass * self._variants.mass,
+            frequency=frequency * self._variants.frequency,
+            damping_ratio=np.minimum(damping * self._variants.damping_ratio, 0.999),
+        )
+        ratios, exists = variants.ratios(self.rig, thickness, wave_speed)
+        size = exists.shape[1]
+        # A layer is out as soon as more of its throws are too low than the quantile leaves aside.
+        spare = math.ceil(self._objective.quantile * (size - 1))
+        transfers = np.full(exists.shape, math.inf)
+        alive = np.arange(exists.shape[0])
+        stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
+        for start, stop in itertools.pairwise(stages):
+            chosen = np.ix_(alive, self._order[start:stop])
+            throws = self._throw(ratios, chosen)
+            is_thrown = (throws.speed > 0.0) & exists[chosen]
+            transfers[chosen] = np.where(is_thrown, throws.energy_transfer, 0.0)
+            too_low = (transfers[alive] < least[alive]).sum(axis=1)
+            alive = alive[too_low <= spare]
+        scores = np.zeros(exists.shape[0])
+        if size == 1:
+            scores[alive] = transfers[alive, 0]
+        elif alive.size:
+            scores[alive] = np.quantile(transfers[alive], self._objective.quantile, axis=1)
+            self._order = transfers[alive].mean(axis=0).argsort()
+        if self._limits is not None:
+            alive = alive[scores[alive] > 0.0]
+            scores[alive] *= self._keeps_limits(ratios, alive, wave_speed, frequency)
+        return scores
+
+    def _throw(
+        self, ratios: Ratios, chosen: tuple[NDArray[np.int64], ...], *, loads: bool = False
+    ) -> FirstThrows:
+        """Compute some of the throws of some of the layers."""
+        some = Ratios(*(np.asarray(ratio)[chosen] for ratio in ratios))
+        return first_throws(some, loads=loads, cells=self._cells, cancelled=self._cancelled)
+
+    def _keeps_limits(
+        self, ratios: Ratios, layers: NDArray[np.int64], wave_speed: Floats, factor: Floats
+    ) -> NDArray[np.bool_]:
+        """Tell which layers keep the limits, in all throws or in the rig's own."""
+        assert self._limits is not None
+        count = self._order.size if self._objective.limits_hold_for_all else 1
+        loads = self._throw(ratios, np.ix_(layers, np.arange(count)), loads=True)
+        omega = 2.0 * math.pi * factor[layers] * self._variants.frequency[:count]
+        speed = self.rig.engine.amplitude * omega
+        strain = loads.peak_strain * speed / wave_speed[layers]
+        acceleration = loads.peak_acceleration * speed * omega
+        excess = np.maximum(
+            strain / self._limits.max_strain, acceleration / self._limits.max_acceleration
+        )
+        return np.asarray(excess.max(axis=1) <= 1.0)

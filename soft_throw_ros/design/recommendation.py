@@ -2,13 +2,13 @@
 """
 Recommend a layer for a rig: the one that throws best, by the objective that is set.
 
-What counts is the first release, for that is what can be relied on; see
-`soft_throw_ros.design.search` for how it is looked for, and for how gravity counts.
+What counts is the first release, for that is what can be relied on. See
+`soft_throw_ros.design.optimise` for how the layer is looked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 import contextlib
 from dataclasses import dataclass, fields, replace
 import functools
@@ -16,17 +16,22 @@ import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.configuration.layers import Material
-from soft_throw_ros.core import checks, normal_modes, peak
-from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
-from soft_throw_ros.design.objective import Limits, Objective, Peak, problem_of, Robust
-from soft_throw_ros.design.search import find_summit, LATEST, one_throw, Problem, score
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, SEARCH_CELLS
+from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust, Versatile
+from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
+from soft_throw_ros.design.uncertainty import Variants
+
+Floats = NDArray[np.float64]
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
 PAPER_RATIOS = (0.32, 8.4)
-"""What the paper quotes for the best mass and speed ratio. See `Optimum`. [-]"""
+"""What the paper quotes for the best mass and speed ratio. See `BestRatios`. [-]"""
 
 WITHIN = 0.05
 """Part of the best score that may be lost within a `Sensitivity`'s interval. [-]"""
@@ -34,25 +39,18 @@ WITHIN = 0.05
 TOLERATED = 0.02
 """Part that may be lost within its tolerance. [-]"""
 
-Span: TypeAlias = tuple[float, float]
-
-_EQUAL = 1e-9  # relative, in the energy transfer
-_NEAR = 1e-3  # likewise; how near to what was found a layer must come ...
-_BESIDE = (  # with thickness or wave speed, of which one may be at its limit, changed by this
-    (0.0, 0.0),
-    *(
-        change
-        for part in (1e-4, -1e-4, 5e-4, -5e-4, 2e-3, -2e-3)
-        for change in ((0.0, part), (part, 0.0))
-    ),
+_EQUAL = 1e-9  # relative; of scores so close the present layer is kept
+_DRAFT_ERROR = (
+    2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is looked at again ...
 )
-_LARGE_GRAVITY = 0.2  # of the plate's largest acceleration
+_NEARBY = 0.03  # within this part of thickness and wave speed
+_STRONG_GRAVITY = 0.2  # of the plate's largest acceleration: later swings throw, too
 _SLIGHT = 1e-4  # change of a parameter for its elasticity
 _SMALL = 1e-3  # change of a parameter that ...
-_DEAR = 0.01  # should not cost so much, else it is at an edge
-_STEP = 0.01  # of the march to the ends of an interval, in logarithms, ...
-_FARTHEST = math.log(2.0)  # and where it ends
-_CANDIDATES = 8  # materials that are shown
+_AT_EDGE = 0.01  # costs more than this part only at an edge
+_FARTHEST = math.log(2.0)  # where the interval of a sensitivity ends
+_HALVINGS = 8  # of a step, to find an interval's end
+_MAX_CANDIDATES = 8  # materials that are shown
 
 UNITS = {
     'thickness': ('mm', 1e3),
@@ -63,12 +61,9 @@ UNITS = {
 }
 """In which units people read the parameters of a `Sensitivity`, and how many make one in SI."""
 
-_COLUMNS = {'mass': 0, 'frequency': 1, 'damping_ratio': 2, 'thickness': 3, 'wave_speed': 4}
-"""Where in `Problem.throws` a parameter stands; the last two as what is added."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Optimum:
+class BestRatios:
     r"""
     Mass and speed ratio, and what they give without gravity and loss.
 
@@ -106,7 +101,7 @@ class Optimum:
     energy_transfer: float
 
     @classmethod
-    def at(cls, *, mass_ratio: float, speed_ratio: float, damping_ratio: float) -> Optimum:
+    def at(cls, *, mass_ratio: float, speed_ratio: float, damping_ratio: float) -> BestRatios:
         """Find out what given ratios give."""
         release = first_release(
             mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
@@ -121,7 +116,7 @@ class Optimum:
 
 
 @functools.lru_cache(maxsize=64)
-def best_ratios(damping_ratio: float) -> Optimum:
+def best_ratios(damping_ratio: float) -> BestRatios:
     r"""
     Find the mass and speed ratio that transfer the most energy, were there no limits.
 
@@ -132,7 +127,7 @@ def best_ratios(damping_ratio: float) -> Optimum:
 
     Returns
     -------
-    Optimum
+    BestRatios
         Ratios to 1e-5.
 
     Raises
@@ -154,22 +149,19 @@ def best_ratios(damping_ratio: float) -> Optimum:
 
     """
     checks.below_one('damping_ratio', damping_ratio)
-    problem = Problem(
-        mass_ratio=0.3,
-        speed_ratio=10.0,
-        gravity_ratio=0.0,
-        loss_tangent=0.0,
-        throws=one_throw(float(damping_ratio)),
+    # a rig whose layer has these very ratios for thickness and wave speed
+    rig = Rig(
+        engine=Engine(frequency=1.0, amplitude=1.0, damping_ratio=float(damping_ratio)),
+        layer=Layer(thickness=1.0, wave_speed=1.0, density=1.0, diameter=2.0 / math.sqrt(math.pi)),
+        projectile=Projectile(mass=1.0),
+        gravity=0.0,
     )
-    summit = find_summit(
-        problem,
-        thickness_factors=(0.5, 2.0),
-        wave_speed_factors=(0.4, 2.5),
-        tolerance=1e-7,
-    )
-    return Optimum.at(
-        mass_ratio=0.3 / summit.thickness_factor,
-        speed_ratio=10.0 * summit.wave_speed_factor / summit.thickness_factor,
+    layers = LayerRange(thickness=(1.5, 6.0), wave_speed=(15.0, 75.0))
+    best = find_best_layer(LayerScore(rig, Peak()), layers, step=0.06, tolerance=1e-7)
+    assert best is not None  # without gravity every layer throws
+    return BestRatios.at(
+        mass_ratio=1.0 / best.thickness,
+        speed_ratio=best.wave_speed / best.thickness,
         damping_ratio=float(damping_ratio),
     )
 
@@ -203,12 +195,6 @@ class Prediction:
         :math:`\alpha = (V_e / V_p^*)^2`. [-]
     peak_strain : float
         Largest magnitude of the strain anywhere in the layer. [-]
-    peak_strain_time : float
-        When. [s]
-    peak_strain_depth : float
-        At which distance from the plate. [m]
-    peak_contact_strain : float
-        Largest magnitude of the strain at the projectile. [-]
     peak_acceleration : float
         Largest magnitude of the projectile's acceleration. [m/s2]
     peak_force : float
@@ -231,9 +217,6 @@ class Prediction:
     ejection_speed: float
     energy_transfer: float
     peak_strain: float
-    peak_strain_time: float
-    peak_strain_depth: float
-    peak_contact_strain: float
     peak_acceleration: float
     peak_force: float
     plate_work: float
@@ -266,21 +249,19 @@ def predict(rig: Rig) -> Prediction:
 
     """
     engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    if not layer.is_uniform:
+    if type(layer) is not Layer:  # a graded one is a kind of it
         raise ValueError(f'only layers of one material are predicted, got {layer!r}')
-    ratios = {
-        'mass_ratio': rig.mass_ratio,
-        'speed_ratio': rig.speed_ratio,
-        'damping_ratio': engine.damping_ratio,
-        'gravity_ratio': rig.gravity_ratio,
-    }
-    if layer.loss_tangent > 0.0:
-        peaks = normal_modes.first_peaks(**ratios, loss_tangent=layer.loss_tangent)
-    else:
-        peaks = peak.first_peaks(**ratios)
+    ratios, _ = Variants.of(rig).ratios(rig, layer.thickness, layer.wave_speed)
+    throws = first_throws(ratios, loads=True)
+    phase, speed, transfer, strain, acceleration, force, work = (
+        float(values[0]) for values in throws
+    )
+    if not speed > 0.0:
+        raise ThrowUnresolvedError(
+            f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '
+            f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
+        )
     speed_scale = engine.speed_scale
-    strain_scale = speed_scale / layer.wave_speed
-    speed = float(peaks.release.speed) * speed_scale
     return Prediction(
         thickness=layer.thickness,
         wave_speed=layer.wave_speed,
@@ -289,17 +270,14 @@ def predict(rig: Rig) -> Prediction:
         loss_tangent=layer.loss_tangent,
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
-        ejection_time=float(peaks.release.ejection_phase) / engine.frequency,
-        ejection_speed=speed,
-        energy_transfer=float(peaks.release.energy_transfer),
-        peak_strain=peaks.strain * strain_scale,
-        peak_strain_time=peaks.strain_phase / engine.frequency,
-        peak_strain_depth=peaks.strain_height * layer.thickness,
-        peak_contact_strain=peaks.contact_strain * strain_scale,
-        peak_acceleration=peaks.acceleration * speed_scale * engine.angular_frequency,
-        peak_force=peaks.plate_force * speed_scale * layer.impedance,
-        plate_work=peaks.plate_work * mass * speed_scale**2,
-        kinetic_energy=0.5 * mass * speed**2,
+        ejection_time=phase / engine.frequency,
+        ejection_speed=speed * speed_scale,
+        energy_transfer=transfer,
+        peak_strain=strain * speed_scale / layer.wave_speed,
+        peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
+        peak_force=force * speed_scale * layer.impedance,
+        plate_work=work * mass * speed_scale**2,
+        kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
     )
 
 
@@ -389,14 +367,14 @@ class Recommendation(Prediction):
         Layers of the library that came near, if one was to be picked; the best first.
     sensitivities : tuple of Sensitivity
         How much the parameters matter around the recommended layer.
-    optimum : Optimum
+    optimum : BestRatios
         The best ratios for the engine's damping, were there no limits and no loss.
-    paper : Optimum
+    paper : BestRatios
         The paper's ratios with the engine's damping.
-    why : str
+    summary : str
         What changes and what is gained, in a sentence.
-    note : str
-        What has to be known besides, about the paper's numbers, loss and gravity.
+    remarks : str
+        What has to be known besides, about the paper's numbers, loss, gravity and large strain.
 
     """
 
@@ -412,10 +390,10 @@ class Recommendation(Prediction):
     by_both: Prediction | None = None
     candidates: tuple[Candidate, ...]
     sensitivities: tuple[Sensitivity, ...]
-    optimum: Optimum
-    paper: Optimum
-    why: str
-    note: str
+    optimum: BestRatios
+    paper: BestRatios
+    summary: str
+    remarks: str
 
     @property
     def gain(self) -> float:
@@ -427,7 +405,7 @@ class Recommendation(Prediction):
         flat: dict[str, float | str] = {}
         for item in fields(self):
             value = getattr(self, item.name)
-            if isinstance(value, (Prediction, Optimum)):
+            if isinstance(value, (Prediction, BestRatios)):
                 flat.update({f'{item.name}.{name}': part for name, part in vars(value).items()})
             elif item.name == 'sensitivities':
                 for part in value:
@@ -442,14 +420,75 @@ class Recommendation(Prediction):
         return flat
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Choice:
-    """A layer to choose, as part of the rig."""
+class SearchSpace(NamedTuple):
+    """A rig whose layer may vary within a range, and the layer's name if it is of a library."""
 
     rig: Rig
-    prediction: Prediction
+    layers: LayerRange
+    name: str = ''
+    spread: float = 0.0
+    """How far the wave speed of a material may be off, up or down. [m/s]"""
+
+
+def search_spaces(
+    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
+) -> Iterator[SearchSpace]:
+    """
+    Yield where to look for a layer.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the layer that it has now.
+    vary : str
+        What may vary: one of `Vary`, or `amplitude`, which leaves the layer as it is.
+    limits : Limits
+        Of the layer, for what may vary.
+    materials : mapping of str to Material
+        If `vary` is 'library', there is a space for each, or for each of its sheets.
+
+    """
+    layer = rig.layer
+    as_it_is = LayerRange((layer.thickness,) * 2, (layer.wave_speed,) * 2)
+    if vary != 'library':
+        if vary in ('thickness', 'both'):
+            as_it_is = as_it_is._replace(thickness=limits.thickness)
+        if vary in ('wave_speed', 'both'):
+            as_it_is = as_it_is._replace(wave_speed=limits.wave_speed)
+        yield SearchSpace(rig, as_it_is)
+        return
+    for material in materials.values():
+        speed = material.wave_speed
+        if (
+            material.loss_tangent.value > limits.max_loss_tangent
+            or not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
+        ):
+            continue
+        sheet = replace(
+            layer,
+            wave_speed=speed.value,
+            density=material.density.value,
+            loss_tangent=material.loss_tangent.value,
+            diameter=material.diameter or layer.diameter,
+        )
+        speeds, spread = (speed.value, speed.value), 0.5 * (speed.high - speed.low)
+        for thickness in material.thicknesses:
+            if limits.thickness_min <= thickness <= limits.thickness_max:
+                there = replace(rig, layer=replace(sheet, thickness=thickness))
+                layers = LayerRange((thickness, thickness), speeds)
+                yield SearchSpace(there, layers, material.layer_name(thickness), spread)
+        if not material.thicknesses:
+            there = replace(rig, layer=sheet)
+            yield SearchSpace(there, LayerRange(limits.thickness, speeds), material.name, spread)
+
+
+class _Found(NamedTuple):
+    """A layer as part of the rig, its score, for what, and its name in the library."""
+
+    rig: Rig
     score: float
-    layer: str
+    objective: Objective
+    name: str
 
 
 def recommend(
@@ -459,6 +498,7 @@ def recommend(
     objective: Objective | None = None,
     limits: Limits | None = None,
     materials: Mapping[str, Material] | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Recommendation:
     """
     Recommend the layer that throws best.
@@ -479,6 +519,8 @@ def recommend(
         What must not be exceeded. What may not change need not be within.
     materials : mapping of str to Material, optional
         From which one is picked, if `vary` is 'library'.
+    cancelled : callable, optional
+        Asked between batches of throws, some tenths of a second each, whether to give up.
 
     Returns
     -------
@@ -493,19 +535,19 @@ def recommend(
     ThrowUnresolvedError
         If no throw with a layer within the limits can be computed: too many crossings, gravity
         holds the projectile, or every layer exceeds strain or acceleration.
+    SearchCancelledError
+        If `cancelled` says so.
 
     Notes
     -----
-    The score is not lower than the highest of a scan of 10^4 layers by more than 1e-3, in 10^3
-    random rigs and limits, except as said in `soft_throw_ros.design.search`. The same holds under
-    strong gravity, of 0.1 to 3.5 times the plate's largest acceleration: seen against scans of
-    3600 to 6400 layers in 115 random rigs, and of 400 to 900 for all objectives, and with a loss
-    tangent of 0.08, in 60. All numbers returned but those of `Optimum` are with gravity and loss.
+    The score is within 0.5 % of the best, as seen in random rigs, objectives and limits beside
+    fine grids; except as said in `soft_throw_ros.design.optimise`. All numbers returned but those
+    of `BestRatios` are with gravity and loss.
 
     Examples
     --------
     >>> best = recommend(Rig(), vary='thickness')
-    >>> best.why
+    >>> best.summary
     'thickness 16.8 -> 13.4 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
 
     """
@@ -514,199 +556,151 @@ def recommend(
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
     if type(rig.layer) is not Layer:  # a graded one is a kind of it
         raise ValueError(f'only layers of one material are recommended, got {rig.layer!r}')
-    spans = {
-        'thickness': (limits.thickness, None),
-        'wave_speed': (None, limits.wave_speed),
-        'both': (limits.thickness, limits.wave_speed),
-    }
-    found = {
-        name: _best(rig, objective, limits, *span)
-        for name, span in spans.items()
-        if isinstance(objective, Peak) or name == vary
-    }
-    picked = _pick(rig, objective, limits, materials or {}) if vary == 'library' else []
+    search = functools.partial(_search, objective=objective, limits=limits, cancelled=cancelled)
+    found: dict[str, _Found | None] = {}
+    if vary != 'library':
+        names = ('thickness', 'wave_speed', 'both') if isinstance(objective, Peak) else (vary,)
+        for name in names:
+            (space,) = search_spaces(rig, name, limits, {})
+            starts = tuple(each for each in found.values() if each is not None)
+            found[name] = search(space, starts=starts)
+    spaces = search_spaces(rig, 'library', limits, materials or {}) if vary == 'library' else ()
+    picked = sorted(
+        (each for space in spaces if (each := search(space)) is not None),
+        key=lambda each: -each.score,
+    )
     best = (picked[0] if picked else None) if vary == 'library' else found[vary]
     if best is None:
         raise ThrowUnresolvedError(_why_none(rig, vary, objective, limits, materials or {}))
-    now = _choice(rig, objective, limits)
+    now = _score_of(rig, objective, cancelled)
+    prediction = predict(best.rig)
+    predictions = {name: predict(each.rig) for name, each in found.items() if each is not None}
     optimum = best_ratios(rig.engine.damping_ratio)
     paper = _paper_ratios(rig.engine.damping_ratio)
-    sensitivities = tuple(_sensitivities(best.rig, problem_of(best.rig, objective, limits)))
+    sensitivities = tuple(_sensitivities(best.rig, best.objective, cancelled))
     return Recommendation(
-        **vars(best.prediction),
+        **vars(prediction),
         rig=best.rig,
         objective=objective.name,
         vary=vary,
-        layer=best.layer,
+        layer=best.name,
         score=best.score,
-        now=_prediction(now),
-        now_score=0.0 if now is None else now.score,
-        by_thickness=_prediction(found.get('thickness')),
-        by_wave_speed=_prediction(found.get('wave_speed')),
-        by_both=_prediction(found.get('both')),
+        now=predict(rig) if now > 0.0 else None,
+        now_score=now,
+        by_thickness=predictions.get('thickness'),
+        by_wave_speed=predictions.get('wave_speed'),
+        by_both=predictions.get('both'),
         candidates=tuple(
-            Candidate(
-                layer=choice.layer, thickness=choice.prediction.thickness, score=choice.score
-            )
-            for choice in picked[:_CANDIDATES]
+            Candidate(layer=each.name, thickness=each.rig.layer.thickness, score=each.score)
+            for each in picked[:_MAX_CANDIDATES]
         ),
         sensitivities=sensitivities,
         optimum=optimum,
         paper=paper,
-        why=_why(rig, now, best, vary, objective, limits, sensitivities),
-        note=_note(best.rig, optimum, paper),
+        summary=_summarise(rig, now, best, vary, objective, limits, sensitivities),
+        remarks=_remark(best.rig, prediction, optimum, paper),
     )
 
 
 @functools.lru_cache(maxsize=64)
-def _paper_ratios(damping_ratio: float) -> Optimum:
+def _paper_ratios(damping_ratio: float) -> BestRatios:
     mass_ratio, speed_ratio = PAPER_RATIOS
-    return Optimum.at(mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio)
+    return BestRatios.at(
+        mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
+    )
 
 
-def _prediction(choice: _Choice | None) -> Prediction | None:
-    return None if choice is None else choice.prediction
+def _score_of(rig: Rig, objective: Objective, cancelled: Cancelled | None) -> float:
+    """Compute the score of a rig as it is, within limits or not; 0 if it throws nothing."""
+    score = LayerScore(rig, objective, cancelled=cancelled)
+    return float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
 
 
-def _choice(rig: Rig, objective: Objective, limits: Limits, *, layer: str = '') -> _Choice | None:
-    """Predict the throw of a rig and compute its score; None if there is no throw."""
-    try:
-        prediction = predict(rig)
-    except ThrowUnresolvedError:
-        return None
-    if isinstance(objective, Peak):
-        transfer = prediction.energy_transfer
-    else:
-        transfer = max(score(problem_of(rig, objective, limits)), 0.0) ** 2
-    return _Choice(rig=rig, prediction=prediction, score=transfer, layer=layer)
-
-
-def _best(
-    rig: Rig,
+def _search(
+    space: SearchSpace,
+    *,
     objective: Objective,
     limits: Limits,
-    thickness: Span | None,
-    wave_speed: Span | None,
-    *,
-    layer: str = '',
-) -> _Choice | None:
-    """Choose the best layer within limits, None for what may not change; None if there is none."""
-    given = rig.layer
-    thickness = thickness or (given.thickness, given.thickness)
-    wave_speed = wave_speed or (given.wave_speed, given.wave_speed)
-    problem = problem_of(rig, objective, limits)
-    is_within = (
-        thickness[0] <= given.thickness <= thickness[1]
-        and wave_speed[0] <= given.wave_speed <= wave_speed[1]
-        and not math.isnan(find_summit(problem).score)
+    cancelled: Cancelled | None,
+    starts: tuple[_Found, ...] = (),
+) -> _Found | None:
+    """Find the best layer of a space, which is that of its rig if no other is better."""
+    if isinstance(objective, Robust) and space.spread > objective.uncertainties.wave_speed:
+        uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
+        objective = replace(objective, uncertainties=uncertainties)
+    has_loss = space.rig.layer.loss_tangent > 0.0
+    exact = LayerScore(space.rig, objective, limits, cancelled=cancelled)
+    draft = exact
+    if has_loss:
+        draft = LayerScore(space.rig, objective, limits, cells=SEARCH_CELLS, cancelled=cancelled)
+    present = (space.rig.layer.thickness, space.rig.layer.wave_speed)
+    known = [(each.rig.layer.thickness, each.rig.layer.wave_speed) for each in starts]
+    layers = [layer for layer in (present, *known) if space.layers.contains(*layer)]
+    best = find_best_layer(
+        draft,
+        space.layers,
+        step=grid_step(space, objective),
+        starts=tuple(Optimum(*layer, float(draft(*layer)[0])) for layer in layers),
+        tolerance=5e-4 if has_loss else 1e-5,
     )
-    now = _choice(rig, objective, limits, layer=layer) if is_within else None
-    summit = find_summit(
-        problem,
-        thickness_factors=(thickness[0] / given.thickness, thickness[1] / given.thickness),
-        wave_speed_factors=(wave_speed[0] / given.wave_speed, wave_speed[1] / given.wave_speed),
-    )
-    if math.isnan(summit.score):
-        return now
-    found: list[_Choice] = []
-    for thicker, faster in _BESIDE:
-        # the edge of a cliff, which a search by steps sees in a slightly other place
-        place = replace(
-            given,
-            thickness=_within(
-                thickness, given.thickness * summit.thickness_factor * (1.0 + thicker)
-            ),
-            wave_speed=_within(
-                wave_speed, given.wave_speed * summit.wave_speed_factor * (1.0 + faster)
-            ),
-        )
-        choice = _choice(replace(rig, layer=place), objective, limits, layer=layer)
-        if choice is not None:
-            found.append(choice)
-            if choice.score >= (1.0 - _NEAR) * summit.score**2:
-                break
-    best = max(found, key=lambda choice: choice.score, default=None)
-    if now is not None and (best is None or now.score >= best.score * (1.0 - _EQUAL)):
-        return now
-    return best
+    if best is not None and has_loss:
+        best = _refine(exact, best, space.layers)
+    now = float(exact(*present)[0]) if present in layers else 0.0
+    if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
+        return _Found(space.rig, now, objective, space.name)
+    if best is None:
+        return None
+    layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
+    return _Found(replace(space.rig, layer=layer), best.score, objective, space.name)
 
 
-def _within(limits: Span, value: float) -> float:
-    return min(max(value, limits[0]), limits[1])
+def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
+    """Make sure that what was found with few cells is not beyond a jump or a limit with many."""
+    score = float(exact(best.thickness, best.wave_speed)[0])
+    if score >= (1.0 - _DRAFT_ERROR) * best.score:
+        return best._replace(score=score)
+    nearby = LayerRange(*(
+        (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
+        for (low, high), value in zip(layers, best, strict=False)
+    ))  # fmt: skip
+    start = (best._replace(score=score),) if score > 0.0 else ()
+    return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)
 
 
-def _pick(
-    rig: Rig, objective: Objective, limits: Limits, materials: Mapping[str, Material]
-) -> list[_Choice]:
+def grid_step(space: SearchSpace, objective: Objective | None = None) -> float:
     """
-    Rank the layers of a library, the best first.
+    Choose the step of the grid on which a search begins.
 
-    Nothing is better than without limits of the loads, or than with nothing uncertain; that is
-    quickly known, and where it is not what is asked, what can be no better than the best so far
-    is left out.
+    A line is cheap, and throws from a layer with loss, or under strong gravity, cost thirty times
+    what others do.
+
+    Parameters
+    ----------
+    space : SearchSpace
+        Where it looks.
+    objective : Peak, Robust or Versatile, optional
+        What for; its slowest plate decides how strong gravity is.
+
+    Returns
+    -------
+    float
+        In logarithms of thickness and wave speed. [-]
+
     """
-    bound_objective = Peak() if isinstance(objective, Robust) else objective
-    bound_limits = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
-    bounded: list[tuple[_Choice, Place]] = []
-    for place in places(rig, limits, materials):
-        choice = _best(
-            place.rig, bound_objective, bound_limits, place.thickness, None, layer=place.layer
-        )
-        if choice is not None:
-            bounded.append((choice, place))
-    bounded.sort(key=lambda item: -item[0].score)
-    if (bound_objective, bound_limits) == (objective, limits):
-        return [choice for choice, _ in bounded]
-    found: list[_Choice] = []
-    for bound, place in bounded:
-        if found and bound.score <= max(choice.score for choice in found):
-            break
-        aim = objective
-        if isinstance(objective, Robust):
-            spread = max(objective.uncertainties.wave_speed, place.spread)
-            uncertainties = replace(objective.uncertainties, wave_speed=spread)
-            aim = replace(objective, uncertainties=uncertainties)
-        choice = _best(place.rig, aim, limits, place.thickness, None, layer=place.layer)
-        if choice is not None:
-            found.append(choice)
-    return sorted(found, key=lambda choice: -choice.score)
+    rig = space.rig
+    is_line = any(low == high for low, high in space.layers)
+    if rig.layer.loss_tangent > 0.0:
+        return 0.04 if is_line else 0.12
+    slowest = rig.engine.frequency
+    if isinstance(objective, Versatile):
+        slowest = min(objective.frequencies)
+    is_strong = rig.gravity_ratio * (rig.engine.frequency / slowest) ** 2 > _STRONG_GRAVITY
+    return (0.02 if is_strong else 0.01) if is_line else 0.06
 
 
-class Place(NamedTuple):
-    """A layer of the library: its name, the rig with it, what may vary, and how sure it is."""
-
-    layer: str
-    rig: Rig
-    thickness: Span | None
-    spread: float  # of the wave speed, up or down
-
-
-def places(rig: Rig, limits: Limits, materials: Mapping[str, Material]) -> Iterator[Place]:
-    """Yield the layers of a library that are within the limits."""
-    for material in materials.values():
-        speed = material.wave_speed
-        if (
-            material.loss_tangent.value > limits.max_loss_tangent
-            or not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        ):
-            continue
-        layer = replace(
-            rig.layer,
-            wave_speed=speed.value,
-            density=material.density.value,
-            loss_tangent=material.loss_tangent.value,
-            diameter=material.diameter or rig.layer.diameter,
-        )
-        spread = 0.5 * (speed.high - speed.low)
-        for thickness in material.thicknesses:
-            if limits.thickness_min <= thickness <= limits.thickness_max:
-                place = replace(rig, layer=replace(layer, thickness=thickness))
-                yield Place(material.layer_name(thickness), place, None, spread)
-        if not material.thicknesses:
-            yield Place(material.name, replace(rig, layer=layer), limits.thickness, spread)
-
-
-def _sensitivities(rig: Rig, problem: Problem) -> Iterator[Sensitivity]:
+def _sensitivities(
+    rig: Rig, objective: Objective, cancelled: Cancelled | None
+) -> Iterator[Sensitivity]:
     """Find out how much each parameter matters for the score of the rig's layer."""
     values = {
         'thickness': rig.layer.thickness,
@@ -715,51 +709,62 @@ def _sensitivities(rig: Rig, problem: Problem) -> Iterator[Sensitivity]:
         'frequency': rig.engine.frequency,
         'damping_ratio': rig.engine.damping_ratio,
     }
-    best = score(problem) ** 2
+    score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
+    best = float(score(values['thickness'], values['wave_speed'])[0])
 
-    def part(name: str, change: float) -> float:
-        """Compute the score after a change, in logarithms, over what it was."""
-        throws = problem.throws.copy()
-        column, factor = _COLUMNS[name], math.exp(change)
-        if name in ('thickness', 'wave_speed'):
-            throws[:, column] += factor - 1.0
-        else:
-            throws[:, column] *= factor
-        throws[:, 2] = np.minimum(throws[:, 2], 0.999)
-        return max(score(problem._replace(throws=throws)), 0.0) ** 2 / best
+    def remaining(which: NDArray[np.int64], change: Floats, lost: float = 1.0) -> Floats:
+        """Compute the score over `best` after changes of one parameter each, in logarithms."""
+        factors = np.exp(np.where(which[:, None] == np.arange(len(values)), change[:, None], 0.0))
+        thickness, wave_speed, mass, frequency, damping = factors.T
+        return (
+            score(
+                values['thickness'] * thickness,
+                values['wave_speed'] * wave_speed,
+                least=(1.0 - lost) * best,
+                mass_factor=mass,
+                frequency_factor=frequency,
+                damping_factor=damping,
+            )
+            / best
+        )
 
-    def reach(name: str, sign: float) -> tuple[float, float]:
-        """Find how far a parameter may change, one way, until TOLERATED and WITHIN are lost."""
-        ends: list[float] = []
-        good = 0.0
-        for lost in (TOLERATED, WITHIN):
-            bad = good
-            while bad <= good < _FARTHEST:
-                bad = min(good + _STEP, _FARTHEST)
-                if part(name, sign * bad) >= 1.0 - lost:
-                    good = bad
-            while bad - good > 1e-5:
-                middle = 0.5 * (good + bad)
-                if part(name, sign * middle) >= 1.0 - lost:
-                    good = middle
-                else:
-                    bad = middle
-            ends.append(good)
-        return ends[0], ends[1]
-
-    for name, value in values.items():
+    near = np.array([-_SMALL, _SMALL, -_SLIGHT, _SLIGHT])
+    indices = np.arange(len(values))
+    beside = remaining(np.repeat(indices, near.size), np.tile(near, len(values)))
+    count = 8 if rig.layer.loss_tangent > 0.0 else 70
+    steps = np.linspace(0.0, _FARTHEST, count + 1)
+    # every parameter down, then every one up
+    ends = _reach(remaining, np.tile(indices, 2), np.repeat((-1.0, 1.0), len(values)), steps)
+    for i, (name, value) in enumerate(values.items()):
         if value > 0.0:
-            less, more = part(name, -_SMALL), part(name, _SMALL)
-            down, up = reach(name, -1.0), reach(name, 1.0)
+            less, more, slightly_less, slightly_more = beside[near.size * i :][: near.size]
+            down, up = -ends[:, i], ends[:, i + len(values)]
             yield Sensitivity(
                 name=name,
                 value=value,
-                elasticity=(part(name, _SLIGHT) - part(name, -_SLIGHT)) / (2.0 * _SLIGHT),
-                low=value * math.exp(-down[1]),
+                elasticity=float(slightly_more - slightly_less) / (2.0 * _SLIGHT),
+                low=value * math.exp(down[1]),
                 high=value * math.exp(up[1]),
-                tolerance=value * min(1.0 - math.exp(-down[0]), math.exp(up[0]) - 1.0),
-                edge='less' if less < 1.0 - _DEAR else 'more' if more < 1.0 - _DEAR else '',
+                tolerance=value * min(1.0 - math.exp(down[0]), math.exp(up[0]) - 1.0),
+                edge='less' if less < 1.0 - _AT_EDGE else 'more' if more < 1.0 - _AT_EDGE else '',
             )
+
+
+def _reach(
+    remaining: Callable[..., Floats], which: NDArray[np.int64], sign: Floats, steps: Floats
+) -> Floats:
+    """Find how far parameters may change until TOLERATED, and until WITHIN, is lost."""
+    changes = np.outer(sign, steps[1:])
+    scan = remaining(np.repeat(which, steps.size - 1), changes.ravel(), WITHIN)
+    kept = 1.0 - np.repeat((TOLERATED, WITHIN), which.size)
+    is_lost = np.tile(scan.reshape(changes.shape), (2, 1)) < kept[:, None]
+    first = np.where(is_lost.any(axis=1), is_lost.argmax(axis=1), steps.size - 1)
+    good, bad = steps[first], steps[np.minimum(first + 1, steps.size - 1)]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (good + bad)
+        is_good = remaining(np.tile(which, 2), np.tile(sign, 2) * middle, WITHIN) >= kept
+        good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
+    return good.reshape(2, -1)
 
 
 def _why_none(
@@ -793,28 +798,25 @@ def _why_none(
     )
 
 
-def _why(
+def _summarise(
     rig: Rig,
-    now: _Choice | None,
-    best: _Choice,
+    now: float,
+    best: _Found,
     vary: Vary,
     objective: Objective,
     limits: Limits,
     sensitivities: tuple[Sensitivity, ...],
 ) -> str:
     """Say what changes, what that gives, and how exactly it has to be met."""
-    words = objective.words
+    name = objective.summary
     if best.rig.layer == rig.layer:
-        text = (
-            f'the layer as it is cannot be bettered within the limits ({words} {best.score:.2f})'
-        )
+        text = f'the layer as it is cannot be bettered within the limits ({name} {best.score:.2f})'
     else:
-        before = f'{now.score:.2f}' if now else 'nothing'
-        gain = _gain_in_words(now.score if now else 0.0, best.score, vary)
+        before = f'{now:.2f}' if now else 'nothing'
         changes = ' and '.join(_changes(rig, best, vary, limits))
-        text = f'{changes}: {gain} ({words} {before} -> {best.score:.2f})'
-    names = ('thickness', 'wave_speed') if vary == 'both' else (vary,)
-    names = ('thickness',) if vary == 'library' else names
+        gain = _describe_gain(now, best.score, vary)
+        text = f'{changes}: {gain} ({name} {before} -> {best.score:.2f})'
+    names = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}.get(vary, (vary,))
     parts = [item for item in sensitivities if item.name in names]
     within = ' or '.join(f'+-{item.deviation}' for item in parts if not item.edge)
     text += f'; {within} costs {100.0 * TOLERATED:g} %' if within else ''
@@ -824,11 +826,11 @@ def _why(
     return text
 
 
-def _changes(rig: Rig, best: _Choice, vary: Vary, limits: Limits) -> Iterator[str]:
+def _changes(rig: Rig, best: _Found, vary: Vary, limits: Limits) -> Iterator[str]:
     """Name what changes, with what it was and will be."""
     old, new = rig.layer, best.rig.layer
-    if best.layer:
-        yield f'layer {best.layer}'
+    if best.name:
+        yield f'layer {best.name}'
     if vary != 'wave_speed':
         limit = _at_limit(new.thickness, limits.thickness)
         yield f'thickness {1e3 * old.thickness:.4g} -> {1e3 * new.thickness:.4g} mm{limit}'
@@ -840,7 +842,7 @@ def _changes(rig: Rig, best: _Choice, vary: Vary, limits: Limits) -> Iterator[st
         )
 
 
-def _gain_in_words(before: float, after: float, vary: Vary) -> str:
+def _describe_gain(before: float, after: float, vary: Vary) -> str:
     if before <= 0.0:
         return 'as it is, the layer throws nothing'
     gain = after / before - 1.0
@@ -857,7 +859,7 @@ def _gain_in_words(before: float, after: float, vary: Vary) -> str:
     return f'{amount} less energy, for the layer as it is exceeds the limits'
 
 
-def _at_limit(value: float, limits: Span) -> str:
+def _at_limit(value: float, limits: tuple[float, float]) -> str:
     """Say which limit a value has run into, if any."""
     for limit, name in zip(limits, ('smallest', 'largest'), strict=True):
         if math.isclose(value, limit, rel_tol=1e-4):
@@ -865,9 +867,9 @@ def _at_limit(value: float, limits: Span) -> str:
     return ''
 
 
-def _note(rig: Rig, optimum: Optimum, paper: Optimum) -> str:
+def _remark(rig: Rig, best: Prediction, optimum: BestRatios, paper: BestRatios) -> str:
     """Say what has to be known besides."""
-    note = (
+    text = (
         f'for a plate of damping {optimum.damping_ratio:g} the best is a projectile of '
         f'{optimum.mass_ratio:.3f} times the mass of the layer and c_s / (L_s f) = '
         f'{optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}; '
@@ -875,13 +877,18 @@ def _note(rig: Rig, optimum: Optimum, paper: Optimum) -> str:
         f'ratios and give {paper.energy_transfer:.3f}'
     )
     if rig.layer.loss_tangent > 0.0:
-        note += (
+        text += (
             f'; these are without loss, whereas the loss tangent of {rig.layer.loss_tangent:g} '
             'counts in what is recommended'
         )
-    if rig.gravity_ratio > _LARGE_GRAVITY:
-        note += (
+    if rig.gravity_ratio > _STRONG_GRAVITY:
+        text += (
             f'; gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
-            f'that later swings throw as well: {LATEST:g} periods are waited for'
+            'that later swings throw as well'
         )
-    return note
+    if best.peak_strain >= 1.0:
+        text += (
+            f'; a strain of {100.0 * best.peak_strain:.0f} % is more than a layer can be '
+            'compressed: lower the amplitude or limit the strain'
+        )
+    return text

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.design.aiming import Aim, aim, Target
+from soft_throw_ros.design.evaluate import Cancelled
 from soft_throw_ros.design.objective import Limits, Objective, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 from soft_throw_ros.design.uncertainty import Uncertainties
@@ -16,7 +17,7 @@ from soft_throw_ros.design.uncertainty import Uncertainties
 Answer: TypeAlias = Recommendation | Aim
 
 
-def answer(settings: Settings) -> Answer:
+def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
     """
     Recommend a layer, or aim, as the settings ask.
 
@@ -25,18 +26,28 @@ def answer(settings: Settings) -> Answer:
     settings : mapping of str to value
         Complete settings of the twin; of them count those of the rig, `recommendation.*` and
         `uncertainty.*`.
+    cancelled : callable, optional
+        Asked every few tenths of a second whether to give up.
 
     Raises
     ------
     ValueError
         If that cannot be done, saying why.
+    SearchCancelledError
+        If `cancelled` says so.
 
     """
     rig = rig_of(settings)
     asked = _group(settings, 'recommendation')
     materials = library(str(settings['layer.library'])).materials
     if asked['objective'] == 'aim':
-        target = Target(height=asked['target_height'] or None, speed=asked['target_speed'] or None)
+        height, speed = asked['target_height'] or None, asked['target_speed'] or None
+        if height is None and speed is None:
+            raise ValueError(
+                'nothing to aim at: recommendation.target_height (--target-height) or '
+                'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
+            )
+        target = Target(height=height, speed=speed)
         return aim(
             rig,
             target,
@@ -44,6 +55,7 @@ def answer(settings: Settings) -> Answer:
             limits=limits_of(settings),
             max_amplitude=asked['max_amplitude'],
             materials=materials,
+            cancelled=cancelled,
         )
     if asked['vary'] == 'amplitude':
         raise ValueError(
@@ -56,6 +68,7 @@ def answer(settings: Settings) -> Answer:
         objective=objective_of(settings),
         limits=limits_of(settings),
         materials=materials,
+        cancelled=cancelled,
     )
 
 

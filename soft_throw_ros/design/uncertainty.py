@@ -21,13 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
-from soft_throw_ros.design.search import Problem, releases
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, SEARCH_CELLS
 
 Floats = NDArray[np.float64]
 
@@ -79,9 +80,9 @@ class Uncertainties:
             name = f'uncertainty.{item.name}'
             object.__setattr__(self, item.name, check(name, getattr(self, item.name)))
 
-    def throws(self, rig: Rig, offsets: Floats) -> Floats:
+    def variants(self, rig: Rig, offsets: Floats) -> Variants:
         """
-        Return `Problem.throws` for rigs off by a part of the uncertainties each.
+        Return throws of rigs that are off by a part of the uncertainties each.
 
         Parameters
         ----------
@@ -92,7 +93,8 @@ class Uncertainties:
 
         Returns
         -------
-        ndarray, shape (n, 5)
+        Variants
+            n throws.
 
         Raises
         ------
@@ -112,14 +114,81 @@ class Uncertainties:
                     f'{uncertain:g}, got {value:g}'
                 )
         wave_speed, thickness, mass, frequency, damping = offsets.T
-        damping_ratio = rig.engine.damping_ratio + self.damping_ratio * damping
-        return np.column_stack([
-            1.0 + self.mass * mass,
-            1.0 + self.frequency / rig.engine.frequency * frequency,
-            np.clip(damping_ratio, 0.0, 0.999),
-            self.thickness / rig.layer.thickness * thickness,
-            self.wave_speed / rig.layer.wave_speed * wave_speed,
-        ])  # fmt: skip
+        return Variants(
+            mass=rig.projectile.mass * (1.0 + self.mass * mass),
+            frequency=rig.engine.frequency + self.frequency * frequency,
+            damping_ratio=np.clip(
+                rig.engine.damping_ratio + self.damping_ratio * damping, 0.0, 0.999
+            ),
+            thickness_error=self.thickness * thickness,
+            wave_speed_error=self.wave_speed * wave_speed,
+        )
+
+
+class Variants(NamedTuple):
+    """
+    Throws in which a rig differs from what it is: arrays that broadcast against each other.
+
+    Attributes
+    ----------
+    mass : ndarray
+        Of the projectile. [kg]
+    frequency, damping_ratio : ndarray
+        Of the plate. [Hz], [-]
+    thickness_error, wave_speed_error : ndarray
+        What is added to those of the layer. [m], [m/s]
+
+    """
+
+    mass: Floats
+    frequency: Floats
+    damping_ratio: Floats
+    thickness_error: Floats
+    wave_speed_error: Floats
+
+    @classmethod
+    def of(cls, rig: Rig) -> Variants:
+        """Return the one throw of the rig as it is."""
+        engine = rig.engine
+        values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
+        return cls(*(np.array([value]) for value in values))
+
+    def ratios(
+        self, rig: Rig, thickness: ArrayLike, wave_speed: ArrayLike
+    ) -> tuple[Ratios, NDArray[np.bool_]]:
+        """
+        Return what decides these throws from layers of other thickness and wave speed.
+
+        Parameters
+        ----------
+        rig : Rig
+            Gives all else.
+        thickness, wave_speed : array_like
+            Of the layers as planned; they broadcast against the throws. [m], [m/s]
+
+        Returns
+        -------
+        Ratios, ndarray
+            All of one shape, and whether there is a layer at all: it may be off by more than
+            there is of it.
+
+        """
+        shape = np.broadcast_shapes(*map(np.shape, (thickness, wave_speed, *self)))
+        thickness = np.broadcast_to(np.asarray(thickness) + self.thickness_error, shape)
+        wave_speed = np.broadcast_to(np.asarray(wave_speed) + self.wave_speed_error, shape)
+        exists = (thickness > 0.0) & (wave_speed > 0.0)
+        thickness = np.where(exists, thickness, rig.layer.thickness)
+        wave_speed = np.where(exists, wave_speed, rig.layer.wave_speed)
+        layer = rig.layer
+        omega = 2.0 * np.pi * self.frequency
+        ratios = Ratios(
+            self.mass / (layer.density * layer.section * thickness),
+            wave_speed / (thickness * self.frequency),
+            self.damping_ratio,
+            rig.gravity / (rig.engine.amplitude * omega * omega),
+            layer.loss_tangent,
+        )
+        return Ratios(*(np.broadcast_to(ratio, shape) for ratio in ratios)), exists
 
 
 def even_offsets(count: int) -> Floats:
@@ -181,7 +250,7 @@ class PredictionUncertainty:
     jumps: bool
     held: float
 
-    def sentence(self) -> str:
+    def describe(self) -> str:
         """Say it for people to read."""
         time, speed, transfer = self.ejection_time, self.ejection_speed, self.energy_transfer
         text = (
@@ -208,7 +277,10 @@ class PredictionUncertainty:
 
 
 def prediction_uncertainty(
-    rig: Rig, uncertainties: Uncertainties | None = None
+    rig: Rig,
+    uncertainties: Uncertainties | None = None,
+    *,
+    cancelled: Cancelled | None = None,
 ) -> PredictionUncertainty:
     """
     Find how far the first release of a throw may be off.
@@ -219,6 +291,8 @@ def prediction_uncertainty(
         What throws.
     uncertainties : Uncertainties, optional
         How far the rig may be off; by default as the paper's.
+    cancelled : callable, optional
+        Asked between batches of throws.
 
     Returns
     -------
@@ -230,33 +304,30 @@ def prediction_uncertainty(
         If an uncertainty is as large as what is uncertain.
     ThrowUnresolvedError
         If the projectile does not leave in any of the throws.
+    SearchCancelledError
+        If `cancelled` says so.
 
     Examples
     --------
-    >>> print(prediction_uncertainty(Rig()).sentence())
+    >>> print(prediction_uncertainty(Rig()).describe())
     7.455 to 7.846 ms, 1.3523 to 1.3943 m/s, alpha 3.527 to 3.728
 
     """
     uncertainties = uncertainties or Uncertainties()
-    throws = uncertainties.throws(rig, even_offsets(_SAMPLE))
-    phases, speeds, relative = releases(
-        Problem(
-            mass_ratio=rig.mass_ratio,
-            speed_ratio=rig.speed_ratio,
-            gravity_ratio=rig.gravity_ratio,
-            loss_tangent=rig.layer.loss_tangent,
-            throws=throws,
-        )
-    )
-    left = relative > 0.0
+    variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
+    ratios, _ = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
+    throws = first_throws(ratios, cells=SEARCH_CELLS, cancelled=cancelled)
+    left = throws.speed > 0.0
     if not left.any():
         raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')
-    times = phases[left] / rig.engine.frequency
+    frequency = variants.frequency[left]
+    times = throws.ejection_phase[left] / frequency
+    speeds = throws.speed[left] * 2.0 * np.pi * frequency * rig.engine.amplitude
     gaps = np.diff(np.sort(times))
     return PredictionUncertainty(
         ejection_time=Interval.of(times),
-        ejection_speed=Interval.of(speeds[left] * rig.engine.speed_scale),
-        energy_transfer=Interval.of(relative[left] ** 2),
+        ejection_speed=Interval.of(speeds),
+        energy_transfer=Interval.of(throws.energy_transfer[left]),
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
         held=1.0 - float(left.mean()),
     )

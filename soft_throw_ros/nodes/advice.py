@@ -86,7 +86,7 @@ class Advice:
         if best is None:
             return f'there is no recommendation: {self.reason}'
         if isinstance(best, Aim):
-            return best.why
+            return best.summary
         name = f'{best.layer}, ' if best.layer else ''
         return (
             f'the recommended layer of {name}{1e3 * best.thickness:.4g} mm and '
@@ -102,7 +102,7 @@ class Advice:
         return status_to_msg(
             name,
             hardware_id=hardware_id,
-            message=self.sentence() if best is None else best.why,
+            message=self.sentence() if best is None else best.summary,
             values={**values, **rig_to_values(self.rig)},
             level=self._level,
         )

@@ -310,7 +310,7 @@ class Twin(Program):
         """Say what a throw gave, how sure that is, and what the recommended layer would give."""
         sentence = result.sentence()
         if uncertainty is not None and result.first is not None:
-            sentence += f' (by the uncertainties of the rig {uncertainty.sentence()})'
+            sentence += f' (by the uncertainties of the rig {uncertainty.describe()})'
         advice = self._advice
         if advice is None or advice.recommendation is None or advice.rig != result.rig:
             return sentence

@@ -8,7 +8,7 @@ import types
 
 import pytest
 from soft_throw_ros.commands import design
-from soft_throw_ros.commands.rig_options import add_rig_options, OPTIONS, read_settings
+from soft_throw_ros.commands.options import add_rig_options, OPTIONS, read_settings
 from soft_throw_ros.configuration import LAYERS, ParameterError, TWIN
 
 

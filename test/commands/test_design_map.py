@@ -14,12 +14,14 @@ import time
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands import design, design_map
+from soft_throw_ros.commands import design_map
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.landscape import survey
+from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
 
 ROOT = Path(__file__).parents[2]
+
+TASK = 'map'
 
 SMALL = ('x=0.2:0.9:30', 'C=1:12:24')
 
@@ -39,78 +41,19 @@ if __name__ == '__main__':
 """
 
 
-def run(capsys, *args):
-    """Run the command; return what it printed."""
-    assert design.main(['map', *map(str, args)]) == 0
-    return capsys.readouterr().out
-
-
-def refused(capsys, *args):
-    """Run the command, which refuses something; return what it says."""
-    with pytest.raises(SystemExit) as end:
-        design.main(['map', *map(str, args)])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    usage, message = err.splitlines()
-    assert usage.startswith('usage: ')
-    return message.partition('error: ')[2]
-
-
-@pytest.fixture
-def bars(monkeypatch):
-    """Break off, as by Ctrl-C, when `bars.left` blocks are done; never, if it is negative."""
-
-    class Bar:
-        left = -1
-
-        def __init__(self, **_):
-            pass
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-        def update(self, count):
-            if Bar.left == 0:
-                raise KeyboardInterrupt
-            Bar.left -= 1
-
-    monkeypatch.setattr(design_map, 'tqdm', Bar)
-    return Bar
-
-
-def test_map_is_saved_and_summed_up(capsys, tmp_path):
+def test_axes_are_read_with_range_count_and_spacing(task, tmp_path):
     path = tmp_path / 'map.npz'
-    said = run(capsys, *SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
-    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-    landscape = survey(rig, {'x': np.linspace(0.2, 0.9, 30), 'C': np.linspace(1.0, 12.0, 24)})
-    with np.load(path) as file:
-        np.testing.assert_array_equal(file['energy_transfer'], landscape.energy_transfer)
-    x, c = landscape.summit.place
-    assert said == (
-        '30 x 24 throws, first release by travelling_wave\n'
-        f'largest alpha {landscape.summit.energy_transfer:.4f} at x {x:.5g}, C {c:.5g}; '
-        f't_e f {landscape.summit.ejection_phase:.4f}\n'
-    )
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_axes_are_read_with_range_count_and_spacing(capsys, tmp_path):
-    path = tmp_path / 'map.npz'
-    run(capsys, 'mu=0.1:10:5:log', 'engine.damping_ratio', '--output', path)
+    task.run('mu=0.1:10:5:log', 'engine.damping_ratio', '--output', path)
     with np.load(path) as file:
         np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
         np.testing.assert_allclose(file['engine_damping_ratio'], np.linspace(0.0, 0.3, 256))
         assert file['energy_transfer'].shape == (5, 256)
 
 
-def test_options_reach_the_map(capsys, tmp_path):
+def test_options_reach_the_map(task, tmp_path):
     path = tmp_path / 'map.npz'
-    said = run(
-        capsys, *SMALL, '--model', 'spring_mass', '--density-ratio', 1, '--frequency', 31.1,
+    said = task.run(
+        *SMALL, '--model', 'spring_mass', '--density-ratio', 1, '--frequency', 31.1,
         '--output', path,
     )  # fmt: skip
     assert 'left out by this model: engine.damping_ratio, gravity' in said
@@ -121,71 +64,19 @@ def test_options_reach_the_map(capsys, tmp_path):
     assert attributes['engine_frequency'] == 31.1
 
 
-def test_loss_is_for_the_exact_model_that_knows_it(capsys, monkeypatch):
-    monkeypatch.setattr(design_map, 'rig_of', lambda _: Rig(layer=Layer(loss_tangent=0.02)))
-    assert 'first release by normal_modes' in run(capsys, 'mu=0.1:1:4', 'kappa=5:10:4')
-
-
-def test_map_without_a_release_says_so_and_can_be_drawn(capsys, tmp_path):
-    said = run(
-        capsys, 'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
+def test_map_without_a_release_says_so_and_can_be_drawn(task, tmp_path):
+    said = task.run(
+        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
         '--amplitude', 1e-3, '--output', tmp_path / 'map.png',
     )  # fmt: skip
     assert 'the projectile leaves nowhere' in said
     assert (tmp_path / 'map.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_workers_make_the_same_file(capsys, tmp_path):
+def test_workers_make_the_same_file(task, tmp_path):
     for workers in (1, 2):
-        run(capsys, *SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
+        task.run(*SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
     assert (tmp_path / '1.npz').read_bytes() == (tmp_path / '2.npz').read_bytes()
-
-
-def test_map_that_was_broken_off_goes_on(capsys, tmp_path, bars):
-    what = (*SMALL, '--release', 'last')
-    path = tmp_path / 'map.npz'
-    bars.left = 1
-    assert design.main(['map', *what, '--output', str(path)]) == 130
-    said = capsys.readouterr().err
-    (kept,) = tmp_path.iterdir()
-    assert said == (
-        f'design map: stopped; what is done is in {kept}, '
-        'and the same command goes on from there\n'
-    )
-    bars.left = -1
-    run(capsys, *what, '--output', path)
-    run(capsys, *what, '--output', tmp_path / 'uninterrupted.npz')
-    assert path.read_bytes() == (tmp_path / 'uninterrupted.npz').read_bytes()
-    assert not kept.exists()
-
-
-def test_nothing_is_kept_for_a_map_without_a_file(capsys, bars):
-    bars.left = 0
-    assert design.main(['map', *SMALL]) == 130
-    assert capsys.readouterr().err == 'design map: stopped; nothing is kept\n'
-
-
-def test_ctrl_c_stops_workers_too_and_without_traceback(capsys, tmp_path):
-    run(capsys, *SMALL, '--release', 'last')  # so that no worker has to compile
-    script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
-    script.write_text(LOUD)
-    with subprocess.Popen(
-        [sys.executable, script, 'x=0.6:0.9:300', 'C=5:8:300', '--release', 'last',
-         '--workers', '2', '--output', path],
-        env=os.environ | {'PYTHONPATH': str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        text=True,
-    ) as process:  # fmt: skip
-        watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
-        watchdog.start()
-        assert process.stdout.readline() == '32\n'
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        said = process.stderr.read()
-        watchdog.cancel()
-    assert process.returncode == 130
-    assert re.fullmatch(r'design map: stopped; what is done is in \S+\.part, .*\n', said)
 
 
 def rows(path, entity, component):
@@ -204,11 +95,11 @@ def rows(path, entity, component):
     ]
 
 
-def test_recording_has_the_values_and_the_marks(capsys, tmp_path):
+def test_recording_has_the_values_and_the_marks(task, tmp_path):
     path = tmp_path / 'map.rrd'
     axes = 'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30'
-    run(capsys, *axes, '--output', path)
-    landscape = survey(
+    task.run(*axes, '--output', path)
+    landscape = compute_landscape(
         Rig(),
         {
             'layer.thickness': np.geomspace(2e-3, 0.05, 40),
@@ -223,10 +114,10 @@ def test_recording_has_the_values_and_the_marks(capsys, tmp_path):
         )
         ((first, second),) = rows(path, f'/{name}/mark_texts', 'Points2D:labels')
         assert first == 'this rig'
-        assert second.endswith(f', {landscape.summit.energy_transfer:.3f}')
+        assert second.endswith(f', {landscape.optimum.energy_transfer:.3f}')
 
 
-def test_map_is_sent_to_the_viewer_that_is_there(capsys, monkeypatch):
+def test_map_is_sent_to_the_viewer_that_is_there(task, monkeypatch):
     experimental = pytest.importorskip('rerun.experimental', reason='comes with [rerun]')
     port = free_port()
     monkeypatch.setattr(design_map, 'PORT', port)
@@ -235,29 +126,12 @@ def test_map_is_sent_to_the_viewer_that_is_there(capsys, monkeypatch):
     except ViewerError as error:
         pytest.skip(str(error))
     with viewer:
-        assert 'largest alpha' in run(capsys, *SMALL, '--rerun')
+        assert 'largest alpha' in task.run(*SMALL, '--rerun')
         client = experimental.ViewerClient.connect(f'rerun+http://127.0.0.1:{port}/proxy')
         deadline = time.monotonic() + 30.0
         while not client.get_state().recordings:
             assert time.monotonic() < deadline
             time.sleep(0.1)
-
-
-def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(capsys, monkeypatch):
-    monkeypatch.setattr(design_map, 'PORT', free_port())
-    monkeypatch.setattr(design_map, 'has_display', lambda: False)
-    monkeypatch.setattr(design_map, 'survey', None)
-    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: True)
-    said = refused(capsys, '--rerun')
-    assert said.startswith('--rerun: there is no screen for a window; take --output FILE.rrd, or ')
-
-
-def test_missing_rerun_is_said_before_the_work(capsys, monkeypatch):
-    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
-    monkeypatch.setattr(design_map, 'survey', None)
-    needs = "what pip installs with 'soft_throw_ros[rerun]'"
-    assert refused(capsys, '--rerun') == f'--rerun needs {needs}'
-    assert refused(capsys, '--output', 'map.rrd') == f'map.rrd: recordings of Rerun need {needs}'
 
 
 @pytest.fixture
@@ -271,7 +145,7 @@ def picture(tmp_path, monkeypatch):
         'savefig',
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
-    landscape = survey(
+    landscape = compute_landscape(
         Rig(),
         {
             'layer.thickness': np.geomspace(2e-3, 0.05, 40),
@@ -297,24 +171,10 @@ def test_picture_has_the_values_at_their_places(picture):
         assert panel.get_ylim() == pytest.approx((1.0, 5.0))
 
 
-def test_picture_has_symbols_and_units_on_its_axes(picture):
-    figure, _ = picture
-    phase, _, *bars = figure.axes
-    assert phase.get_xlabel() == 'thickness $L_s$ (mm)'
-    assert phase.get_ylabel() == 'mass $m$ (g)'
-    assert [bar.get_ylabel() for bar in bars] == [
-        'ejection time in plate periods $t_e f$',
-        r'energy transfer factor $\alpha$',
-    ]
-    assert 'first release' in figure.get_suptitle()
-    shown = [tick.get_text() for tick in phase.get_xticklabels()]
-    assert {'2', '5', '10', '20', '50'} <= set(shown)
-
-
-def test_picture_marks_ridge_summit_and_rig(picture):
+def test_picture_marks_ridge_optimum_and_rig(picture):
     figure, landscape = picture
     lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
-    place = np.array(landscape.summit.place)
+    place = np.array(landscape.optimum.place)
     np.testing.assert_allclose(lines[r'largest $\alpha$'].get_xydata(), [1e3 * place])
     np.testing.assert_allclose(lines['this rig'].get_xydata(), [[10.0, 2.0]])
     highest = landscape.axes[1].values[landscape.energy_transfer.argmax(axis=1)]
@@ -325,52 +185,98 @@ def test_picture_marks_ridge_summit_and_rig(picture):
     np.testing.assert_allclose(y[drawn], 1e3 * highest[drawn])
 
 
+def test_map_is_saved_and_summed_up(task, tmp_path):
+    path = tmp_path / 'map.npz'
+    said = task.run(*SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
+    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
+    landscape = compute_landscape(
+        rig, {'x': np.linspace(0.2, 0.9, 30), 'C': np.linspace(1.0, 12.0, 24)}
+    )
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file['energy_transfer'], landscape.energy_transfer)
+    x, c = landscape.optimum.place
+    assert f'{landscape.optimum.energy_transfer:.4f} at x {x:.5g}, C {c:.5g}' in said
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_loss_is_for_the_model_that_knows_it(task):
+    assert 'finite_difference' in task.run('mu=0.1:1:4', 'kappa=5:10:4', '--loss-tangent', 0.1)
+
+
+def test_ctrl_c_stops_workers_too_and_leaves_no_file(task, tmp_path):
+    task.run(*SMALL, '--release', 'last')  # so that no worker has to compile
+    script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
+    script.write_text(LOUD)
+    with subprocess.Popen(
+        [sys.executable, script, 'x=0.6:0.9:300', 'C=5:8:300', '--release', 'last',
+         '--workers', '2', '--output', path],
+        env=os.environ | {'PYTHONPATH': str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as process:  # fmt: skip
+        watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
+        watchdog.start()
+        assert process.stdout.readline() == '32\n'
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        said = process.stderr.read()
+        watchdog.cancel()
+    assert process.returncode == 130
+    assert 'stopped' in said
+    assert 'Traceback' not in said
+    assert list(tmp_path.iterdir()) == [script]
+
+
+def test_file_that_cannot_be_written_is_named(task, tmp_path):
+    (tmp_path / 'map.nc').mkdir()
+    assert str(tmp_path / 'map.nc') in task.refused(*SMALL, '--output', tmp_path / 'map.nc')
+    assert [path.name for path in tmp_path.iterdir()] == ['map.nc']
+
+
+@pytest.mark.parametrize(
+    ('args', 'extra'),
+    [
+        (['--rerun'], 'rerun'),
+        (['--output', 'map.rrd'], 'rerun'),
+        (['--output', 'map.png'], 'plot'),
+    ],
+)
+def test_what_is_not_installed_is_said_before_the_work(task, monkeypatch, args, extra):
+    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
+    monkeypatch.setattr(design_map, 'compute_landscape', None)
+    assert f"pip installs with 'soft_throw_ros[{extra}]'" in task.refused(*args)
+
+
+def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(task, monkeypatch):
+    monkeypatch.setattr(design_map, 'PORT', free_port())
+    monkeypatch.setattr(design_map, 'has_display', lambda: False)
+    monkeypatch.setattr(design_map, 'compute_landscape', None)
+    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: True)
+    assert '--output FILE.rrd' in task.refused('--rerun')
+
+
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
-        (['x'], 'AXIS must be given twice or not at all, got x'),
-        (['x', 'x'], 'a landscape has two axes, got x'),
-        (['x', 'D'], "no axis is named 'D'; there are: x, C, mu"),
-        (['x', 'layer.density'], 'layer.density needs a range: layer.density=LOW:HIGH'),
-        (['x=0.1', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1'"),
-        (['x=0.1:0.9:4.5', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1:0.9:4.5'"),
-        (['x=0.1:0.9:4:lin', 'C'], "an axis is NAME=LOW:HIGH, .* got 'x=0.1:0.9:4:lin'"),
-        (['x=0.9:0.1', 'C'], "x must go from a lower to a higher value, got 'x=0.9:0.1'"),
-        (['x=0.1:nan', 'C'], "x must go from a lower to a higher value, got 'x=0.1:nan'"),
-        (['x=0.1:0.9:1', 'C'], "x must have at least 2 points, got 'x=0.1:0.9:1'"),
-        (['x=0.1:1', 'C'], r'x must be at least 0 and below 1, got 1\.0'),
+        (['x'], 'AXIS .* got x'),
+        (['x', 'D'], "'D'; there are: x, C, mu"),
+        (['x', 'layer.density'], 'layer.density=LOW:HIGH'),
+        (['x=0.1', 'C'], "NAME=LOW:HIGH, .* got 'x=0.1'"),
+        (['x=0.1:0.9:4.5', 'C'], "NAME=LOW:HIGH, .* got 'x=0.1:0.9:4.5'"),
+        (['x=0.9:0.1', 'C'], "x must .* got 'x=0.9:0.1'"),
+        (['x=0.1:0.9:1', 'C'], "x must .* 2 points, got 'x=0.1:0.9:1'"),
+        (['x=0.1:1', 'C'], r'x must .* got 1\.0'),
         (['x', 'C=1:inf'], 'C must be .* got inf'),
-        (['x', 'C=-1:1'], r'C must be .* got -1\.0'),
-        (
-            ['layer.thickness=0.01:0.2', 'layer.wave_speed'],
-            r'layer.thickness must be a number from 0.0005 to 0.1 m, got 0\.2',
-        ),
-        (
-            ['engine.damping_ratio=0:0.3:9:log', 'mu'],
-            'engine.damping_ratio cannot begin at 0 with :log',
-        ),
-        (['--model', 'guess'], "argument --model: invalid choice: 'guess'"),
-        (['--model', 'spring_mass', '--release', 'last'], 'the last release is known to'),
+        (['layer.thickness=0.01:0.2', 'layer.wave_speed'], r'layer.thickness .* got 0\.2'),
+        (['engine.damping_ratio=0:0.3:9:log', 'mu'], 'engine.damping_ratio .* :log'),
+        (['--model', 'guess'], "argument --model: .*'guess'"),
+        (['--model', 'spring_mass', '--release', 'last'], 'last release .* spring_mass'),
         (['--density-ratio', '0'], r'density_ratio must be .* got 0\.0'),
-        (['--thickness', '16.8'], 'argument --thickness: layer.thickness must be .* got 16.8'),
-        (['--output', 'map.h5'], r"--output must end on \.npz, \.nc, \.png, \.rrd, got 'map.h5'"),
+        (['--thickness', '16.8'], 'argument --thickness: .* got 16.8'),
+        (['--output', 'map.h5'], r"--output .* got 'map.h5'"),
         (['--output', 'no_such/map.nc'], 'no_such/map.nc: there is no folder no_such'),
     ],
 )
-def test_what_is_refused_is_quoted(capsys, args, message):
-    assert re.match(message, refused(capsys, *args))
-
-
-def test_file_that_cannot_be_written_is_named_and_nothing_is_lost(capsys, tmp_path):
-    (tmp_path / 'map.nc').mkdir()
-    said = refused(capsys, *SMALL, '--output', tmp_path / 'map.nc')
-    assert said.startswith(f'{tmp_path / "map.nc"}')
-    assert said.endswith('; nothing is kept')
-
-
-def test_missing_matplotlib_is_said_before_the_work(capsys, monkeypatch):
-    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
-    monkeypatch.setattr(design_map, 'survey', None)
-    assert refused(capsys, '--output', 'map.png') == (
-        "map.png: pictures need what pip installs with 'soft_throw_ros[plot]'"
-    )
+def test_what_is_refused_is_quoted(task, args, message):
+    assert re.search(message, task.refused(*args))

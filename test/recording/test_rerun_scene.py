@@ -403,7 +403,7 @@ def test_picture_shows_the_throw(twin, path) -> None:
 def test_layer_picked_from_a_library_stands_beside_that_of_now() -> None:
     materials = {'sylgard_184': library().materials['sylgard_184']}
     best = recommend(Rig(), vary='library', materials=materials)
-    report = Report(kind=RECOMMENDATION, stamp=0, message=best.why, values=best.values())
+    report = Report(kind=RECOMMENDATION, stamp=0, message=best.summary, values=best.values())
     heads, _, thickness, *_ = rerun_scene._recommendation_text(report).splitlines()
     assert heads.split('|')[2:-1:4] == [' now ', ' **sylgard_184** ']
     cells = [float(cell) for cell in thickness.split('|')[2:-1:4]]

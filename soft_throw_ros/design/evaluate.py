@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Throws by the thousand: the one way from a rig's ratios to releases and loads for all of design.
+
+Without loss and strong gravity the closed form is exact and fast; the steppers are for the rest.
+A release is always found by the same method whether its loads are asked for or not. A layer that
+was chosen at the edge of a jump would otherwise fall off it when it is looked at again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
+from soft_throw_ros.core.throw import simulate, ThrowUnfinishedError
+
+Floats = NDArray[np.float64]
+
+Cancelled = Callable[[], bool]
+"""Is asked between batches whether nobody waits for the result any more."""
+
+SEARCH_CELLS = 16
+"""Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
+
+_STRONG_GRAVITY = 0.2  # of the plate's acceleration; the closed form slows down beyond
+
+# Throws per batch: what takes some tenths of a second, so that a search ends soon after it is
+# cancelled.
+_CLOSED_FORM_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 10
+
+
+class SearchCancelledError(RuntimeError):
+    """Nobody waits for the result any more."""
+
+
+class Ratios(NamedTuple):
+    r"""
+    What decides throws: arrays that broadcast against each other.
+
+    Attributes
+    ----------
+    mass_ratio, speed_ratio : array_like
+        :math:`\mu` and :math:`\kappa`. [-]
+    damping_ratio : array_like
+        Of the plate, :math:`\zeta`. [-]
+    gravity_ratio : array_like
+        :math:`g / (A \omega^2)`. [-]
+    loss_tangent : array_like
+        Of the layer at the plate's frequency. [-]
+    crossing_ratio : array_like
+        What a wave needs through the projectile over what it needs through the layer; for the
+        elastic model. [-]
+
+    """
+
+    mass_ratio: ArrayLike
+    speed_ratio: ArrayLike
+    damping_ratio: ArrayLike = 0.0
+    gravity_ratio: ArrayLike = 0.0
+    loss_tangent: ArrayLike = 0.0
+    crossing_ratio: ArrayLike = 0.0
+
+
+def first_throws(
+    ratios: Ratios,
+    *,
+    model: str = 'travelling_wave',
+    loads: bool = False,
+    cells: int | None = None,
+    threads: int | None = None,
+    cancelled: Cancelled | None = None,
+) -> FirstThrows:
+    """
+    Compute throws up to their first releases.
+
+    Parameters
+    ----------
+    ratios : Ratios
+        A throw per element.
+    model : str
+        One of the models of `core.throw`. The travelling wave gives way to finite differences
+        wherever the layer has loss.
+    loads : bool
+        Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
+    cells : int, optional
+        Of the layer for finite differences; as many as it takes for 1e-4 if not given.
+    threads : int, optional
+        Largest number of threads, all cores if not given. Results do not depend on it.
+    cancelled : callable, optional
+        Asked between batches of some tenths of a second.
+
+    Returns
+    -------
+    FirstThrows
+        Of arrays with the common shape, NaN where there is no release.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is out of its range.
+    SearchCancelledError
+        If `cancelled` says so.
+
+    """
+    shape = np.broadcast_shapes(*map(np.shape, ratios))
+    cases = np.empty((len(ratios), math.prod(shape)))
+    for row, values in zip(cases, ratios, strict=True):
+        row.reshape(shape)[...] = values
+    found = np.full((len(FirstThrows._fields), cases.shape[1]), math.nan)
+    for method, batch in _batches(cases, model=model, loads=loads):
+        if cancelled is not None and cancelled():
+            raise SearchCancelledError('the search was cancelled')
+        part = Ratios(*cases[:, batch])
+        if method == 'spring':
+            ratio = spring_mass.frequency_ratio(
+                mass_ratio=part.mass_ratio, speed_ratio=part.speed_ratio
+            )
+            found[:3, batch] = spring_mass.first_release(frequency_ratio=ratio)
+        elif method == 'cells':
+            found[:, batch] = _throw_with_cells(part, model, cells, threads)
+        else:
+            found[:, batch] = _throw_with_waves(part, method, loads, threads)
+    found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without a release
+    return FirstThrows(*found.reshape(len(found), *shape))
+
+
+def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Sort throws by the method that they need, and cut them into batches."""
+    every = ~_are_held(cases[0], cases[1], cases[3])
+    if model == 'travelling_wave':
+        has_loss = cases[4] > 0.0
+        is_strong = cases[3] > _STRONG_GRAVITY
+        parts = {
+            'closed_form': every & ~has_loss & ~is_strong,
+            'waves': every & ~has_loss & is_strong,
+            'cells': every & has_loss,
+        }
+    else:
+        parts = {'spring' if model == 'spring_mass' else 'cells': every}
+    for method, chosen in parts.items():
+        indices = np.flatnonzero(chosen)
+        is_fast = method in ('closed_form', 'spring') and not loads
+        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
+        for start in range(0, indices.size, size):
+            yield method, indices[start : start + size]
+
+
+def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) -> NDArray[np.bool_]:
+    """
+    Tell which projectiles gravity holds for sure, which a stepper takes longest to find out.
+
+    A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
+    times the plate's at most, q being the ratio of their frequencies, here of the layer's lowest
+    mode. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the largest seen.
+    """
+    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(mass_ratio + 4.0 / math.pi**2)
+    return is_stiff & (gravity_ratio > 4.0)
+
+
+def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:
+    """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
+    ratios = part._asdict()
+    del ratios['loss_tangent'], ratios['crossing_ratio']
+    found = np.full((len(FirstThrows._fields), np.size(part.mass_ratio)), math.nan)
+    if loads or method == 'waves':
+        found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
+    if method == 'closed_form':
+        found[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
+    return found
+
+
+def _throw_with_cells(part: Ratios, model: str, cells: int | None, threads: int | None) -> Floats:
+    """Compute the rows of `FirstThrows` by finite differences."""
+    ratios = part._asdict()
+    if model != 'finite_difference_elastic':
+        del ratios['crossing_ratio']
+    return np.asarray(
+        cell_stepper.first_throws(
+            **ratios,
+            glued_to='projectile' if model == 'finite_difference_glued' else 'plate',
+            cells=cells,
+            unresolved='nan',
+            threads=threads,
+        )
+    )
+
+
+class LastRelease(NamedTuple):
+    """When a projectile leaves for good [s], how fast [m/s], and how far it has risen [m]."""
+
+    time: float
+    speed: float
+    rise: float
+
+
+def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
+    """
+    Follow one throw until the projectile has left for good.
+
+    Parameters
+    ----------
+    rig : Rig
+        What throws.
+    model : str
+        One of the models of `core.throw`. The travelling wave gives way to finite differences
+        where the layer has loss.
+
+    Returns
+    -------
+    LastRelease
+        The rise counts from where the projectile rested.
+
+    Raises
+    ------
+    ThrowUnresolvedError
+        If the projectile does not leave, or the model cannot follow it.
+
+    """
+    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
+        model = 'finite_difference'
+    try:
+        last = simulate(rig, model=model).last_release
+    except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
+        raise ThrowUnresolvedError(f'the last release cannot be told: {error}') from error
+    rest = rig.layer.thickness - rig.static_sag
+    return LastRelease(last.time, last.velocity, last.position - rest)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search for the best layer, on landscapes whose highest point is known."""
+
+import numpy as np
+import pytest
+from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
+
+LAYERS = LayerRange(thickness=(1e-3, 50e-3), wave_speed=(1.0, 50.0))
+
+
+def hill(thickness, wave_speed, *, least=0.0, place=(0.02, 9.0), width=0.5):
+    """Fall off from 1 at a place."""
+    x, y = np.log(thickness / place[0]), np.log(wave_speed / place[1])
+    value = np.exp(-(x**2 + (y - x) ** 2) / width**2)
+    return np.where(value >= least, value, 0.0)
+
+
+def cliff(thickness, wave_speed, *, least=0.0):
+    """Rise up to the edge of a cliff, a line of equal c_s / L_s, along which it rises as well."""
+    ratio, x = wave_speed / thickness, np.log(thickness / 0.03)
+    value = np.where(ratio < 500.0, (ratio / 500.0) ** 2, 0.3) * np.exp(-(x**2))
+    return np.where(value >= least, value, 0.0)
+
+
+@pytest.mark.parametrize('place', [(0.02, 9.0), (2.3e-3, 41.0)])
+def test_top_of_a_hill_is_found(place):
+    def score(*layers, least):
+        return hill(*layers, least=least, place=place)
+
+    best = find_best_layer(score, LAYERS, step=0.1)
+    assert best[:2] == pytest.approx(place, rel=1e-4)
+    assert best.score == pytest.approx(1.0, rel=1e-8)
+
+
+def test_edge_of_a_cliff_is_found_from_above():
+    best = find_best_layer(cliff, LAYERS, step=0.1)
+    assert best.score == pytest.approx(1.0, rel=1e-3)
+    assert best.wave_speed / best.thickness < 500.0
+
+
+def test_narrow_hill_that_is_higher_than_a_wide_one_is_found():
+    def score(*layers, least):
+        wide = 0.95 * hill(*layers)
+        return np.maximum(wide, hill(*layers, place=(4e-3, 30.0), width=0.15))
+
+    assert find_best_layer(score, LAYERS, step=0.06)[:2] == pytest.approx((4e-3, 30.0), rel=1e-4)
+
+
+@pytest.mark.parametrize('fixed', [0, 1])
+def test_what_is_fixed_stays(fixed):
+    layers = LAYERS._replace(**{LAYERS._fields[fixed]: ((0.02, 9.0)[fixed],) * 2})
+    best = find_best_layer(hill, layers, step=0.01)
+    assert best[fixed] == (0.02, 9.0)[fixed]
+    assert best[:2] == pytest.approx((0.02, 9.0), rel=1e-4)
+    both = LayerRange((0.02, 0.02), (9.0, 9.0))
+    assert find_best_layer(hill, both, step=0.01) == (0.02, 9.0, 1.0)
+
+
+def test_hill_beyond_the_range_is_climbed_to_the_limit():
+    layers = LAYERS._replace(thickness=(1e-3, 0.01))
+    best = find_best_layer(hill, layers, step=0.1)
+    assert best.thickness == 0.01
+    assert best.score >= hill(0.01, np.geomspace(1.0, 50.0, 10000)).max() * (1.0 - 1e-6)
+
+
+def test_nothing_is_found_where_all_scores_are_0():
+    assert find_best_layer(lambda *layers, least: 0.0 * layers[0], LAYERS, step=0.2) is None
+
+
+def test_layer_that_is_known_is_not_lost():
+    """A tooth far narrower than the grid, of which a point is known."""
+    start = Optimum(0.0123, 11.1, float(hill(0.0123, 11.1, place=(0.01231, 11.11), width=1e-3)))
+
+    def score(*layers, least):
+        return hill(*layers, place=(0.01231, 11.11), width=1e-3)
+
+    best = find_best_layer(score, LAYERS, step=0.1, starts=(start,))
+    assert best.score > 0.99
