@@ -314,15 +314,15 @@ MODELS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
     ),
     'travelling_wave': (
         partial(_simulated, 'travelling_wave'),
-        'the same, with all that follows, as the twin computes it',
+        'rigid projectile, lossless layer, the whole throw as the twin computes it',
     ),
     'finite_difference': (
         partial(_simulated, 'finite_difference'),
-        'cells, to about 1e-4, with internal loss',
+        'rigid projectile, layer of cells with internal loss, to about 1e-4',
     ),
     'finite_difference_elastic': (
         partial(_simulated, 'finite_difference_elastic'),
-        'the same with an elastic projectile; speeds of its centre of mass',
+        'cells of the projectile, too; speeds of its centre of mass',
     ),
     'finite_difference_glued': (
         partial(_simulated, 'finite_difference_glued'),
