@@ -188,7 +188,7 @@ def draw_plate_fit() -> Figure:
         ylabel=r'($\mu$m)',
         xlabel='time $t$ (ms)',
         xlim=(-5.0, 60.0),
-        ylim=(-75.0, 75.0),
+        ylim=(-90.0, 90.0),
     )
     legend_below(figure, panels[0], columns=2)
     return figure
