@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What one would write without this package: the paper's finite differences, and SciPy.
+What one would write without this package: a delay line, the paper's finite differences, SciPy.
 
 Each is kindly done: arrays are allocated once, the moment of release is interpolated, and its
 condition is the force on the projectile, without the half cell of layer that moves with it.
@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 from scipy.integrate import solve_ivp
-from soft_throw_ros.core.plate import peak_velocity_ratio
-from soft_throw_ros.core.rig import Rig
+
+from bench.package import peak_velocity_ratio, Rig
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
@@ -68,10 +68,22 @@ def rigid_numba(case: Case, *, cells: int) -> Release:
 
 def rigid_numpy(case: Case, *, cells: int) -> Release:
     """Throw a rigid projectile, a row of cells at a time."""
-    march = NumpyMarch(case, cells=cells)
-    while not march.releases and march.time < LONGEST:
-        march.step()
-    return case.release(*(march.releases or [(math.nan, math.nan)])[0])
+    mu, omega, zeta, dt = case.mu, case.omega, case.zeta, 1.0 / cells
+    u, v = np.zeros((2, cells + 1))
+    strain = np.zeros(cells)
+    mass = np.full(cells, dt)
+    mass[-1] = mu + 0.5 * dt
+    for i in range(1, int(LONGEST * cells)):
+        before = strain[-1]
+        v[1:-1] += dt * np.diff(strain) / mass[:-1]
+        v[-1] -= dt * before / mass[-1]
+        u[1:] += dt * v[1:]
+        u[0] = _plate.py_func(omega, zeta, i * dt)
+        np.subtract(u[1:], u[:-1], out=strain)
+        strain *= cells
+        if before < 0.0 <= strain[-1]:
+            return case.release((i - 1 + before / (before - strain[-1])) * dt, v[-1])
+    return Release(math.nan, math.nan)
 
 
 @_jit
@@ -135,58 +147,60 @@ def march_kernel(mu, omega, zeta, gravity, frame_steps, strain) -> float:
     return first
 
 
-class NumpyMarch:
-    """The same as `march_kernel`, a step at a time."""
+# Travelling waves in a delay line
 
-    def __init__(self, case: Case, *, cells: int) -> None:
-        self.case = case
-        self.cells = cells
-        self.dt = 1.0 / cells
-        self.steps = 0
-        self.u = np.zeros(cells + 1)
-        self.v = np.zeros(cells + 1)
-        self.strain = np.zeros(cells)
-        self.mass = np.full(cells, self.dt)
-        self.force = np.zeros(cells)
-        self.height = self.speed = 0.0
-        self.releases: list[tuple[float, float]] = []
-        self._contact(True)
 
-    @property
-    def time(self) -> float:
-        """Now."""
-        return self.steps * self.dt
+@_jit
+def delay_line_kernel(mu, omega, zeta, gravity, steps, crossings) -> float:
+    """
+    Go on through flights and landings by so many steps per crossing, return t_e.
 
-    def step(self) -> None:
-        """Go one step on."""
-        mu, omega, zeta, gravity = (*self.case[:1], self.case.omega, *self.case[2:])
-        self.steps += 1
-        before = self.strain[-1] - mu * gravity
-        np.subtract(self.strain[1:], self.strain[:-1], out=self.force[:-1])
-        self.force[-1] = -self.strain[-1] + (0.0 if self.contact else mu * gravity)
-        self.v[1:] += self.dt * self.force / self.mass
-        self.u[1:] += self.dt * self.v[1:]
-        self.u[0] = _plate.py_func(omega, zeta, self.time)
-        np.subtract(self.u[1:], self.u[:-1], out=self.strain)
-        self.strain *= self.cells
-        if self.contact:
-            self.height, self.speed = self.u[-1], self.v[-1]
-            pull = self.strain[-1] - mu * gravity
-            if before < 0.0 <= pull:
-                part = before / (before - pull)
-                self.releases.append((self.time - (1.0 - part) * self.dt, self.speed))
-                self._contact(False)
+    The wave v- at the top, two crossings of it, is all that is remembered. v+ is linear over a
+    step, the projectile's equation is solved exactly, releases are interpolated, and landings are
+    taken at the end of a step. All counts from the static equilibrium.
+    """
+    dt = 1.0 / steps
+    decay = math.exp(-dt / mu)
+    first, second = 1.0 - mu / dt * (1.0 - decay), mu / dt * (1.0 - decay) - decay
+    line = np.zeros(2 * steps)
+    root = math.sqrt(1.0 - zeta * zeta)
+    angle = root * omega * dt  # the plate's velocity turns by this in a step, and decays
+    turn = math.exp(-zeta * omega * dt) * complex(math.cos(angle), math.sin(angle))
+    plate = complex(omega / root, 0.0)
+    weight = mu * gravity
+    rising = 0.0
+    top = 0.0
+    height = 0.0
+    speed = 0.0
+    contact = True
+    push = 0.0
+    released = math.nan
+    for i in range(1, int(crossings * steps) + 1):
+        place = i % (2 * steps)
+        before = rising
+        rising = -line[place]
+        if i > steps:
+            plate *= turn
+            rising += plate.imag
+        if contact:
+            speed = decay * speed + 2.0 * (first * rising + second * before)
+            height += dt * speed
+            top = height
+            line[place] = speed - rising
+            last, push = push, 2.0 * rising - speed + weight
+            if push < 0.0 and i > steps:
+                contact = False
+                if math.isnan(released):
+                    released = (i - push / (push - last)) * dt
         else:
-            self.speed -= gravity * self.dt
-            self.height += self.dt * self.speed
-            if self.height <= self.u[-1]:
-                momentum = mu * self.speed + 0.5 * self.dt * self.v[-1]
-                self.v[-1] = momentum / (mu + 0.5 * self.dt)
-                self._contact(True)
-
-    def _contact(self, contact: bool) -> None:
-        self.contact = contact
-        self.mass[-1] = 0.5 * self.dt + (self.case.mu if contact else 0.0)
+            speed -= gravity * dt
+            height += dt * speed
+            line[place] = rising + weight
+            top += dt * (rising + line[place])
+            if height <= top and speed < rising + line[place]:
+                contact = True
+                push = weight
+    return released
 
 
 @_jit
@@ -230,36 +244,6 @@ class Bar(NamedTuple):
 def elastic_numba(case: Case, bar: Bar) -> Release:
     """Throw an elastic projectile, in loops that numba compiles."""
     return case.release(*_elastic_kernel(case.mu, case.omega, case.zeta, *bar))
-
-
-def elastic_numpy(case: Case, bar: Bar, *, steps: int | None = None) -> Release:
-    """Throw an elastic projectile, a row of cells at a time; `steps` end it before release."""
-    mu, omega, zeta = case.mu, case.omega, case.zeta
-    stiffness, mass, dt, cells = bar
-    u = np.zeros(len(mass) + 1)
-    v = np.zeros_like(u)
-    force = np.zeros_like(mass)
-    net = np.zeros_like(mass)
-    half = 0.5 / cells
-    of_projectile = mass[cells - 1 :].copy()
-    of_projectile[0] -= half
-    push = 0.0
-    for i in range(1, steps or int(LONGEST / dt)):
-        np.subtract(u[1:], u[:-1], out=force)
-        force *= stiffness
-        np.subtract(force[1:], force[:-1], out=net[:-1])
-        net[-1] = -force[-1]
-        net /= mass
-        before, push = push, -force[cells - 1] - half * net[cells - 1]
-        if push <= 0.0 < before and i * dt > 1.0:
-            part = before / (before - push)
-            return case.release((i - 2 + part) * dt, v[cells:] @ of_projectile / mu)
-        net *= dt
-        v[1:] += net
-        np.multiply(v[1:], dt, out=net)
-        u[1:] += net
-        u[0] = _plate.py_func(omega, zeta, i * dt)
-    return Release(math.nan, math.nan)
 
 
 @_jit

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Let contenders run in turns, so that what else the machine does strikes all alike.
-
-And what the tables of the results have in common.
-"""
+"""Let cases run in turns, so that what else the machine does strikes all alike, and list them."""
 
 from __future__ import annotations
 
@@ -14,7 +10,59 @@ from typing import Any, NamedTuple
 
 REPETITIONS = 9
 SHORTEST = 2e-3  # a turn lasts at least as long: calls are repeated within it [s]
-BUDGET = 3.0  # after this a contender sits out the turns that are left [s]
+BUDGET = 3.0  # after this a case sits out the turns that are left [s]
+
+
+class Case(NamedTuple):
+    """
+    One way to get some numbers.
+
+    Parameters
+    ----------
+    name : str
+        What it is.
+    call : callable
+        What is timed.
+    units : float
+        How many units of the table (throws, seconds, ticks) one call does.
+    error : callable, optional
+        Of what `call` returns.
+    goal : float, optional
+        What it is to reach, in the table's measure.
+
+    """
+
+    name: str
+    call: Callable[[], Any]
+    units: float = 1.0
+    error: Callable[[Any], float] | None = None
+    goal: float | None = None
+
+
+class Table(NamedTuple):
+    """
+    Cases that are compared; the first is what the others are measured by.
+
+    Parameters
+    ----------
+    title : str
+        What the cases do.
+    unit : str
+        What is counted.
+    error : str
+        What the errors are of.
+    cases : list of Case
+        In the order of the rows.
+    is_factor : bool
+        Whether the measure is units per second (a real-time factor), not microseconds per unit.
+
+    """
+
+    title: str
+    unit: str
+    error: str
+    cases: list[Case]
+    is_factor: bool = False
 
 
 class Times(NamedTuple):
@@ -24,13 +72,13 @@ class Times(NamedTuple):
     median: float
 
 
-def race(contenders: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
+def race(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
     """
-    Time each contender, in turns.
+    Time calls, in turns.
 
     Parameters
     ----------
-    contenders : mapping of str to callable
+    calls : mapping of str to callable
         What to call, by name. It is called once before it counts, and so is compiled.
 
     Returns
@@ -39,17 +87,37 @@ def race(contenders: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
         In the same order.
 
     """
-    calls: dict[str, int] = {}
-    for name, call in contenders.items():
+    counts: dict[str, int] = {}
+    for name, call in calls.items():
         call()
-        once = _time(call, 1)
-        calls[name] = max(1, round(SHORTEST / once))
-    seen: dict[str, list[float]] = {name: [] for name in contenders}
+        counts[name] = max(1, round(SHORTEST / _time(call, 1)))
+    seen: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(REPETITIONS):
-        for name, call in contenders.items():
-            if sum(seen[name]) * calls[name] < BUDGET:
-                seen[name].append(_time(call, calls[name]))
+        for name, call in calls.items():
+            if sum(seen[name]) * counts[name] < BUDGET:
+                seen[name].append(_time(call, counts[name]))
     return {name: Times(min(times), statistics.median(times)) for name, times in seen.items()}
+
+
+def rows(table: Table) -> list[str]:
+    """Measure a table, and return the rows of it in Markdown, the head first."""
+    times = race({case.name: case.call for case in table.cases})
+    first = table.cases[0]
+    base = times[first.name].least / first.units
+    measure = 'real-time factor' if table.is_factor else f'us per {table.unit}'
+    lines = head(table.title, table.error, f'{measure}, best', 'median', 'time over first', 'goal')
+    for case in table.cases:
+        least, median = (
+            1e6 * part / case.units if not table.is_factor else case.units / part
+            for part in times[case.name]
+        )
+        error = '-' if case.error is None else f'{case.error(case.call()):.1e}'
+        goal = '-' if case.goal is None else f'{case.goal:g}'
+        ratio = times[case.name].least / case.units / base
+        lines.append(
+            f'| {case.name} | {error} | {least:.4g} | {median:.4g} | {ratio:.3g} | {goal} |'
+        )
+    return lines
 
 
 def head(*cells: str) -> list[str]:

@@ -10,8 +10,8 @@ import sys
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release
 
 pytest.importorskip('matplotlib', reason='the extra [plot]')
 

@@ -14,10 +14,10 @@ import sys
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.closed_form import first_release, first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release, first_releases
+from soft_throw_ros.core.wave_stepper import WaveStepper
 
 pytest.importorskip('matplotlib', reason='the extra [plot]')
 
@@ -112,7 +112,7 @@ def test_without_a_layer_the_plate_throws_alone():
     for wave_speed in (20.0, 80.0, 320.0):
         layer = Layer(thickness=2e-3, wave_speed=wave_speed)
         rig = Rig(engine=Engine(damping_ratio=0.0), layer=layer, gravity=0.0)
-        stepper = Stepper(rig, field_points=2)
+        stepper = WaveStepper(rig, field_points=2)
         stepper.advance_to(5.0 / rig.engine.frequency)
         last = stepper.events()[-1]
         alpha = (last.velocity / rig.engine.speed_scale) ** 2
@@ -137,7 +137,7 @@ def test_velocity_at_three_crossings_has_the_exponential_of_the_crossing_time():
         factor = 2.0 * rig.engine.speed_scale / (1.0 + w * w)
         return factor * (math.sin(angle) - w * math.cos(angle) + w * exponential)
 
-    stepper = Stepper(rig, field_points=2)
+    stepper = WaveStepper(rig, field_points=2)
     stepper.advance_to(3.0 * crossing)
     found = stepper.state[4]
     assert not stepper.event_count

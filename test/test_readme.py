@@ -1,30 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README says is so."""
+"""What the README and the pages in docs say is so."""
 
 from pathlib import Path
 import re
+import shlex
 
 import pytest
-from soft_throw_ros.commands import design
-from soft_throw_ros.configuration import document
+from soft_throw_ros import __main__ as umbrella
+from soft_throw_ros.commands import design, throw
 from soft_throw_ros.configuration.layers import library
 
-README = Path(__file__).parents[1] / 'README.md'
-TEXT = README.read_text(encoding='utf-8')
-
-
-def test_table_of_parameters_is_current():
-    assert document.insert_markdown(TEXT) == TEXT
+ROOT = Path(__file__).parents[1]
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding='utf-8')
+    for path in (ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *(ROOT / 'docs').glob('*.md'))
+}
+LINKS = [(page, link) for page in PAGES for link in re.findall(r'\]\(([^)#]+)\)', PAGES[page])]
+COMMANDS = [
+    (page, command)
+    for page, text in PAGES.items()
+    for command in re.findall(
+        r'^ {4}(?:soft-throw|ros2 run soft_throw_ros) (\w+)', text, flags=re.MULTILINE
+    )
+]
 
 
 def test_python_example_prints_an_ejection_time(capsys):
-    (example,) = re.findall(r'```python\n(.*?)```', TEXT, flags=re.DOTALL)
-    exec(compile(example, str(README), 'exec'), {})
+    (example,) = re.findall(r'```python\n(.*?)```', PAGES['README.md'], flags=re.DOTALL)
+    exec(compile(example, 'README.md', 'exec'), {})
     assert re.fullmatch(r'leaves after 7\.6\d\d ms, alpha 3\.6\d\d\n', capsys.readouterr().out)
 
 
 def test_example_of_a_library_is_one(tmp_path):
-    (example,) = re.findall(r'```yaml\n(.*?)```', TEXT, flags=re.DOTALL)
+    (example,) = re.findall(r'```yaml\n(.*?)```', PAGES['docs/design.md'], flags=re.DOTALL)
     path = tmp_path / 'mine.yaml'
     path.write_text(example, encoding='utf-8')
     assert {'my_silicone_10.0mm', 'my_silicone_20.0mm'} < library(path).layers.keys()
@@ -40,15 +48,20 @@ def test_example_of_a_library_is_one(tmp_path):
 def test_answers_of_design_are_what_is_printed(capsys, args, code):
     assert design.main(args) == code
     answer = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
-    assert answer in ' '.join(TEXT.split())
+    assert answer in ' '.join(PAGES['docs/design.md'].split())
 
 
-def test_table_of_topics_is_current():
-    topics = pytest.importorskip('soft_throw_ros.nodes.topics', reason='needs rclpy')
-    _, _, rest = TEXT.partition('<!-- topics -->\n')
-    assert rest.partition('<!-- /topics -->')[0] == topics.markdown()
+def test_example_of_throw_is_an_answer(capsys):
+    (example,) = re.findall(r'soft-throw throw (--thickness [^#]+) #', PAGES['README.md'])
+    assert throw.main([*shlex.split(example), '--model', 'closed_form']) == 0
+    assert 'energy transfer alpha' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize('path', re.findall(r'\]\(([^)#]+)\)', TEXT))
-def test_what_is_linked_is_there(path):
-    assert (README.parent / path).is_file()
+@pytest.mark.parametrize(('page', 'command'), sorted(set(COMMANDS)))
+def test_commands_of_the_pages_are_executables(page, command):
+    assert command in umbrella.EXECUTABLES
+
+
+@pytest.mark.parametrize(('page', 'link'), sorted(set(LINKS)))
+def test_what_is_linked_is_there(page, link):
+    assert ((ROOT / page).parent / link).exists()

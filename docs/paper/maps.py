@@ -60,7 +60,7 @@ def draw_maps() -> Figure:
     _show_phase(figure, panels[0], landscape(0.0))
     _show_transfer(figure, panels[1], landscape(0.0))
     axes = panels[1]
-    along = np.linspace(0.0, 0.6, 100)
+    along = np.linspace(0.0, 0.3, 100)
     axes.plot(
         along,
         10.2 * np.sqrt(along),

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from scipy.optimize import minimize
 from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import first_release, first_releases, FirstRelease
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
-from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import simulate, Throw
-from soft_throw_ros.core.travelling_wave import first_release, first_releases, FirstRelease
+from soft_throw_ros.core.wave_stepper import WaveStepper
 
 __all__ = [
     'STANDARD_GRAVITY',
@@ -102,7 +102,7 @@ def rig_of(*, mass_ratio: float, speed_ratio: float, loss_tangent: float = 0.0) 
 
 def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
     """Return phase t_e f and speed over A w of every release in some plate periods."""
-    stepper = Stepper(rig, field_points=2)
+    stepper = WaveStepper(rig, field_points=2)
     stepper.advance_to(periods / rig.engine.frequency + 4.0 * rig.crossing_time)
     return [
         (event.time * rig.engine.frequency, event.velocity / rig.engine.speed_scale)
@@ -203,7 +203,7 @@ class Series:
             [
                 simulate(
                     self.rig(thickness, damping_ratio=damping_ratio), max_events=1
-                ).peak_strain.value
+                ).peak_strain
                 for thickness in THICKNESSES
             ]
         )

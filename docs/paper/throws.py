@@ -143,7 +143,6 @@ def _draw_state(
 def draw_traces() -> Figure:
     """Draw Fig. 2: positions and velocities of plate and projectile against time."""
     throw = shown_throw()
-    release, bare = throw.ejection_time, Underdamped.of(throw.rig.engine).peak_velocity_time
     figure = new_figure(
         'Fig. 2   The same throw against time',
         'The projectile moves once the first wave has crossed the layer, in $t_s$, and leaves '
@@ -154,71 +153,68 @@ def draw_traces() -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     time = np.linspace(0.0, _END, 1601)
     path = throw.trajectory(time)
-    top = path.top_position - throw.rig.layer.thickness
-    projectile = path.projectile_position - throw.rig.layer.thickness
-    lifted = bare_flight(throw, time)
-    bare_speed = np.where(time < bare, path.plate_velocity, throw.peak_plate_speed)
-    ahead = time >= bare
-    for axes, plate, layer, thrown, alone in (
+    thickness = throw.rig.layer.thickness
+    bare = time >= Underdamped.of(throw.rig.engine).peak_velocity_time
+    loose = time >= throw.ejection_time
+    panels[0].plot(
+        _MILLI * time[loose],
+        _MILLI * (path.top_position - thickness)[loose],
+        color='0.5',
+        lw=1.2,
+        label='top of the layer',
+    )
+    for axes, plate, projectile, alone in (
         (
             panels[0],
             _MILLI * path.plate_position,
-            _MILLI * top,
-            _MILLI * projectile,
-            _MILLI * lifted,
+            _MILLI * (path.projectile_position - thickness),
+            _MILLI * bare_flight(throw, time),
         ),
         (
             panels[1],
             path.plate_velocity,
-            None,
             path.projectile_velocity,
-            bare_speed,
+            np.full(time.shape, throw.peak_plate_speed),
         ),
     ):
-        if layer is not None:
-            loose = time >= release
-            axes.plot(
-                _MILLI * time[loose], layer[loose], color='0.5', lw=1.2, label='top of the layer'
-            )
-        axes.plot(
-            _MILLI * time[ahead],
-            alone[ahead],
-            color=BARE,
-            ls='--',
-            label='projectile on bare plate',
-        )
+        dashed = {'color': BARE, 'ls': '--', 'label': 'projectile on bare plate'}
+        axes.plot(_MILLI * time[bare], alone[bare], **dashed)
         axes.plot(_MILLI * time, plate, color=PLATE, lw=2.0, label='plate')
-        axes.plot(_MILLI * time, thrown, color=PROJECTILE, lw=2.6, label='projectile on layer')
-        axes.axvline(_MILLI * release, color='0.5', lw=0.9, ls=':')
+        axes.plot(_MILLI * time, projectile, color=PROJECTILE, lw=2.6, label='projectile on layer')
+        axes.axvline(_MILLI * throw.ejection_time, color='0.5', lw=0.9, ls=':')
         axes.set_xlim(0.0, _MILLI * _END)
     panels[0].set(title='(a) positions', ylabel='height from rest (mm)', ylim=(-2.0, 16.5))
     panels[1].set(
         title='(b) velocities', xlabel='time $t$ (ms)', ylabel='velocity (m/s)', ylim=(-0.75, 1.75)
     )
-    crossing = _MILLI * throw.rig.crossing_time
-    for axes in panels:
-        for k in range(1, int(_MILLI * _END / crossing) + 1):
-            axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
+    _mark_crossings(panels, _MILLI * throw.rig.crossing_time)
+    _quote_release(panels[1], throw)
+    legend_below(figure, panels[0], columns=4)
+    return figure
+
+
+def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
+    """Draw a line at every whole crossing [ms], and say which in the first panel."""
     for k in range(1, int(_MILLI * _END / crossing) + 1):
+        for axes in panels:
+            axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
         name = '$t_s$' if k == 1 else f'${k}\\,t_s$'
         panels[0].text(k * crossing, 16.4, name, color='0.5', ha='center', va='top')
-    panels[1].annotate(
-        f'$t_e$ = {_MILLI * release:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
+
+
+def _quote_release(axes: Axes, throw: Throw) -> None:
+    """Say how fast the projectile leaves, and how fast the plate is at most."""
+    axes.annotate(
+        f'$t_e$ = {_MILLI * throw.ejection_time:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
         rf'$\alpha = (V_e / V_p^*)^2$ = {throw.energy_transfer:.3f}',
-        xy=(_MILLI * release, throw.ejection_speed),
+        xy=(_MILLI * throw.ejection_time, throw.ejection_speed),
         xytext=(1.2, 1.3),
         va='center',
         arrowprops={'arrowstyle': '->', 'color': '0.3'},
     )
-    panels[1].text(
-        15.9,
-        throw.peak_plate_speed + 0.05,
-        f'$V_p^*$ = {throw.peak_plate_speed:.3f} m/s',
-        color=BARE,
-        ha='right',
-    )
-    legend_below(figure, panels[0], columns=4)
-    return figure
+    fastest = throw.peak_plate_speed
+    text = f'$V_p^*$ = {fastest:.3f} m/s'
+    axes.text(15.9, fastest + 0.05, text, color=BARE, ha='right')
 
 
 def draw_throw() -> Figure:

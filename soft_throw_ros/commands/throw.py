@@ -33,14 +33,10 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN, Value
 from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import (
-    first_release,
-    first_releases,
-    ThrowUnresolvedError,
-)
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
@@ -280,8 +276,8 @@ def _release(rig: Rig, phase: float, speed: float, *, harmonic: bool = False) ->
 
 _OF_THROW = (
     'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'recontacts',
-    'last_energy_transfer', 'peak_plate_strain', 'peak_contact_strain', 'peak_acceleration',
-    'peak_plate_force',
+    'last_energy_transfer', 'peak_strain', 'peak_plate_strain', 'peak_contact_strain',
+    'peak_acceleration', 'peak_plate_force',
 )  # fmt: skip
 """What is called as in `Throw`."""
 
@@ -294,11 +290,16 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'ejection_phase': throw.ejection_time * rig.engine.frequency,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
-        'peak_strain': throw.peak_strain.value,
         'plate_work': throw.energies.plate_work,
-        'layer_energy': throw.energies.layer,
-        'projectile_energy': throw.energies.projectile,
     }
+    if model != 'finite_difference_glued':  # where the layer is thrown, too
+        projectile, release = rig.projectile, throw.first_release
+        rise = release.position - (rig.layer.thickness - rig.static_sag)
+        energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)
+        result |= {
+            'layer_energy': throw.energies.stored - energy,
+            'projectile_energy': energy,
+        }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
     if throw.heat:
@@ -313,15 +314,15 @@ MODELS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
     ),
     'travelling_wave': (
         partial(_simulated, 'travelling_wave'),
-        'the same, with all that follows, as the twin computes it',
+        'rigid projectile, lossless layer, the whole throw as the twin computes it',
     ),
     'finite_difference': (
         partial(_simulated, 'finite_difference'),
-        'cells, to about 1e-4, with internal loss',
+        'rigid projectile, layer of cells with internal loss, to about 1e-4',
     ),
     'finite_difference_elastic': (
         partial(_simulated, 'finite_difference_elastic'),
-        'the same with an elastic projectile; speeds of its centre of mass',
+        'cells of the projectile, too; speeds of its centre of mass',
     ),
     'finite_difference_glued': (
         partial(_simulated, 'finite_difference_glued'),

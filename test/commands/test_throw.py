@@ -15,9 +15,9 @@ from soft_throw_ros.commands import options, throw
 from soft_throw_ros.commands.options import OPTIONS
 from soft_throw_ros.configuration import files, LAYERS, TWIN
 from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is computed, against other ways: throws, maps, a second of the rig, recommendations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+import math
+import os
+from typing import Any
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import package, peers
+from bench.package import Engine, Layer, Projectile, Rig
+from bench.race import Case, Table
+
+Floats = NDArray[np.float64]
+
+TRUE = peers.Release(0.4815082783157032, 3.6373472456471254)
+"""First release of the default rig without gravity, with 40 digits and by a second method."""
+
+LOOP = 1000
+"""Throws in a compiled loop."""
+
+TICKS = 1000
+"""Of a second."""
+
+SIDE = 128
+"""Of a map."""
+
+DENSITY_RATIO = 1.3
+
+
+# One throw
+
+
+def one_throw() -> Table:
+    """List ways to one first release of the default rig, without gravity."""
+    rig = Rig(gravity=0.0)
+    case = peers.Case.of(rig)
+    work = package.work_of_kernel()
+    plate_speed = package.Underdamped.of(rig.engine).peak_velocity
+
+    def in_loop() -> peers.Release:
+        phase, speed = _throw_often(case.mu, case.kappa, case.zeta, *work)
+        return case.release(phase * case.kappa, speed * case.omega)
+
+    def called() -> peers.Release:
+        exact = package.first_release(
+            mass_ratio=case.mu, speed_ratio=case.kappa, damping_ratio=case.zeta
+        )
+        return peers.Release(float(exact.ejection_phase), float(exact.energy_transfer))
+
+    def stepped(stepper: Any) -> peers.Release:
+        stepper.reset()
+        stepper.advance_to(0.5 / rig.engine.frequency)
+        event = stepper.events()[0]
+        return peers.Release(
+            event.time * rig.engine.frequency, (event.velocity / plate_speed) ** 2
+        )
+
+    bar = peers.Bar.of(rig, cells=50, projectile_cells=4)
+    return _table_of_throws(
+        Case('closed form, called from Python', called),
+        Case('closed form, in a compiled loop', in_loop, LOOP),
+        Case('travelling waves, to the release', partial(stepped, package.wave_stepper(rig))),
+        Case('cells, to the release', partial(stepped, package.cell_stepper(rig))),
+        *(
+            Case(f'finite differences, numba, {cells} cells',
+                 partial(peers.rigid_numba, case, cells=cells))
+            for cells in (25, 100, 800)
+        ),
+        Case('finite differences, numpy, 25 cells', partial(peers.rigid_numpy, case, cells=25)),
+        Case("the paper's scheme, elastic projectile, numba, 50 + 4 cells",
+             partial(peers.elastic_numba, case, bar)),
+        Case('solve_ivp, DOP853, 50 cells, rtol 1e-06',
+             partial(peers.method_of_lines, case, cells=50, tolerance=1e-6)),
+    )  # fmt: skip
+
+
+def _table_of_throws(*cases: Case) -> Table:
+    def error(found: peers.Release) -> float:
+        return abs(found.ejection_phase - TRUE.ejection_phase)
+
+    with_errors = [case._replace(error=error) for case in cases]
+    return Table('one throw', 'throw', 'error of t_e f', with_errors)
+
+
+@nb.njit(error_model='numpy')
+def _throw_often(mu, kappa, zeta, work):
+    """Throw many times, each a little different; the last is the one asked for."""
+    phase = speed = 0.0
+    for i in range(LOOP):
+        nearby = mu * (1.0 + 1e-9 * (LOOP - 1 - i))
+        phase, speed, _ = package.first_release_kernel(nearby, kappa, zeta, 0.0, work)
+    return phase, speed
+
+
+# A map
+
+
+def landscape() -> Table:
+    """List ways to a map of first releases over the paper's (x, C), with its densities."""
+    x = (np.arange(SIDE) + 0.5) / SIDE
+    c = 14.0 * (np.arange(SIDE) + 1.0) / SIDE
+    x, c = map(np.ravel, np.meshgrid(x, c))
+    mu, kappa = DENSITY_RATIO * (1.0 - x) / x, c / x
+    exact = np.asarray(package.first_releases(mass_ratio=mu, speed_ratio=kappa).ejection_phase)
+    wave_speed_ratio = Layer().wave_speed / math.sqrt(3.6e9 / 1300.0)
+    elastic = mu / DENSITY_RATIO * wave_speed_ratio
+
+    def by_closed_form(threads: int | None) -> Floats:
+        found = package.first_releases(mass_ratio=mu, speed_ratio=kappa, threads=threads)
+        return np.asarray(found.ejection_phase)
+
+    def by_cells(crossing_ratio: Floats | float) -> Floats:
+        found = package.map_by_cells(mu, kappa, crossing_ratio, threads=1)
+        return np.asarray(found.ejection_phase)
+
+    some = np.random.default_rng(1).permutation(mu.size)
+
+    def sample(throw: Callable[[peers.Case], peers.Release], count: int) -> Floats:
+        phases = np.full(mu.size, math.nan)
+        for i in some[:count]:
+            phases[i] = throw(peers.Case(mu[i], kappa[i])).ejection_phase
+        return phases
+
+    def error(phases: Floats) -> float:
+        off = np.abs(phases - exact)
+        return float(np.percentile(off[np.isfinite(off)], 90))
+
+    whole = float(mu.size)
+    cases = [
+        Case('closed form, 1 thread', partial(by_closed_form, 1), whole, goal=4e3 / whole),
+        Case(f'closed form, all threads ({os.cpu_count()})', partial(by_closed_form, None), whole),
+        Case('cells, rigid projectile, 1 thread', partial(by_cells, 0.0), whole),
+        Case('cells, elastic projectile, 1 thread', partial(by_cells, elastic), whole),
+        *(
+            Case(f'finite differences, numba, {cells} cells, 1 thread',
+                 partial(_map_by_differences, mu, kappa, cells), whole)
+            for cells in (25, 100)
+        ),
+        Case("the paper's scheme, one grid of 100 cells, numba (24 throws)",
+             partial(sample, _throw_on_one_grid, 24), 24.0),
+        Case('solve_ivp, DOP853, 25 cells, rtol 1e-06 (12 throws)',
+             partial(sample, partial(peers.method_of_lines, cells=25, tolerance=1e-6), 12), 12.0),
+    ]  # fmt: skip
+    return Table(
+        f'map of {SIDE} x {SIDE}', 'throw', 'error of t_e f, 90 %',
+        [case._replace(error=error) for case in cases],
+    )  # fmt: skip
+
+
+@nb.njit(error_model='numpy')
+def _map_by_differences(mu, kappa, cells):
+    phases = np.empty(mu.size)
+    for i in range(mu.size):
+        time, _ = peers.rigid_kernel(mu[i], 2.0 * math.pi / kappa[i], 0.0, cells)
+        phases[i] = time / kappa[i]
+    return phases
+
+
+def _throw_on_one_grid(case: peers.Case) -> peers.Release:
+    """Throw by the paper's scheme; the projectile's fast waves set the step for all."""
+    layer = Layer()
+    length = case.mu * layer.thickness / DENSITY_RATIO
+    rig = Rig(
+        engine=Engine(frequency=1.0 / (case.kappa * layer.crossing_time), damping_ratio=0.0),
+        layer=layer,
+        projectile=Projectile(mass=case.mu * layer.mass, length=length),
+        gravity=0.0,
+    )
+    cells = min(max(round(100 * layer.thickness / (layer.thickness + length)), 1), 99)
+    return peers.elastic_numba(case, peers.Bar.of(rig, cells=cells, projectile_cells=100 - cells))
+
+
+# One second
+
+
+def one_second() -> Table:
+    """List ways through a second of the default rig: throw, flight, landings, and the layer."""
+    rig = Rig()
+    lossy = Rig(layer=Layer(loss_tangent=0.05))
+    case = peers.Case.of(rig)
+    second = 1.0 / rig.crossing_time
+    exact = package.simulate(rig, max_events=1).ejection_time
+    with_loss = package.simulate(lossy, model='finite_difference', max_events=1, cells=1024)
+
+    def run(stepper: Any, ticks: int, *, reads: bool) -> float:
+        read = package.reader_of(stepper)
+        stepper.reset()
+        for tick in range(1, ticks + 1):
+            stepper.advance_to(tick / ticks)
+            if reads:
+                read()
+        return float(stepper.events()[0].time)
+
+    def error(time: float, true: float = exact) -> float:
+        return abs(time - true) * rig.engine.frequency
+
+    def differences(cells: int) -> float:
+        per_frame = round(second * cells / TICKS)
+        strain = np.empty((round(second * cells / per_frame), cells))
+        arguments = (case.mu, case.omega, case.zeta, case.gravity, per_frame, strain)
+        return float(peers.march_kernel(*arguments)) * rig.crossing_time
+
+    def delay_line() -> float:
+        arguments = (case.mu, case.omega, case.zeta, case.gravity, 200, second)
+        return float(peers.delay_line_kernel(*arguments)) * rig.crossing_time
+
+    waves = package.wave_stepper(rig, steps=200)
+    usual = package.wave_stepper(rig)
+    cells = package.cell_stepper(rig, cells=64)
+    elastic = package.cell_stepper(rig, 'finite_difference_elastic')
+    with_heat = package.cell_stepper(lossy, cells=64)
+    of_loss = partial(error, true=with_loss.ejection_time)
+    cases = [
+        Case('waves, 200 steps per crossing, one call', partial(run, waves, 1, reads=False),
+             goal=2000.0),
+        Case('waves, default steps, 1000 ticks with the layer',
+             partial(run, usual, TICKS, reads=True), goal=1000.0 / 1.6),
+        Case('waves, default steps, 1000 ticks', partial(run, usual, TICKS, reads=False)),
+        Case('64 cells, 1000 ticks with the layer', partial(run, cells, TICKS, reads=True),
+             goal=300.0),
+        Case('64 cells with loss, the same', partial(run, with_heat, TICKS, reads=True),
+             error=of_loss, goal=150.0),
+        Case('elastic projectile, default cells, the same',
+             partial(run, elastic, TICKS, reads=True)),
+        Case('a plain delay line, 200 steps per crossing, numba', delay_line),
+        *(
+            Case(f'finite differences, {count} cells, strain at 1 kHz, numba',
+                 partial(differences, count))
+            for count in (64, 200)
+        ),
+    ]  # fmt: skip
+    return Table(
+        'one second', 'second', 'error of t_e f',
+        [case._replace(error=case.error or error) for case in cases], is_factor=True,
+    )  # fmt: skip
+
+
+# Recommendations
+
+
+def recommendation() -> Table:
+    """List ways to the best layer: thickness and wave speed within the usual limits."""
+    rig = Rig(gravity=0.0)
+    lossy = Rig(layer=Layer(loss_tangent=0.1))
+
+    def brute_force() -> float:
+        thickness = np.geomspace(1e-3, 0.05, 400)[:, None]
+        speed = np.geomspace(1.0, 50.0, 400)
+        layer = rig.layer.density * rig.layer.section * thickness
+        found = package.first_releases(
+            mass_ratio=rig.projectile.mass / layer + 0.0 * speed,
+            speed_ratio=speed / (thickness * rig.engine.frequency),
+            damping_ratio=rig.engine.damping_ratio,
+            unresolved='nan',
+        )
+        return float(np.nanmax(found.energy_transfer))
+
+    best = brute_force()
+
+    def plain() -> float:
+        return float(package.recommend(rig).energy_transfer)
+
+    limits = package.Limits(max_strain=0.1)
+    cases = [
+        Case('plain', plain, error=lambda alpha: max(best - alpha, 0.0) / best, goal=5e4),
+        Case('brute force, 400 x 400 by the closed form', brute_force, error=lambda _: 0.0),
+        Case('robust', lambda: package.recommend(rig, objective=package.Robust())),
+        Case('with a limit of strain', lambda: package.recommend(rig, limits=limits)),
+        Case('with loss and a limit of strain',
+             lambda: package.recommend(lossy, limits=limits), goal=2e6),
+    ]  # fmt: skip
+    return Table('one recommendation', 'answer', 'alpha lost, relative', cases)
+
+
+# A measured plate
+
+
+def smoothing() -> Table:
+    """Compare what a sample of a measured plate costs: a local cubic."""
+    times = np.arange(16) / 5000.0
+    heights = times**3
+    ours = partial(package.smooth, [1.6e-3], times, heights, window=2e-3, position_noise=5e-6)
+    near = times[:11] - 1.6e-3
+    return Table(
+        'smooth a measured plate', 'state', '-',
+        [Case('smooth', ours), Case('numpy.polyfit', lambda: np.polyfit(near, heights[:11], 3))],
+    )  # fmt: skip
+
+
+def tables() -> Iterator[tuple[str, Callable[[], Table]]]:
+    """Give every table by its name."""
+    for make in (one_throw, landscape, one_second, recommendation, smoothing):
+        yield make.__name__, make
