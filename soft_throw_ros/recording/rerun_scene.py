@@ -164,6 +164,9 @@ _ANSWER_TIME = 30.0  # [s]
 _PAUSE = 0.25  # [s]
 _MOST_PICTURES = 40
 
+_CLIENT_ERRORS = (RuntimeError, OSError)
+"""Of a viewer that is gone, or too slow: OSError is ConnectionError and TimeoutError."""
+
 
 def _ramp(anchors: str) -> Bytes:
     """Make 256 colours that go evenly through some."""
@@ -1234,7 +1237,7 @@ def flush(stream: rr.RecordingStream, seconds: float) -> bool:
 def go_to(stream: rr.RecordingStream, port: int, moment: int) -> None:
     """Have a viewer show some moment of a recording that was sent to it, if it can do that."""
     store = f'Recording:{APPLICATION}:{stream.get_recording_id()}'
-    with contextlib.suppress(RuntimeError, ConnectionError):
+    with contextlib.suppress(*_CLIENT_ERRORS):
         client = ViewerClient.connect(_url(port))
         _wait_for(lambda: any(each.store_id == store for each in client.get_state().recordings))
         client.set_time(
@@ -1249,23 +1252,44 @@ def photograph(recording: Path, *, size: tuple[int, int], moment: int | None) ->
     Raises
     ------
     ViewerError
-        If there is no viewer, or it finds no graphics.
+        If there is no viewer, or it does not draw.
 
     """
     width, height = size
     options = ('--headless', '--window-size', f'{width}x{height}', recording)
     with Viewer(free_port(), *options) as viewer:
         try:
-            client = ViewerClient.connect(_url(viewer.port))
+            client = open_client(viewer)
             _wait_for(lambda: _has_loaded(client))
             if moment is not None:
                 client.set_time(
                     TIMELINE, timestamp=np.datetime64(moment, 'ns'), play_state='paused'
                 )
             return _still_picture(client)
-        except (RuntimeError, ConnectionError) as error:
-            viewer.check()
-            raise ViewerError(f'the viewer does not draw: {error}') from None
+        except ViewerError:
+            raise
+        except _CLIENT_ERRORS as error:
+            viewer.check_answer(error)
+
+
+def open_client(viewer: Viewer) -> ViewerClient:
+    """
+    Return a client of a viewer that has drawn something.
+
+    Raises
+    ------
+    ViewerError
+        If it does not draw.
+    NoGraphicsError
+        If that is because it finds no graphics.
+
+    """
+    try:
+        client = ViewerClient.connect(_url(viewer.port))
+        client.take_screenshot(max_size=64)  # it answers other questions before it draws
+    except _CLIENT_ERRORS as error:
+        viewer.check_answer(error)
+    return client
 
 
 def _has_loaded(client: ViewerClient) -> bool:

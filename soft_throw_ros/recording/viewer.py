@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from typing import NoReturn
 
 HOST = '127.0.0.1'
 
@@ -28,12 +29,19 @@ _CONNECT_TIME = 0.2  # [s]
 
 _MEMORY = ('--memory-limit', '2GB', '--server-memory-limit', '256MB')
 
+_END_TIME = 5.0
+"""Longest wait for a viewer that no longer answers to end. [s]"""
+
 _NO_GRAPHICS = ('render context', 'adapter')
 """In what a viewer says last if it finds no Vulkan."""
 
 
 class ViewerError(RuntimeError):
     """The viewer cannot be used; the message says why, and what would help."""
+
+
+class NoGraphicsError(ViewerError):
+    """The viewer finds nothing to draw with, which a machine without Vulkan lacks."""
 
 
 def find_viewer() -> Path:
@@ -147,13 +155,28 @@ class Viewer:
 
     def check(self) -> None:
         """Raise ViewerError if it has ended."""
-        if self._process.poll() is None:
-            return
+        if self._process.poll() is not None:
+            self._raise_reason()
+
+    def check_answer(self, error: Exception) -> NoReturn:
+        """
+        Raise ViewerError for an error of its client, with the reason if it gives one.
+
+        A viewer without graphics closes its connections before it ends, so it is waited for.
+
+        """
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_TIME)
+            self._raise_reason()
+        raise ViewerError(f'the viewer does not draw: {error}') from None
+
+    def _raise_reason(self) -> NoReturn:
+        """Raise ViewerError for a viewer that has ended, from what it said last."""
         self._errors.seek(0)
         lines = self._errors.read().decode(errors='replace').strip().splitlines()
         self.end()
         if any(word in line for line in lines for word in _NO_GRAPHICS):
-            raise ViewerError(
+            raise NoGraphicsError(
                 'the viewer finds no graphics; on Debian and Ubuntu `apt install '
                 'mesa-vulkan-drivers libvulkan1` brings what it needs'
             )

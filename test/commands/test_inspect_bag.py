@@ -26,12 +26,13 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.recording.bag import BagWriter, StreamWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
+from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
 
 pytest.importorskip('rerun')
 
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
+from soft_throw_ros.recording.rerun_scene import open_client
 
 ROOT = Path(__file__).parents[2]
 
@@ -101,12 +102,20 @@ def test_bag_becomes_a_picture_of_the_size_asked_for(capsys, bag, tmp_path) -> N
     image = pytest.importorskip('PIL.Image')
     path = tmp_path / 'scene.png'
     code, lines = run(capsys, bag, '--screenshot', path, '--size', '800x600')
-    if lines and 'graphics' in lines[0]:
+    if lines and 'mesa-vulkan-drivers' in lines[0]:
         pytest.skip(lines[0])
     assert (code, lines) == (0, [])
     with image.open(path) as picture:
         assert picture.size == (800, 600)
         assert len(np.unique(np.asarray(picture.convert('RGB')).reshape(-1, 3), axis=0)) > 500
+
+
+def test_picture_without_graphics_says_what_to_install(capsys, bag, tmp_path, monkeypatch) -> None:
+    for name in ('VK_DRIVER_FILES', 'VK_ICD_FILENAMES'):
+        monkeypatch.setenv(name, '/nowhere')
+    code, (line,) = run(capsys, bag, '--screenshot', tmp_path / 'scene.png')
+    assert code == 1
+    assert 'mesa-vulkan-drivers' in line
 
 
 def test_bag_is_sent_to_a_viewer_that_is_there_and_shown_at_its_throw(capsys, bag, twin) -> None:
@@ -354,15 +363,10 @@ def wait_until(is_so: Callable[[], bool]) -> None:
 def viewer_at(port: int, *options: str) -> Iterator[Viewer]:
     """Have a viewer without a window, if this machine can."""
     with Viewer(port, '--headless', *options) as viewer:
-        client = ViewerClient.connect(f'rerun+http://127.0.0.1:{port}/proxy')
         try:
-            client.get_state()  # which needs graphics
-        except (RuntimeError, ConnectionError):
-            try:
-                viewer.check()
-            except ViewerError as error:
-                pytest.skip(str(error))
-            raise
+            open_client(viewer)
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
         yield viewer
 
 

@@ -22,7 +22,7 @@ from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.recording.digest import RECOMMENDATION, Report
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.viewer import find_viewer, ViewerError
+from soft_throw_ros.recording.viewer import find_viewer, NoGraphicsError
 from soft_throw_ros.twin import journal
 
 rr = pytest.importorskip('rerun')
@@ -379,9 +379,7 @@ def picture_of(path: Path, **options: Any) -> Any:
     image = pytest.importorskip('PIL.Image')
     try:
         data = rerun_scene.photograph(path, **options)
-    except ViewerError as error:
-        if 'graphics' not in str(error):
-            raise
+    except NoGraphicsError as error:
         pytest.skip(str(error))
     with image.open(io.BytesIO(data)) as picture:
         return np.asarray(picture.convert('RGB')).astype(int)
