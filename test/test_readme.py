@@ -6,15 +6,10 @@ import re
 
 import pytest
 from soft_throw_ros.commands import design
-from soft_throw_ros.configuration import document
 from soft_throw_ros.configuration.layers import library
 
 README = Path(__file__).parents[1] / 'README.md'
 TEXT = README.read_text(encoding='utf-8')
-
-
-def test_table_of_parameters_is_current():
-    assert document.insert_markdown(TEXT) == TEXT
 
 
 def test_python_example_prints_an_ejection_time(capsys):
@@ -41,12 +36,6 @@ def test_answers_of_design_are_what_is_printed(capsys, args, code):
     assert design.main(args) == code
     answer = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
     assert answer in ' '.join(TEXT.split())
-
-
-def test_table_of_topics_is_current():
-    topics = pytest.importorskip('soft_throw_ros.nodes.topics', reason='needs rclpy')
-    _, _, rest = TEXT.partition('<!-- topics -->\n')
-    assert rest.partition('<!-- /topics -->')[0] == topics.markdown()
 
 
 @pytest.mark.parametrize('path', re.findall(r'\]\(([^)#]+)\)', TEXT))

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
-from pathlib import Path
 from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import (
-    document,
     files,
     LAYERS,
     ParameterError,
@@ -15,9 +13,7 @@ from soft_throw_ros.configuration import (
     Table,
     TWIN,
 )
-from soft_throw_ros.configuration.__main__ import main as update
 
-ROOT = Path(__file__).parents[2]
 TABLES = (TWIN, RECORDER)
 SETTINGS = [(table, entry) for table in TABLES for entry in table.entries if not entry.is_result]
 NUMBERS = [(table, entry) for table, entry in SETTINGS if type(entry.default) in (int, float)]
@@ -139,55 +135,9 @@ def test_throw_period_may_be_zero() -> None:
 
 
 @pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
-def test_parameter_file_is_what_the_table_says(table: Table) -> None:
-    """Bring it up to date with `python -m soft_throw_ros.configuration config/NODE.yaml`."""
-    text = document.parameter_file(table)
-    assert (ROOT / f'config/{table.node}.yaml').read_text('utf-8') == text
-    assert files.default_file(table).read_text('utf-8') == text
-
-
-@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
 def test_parameter_file_gives_the_defaults(table: Table) -> None:
     settings = files.read(files.default_file(table), node=f'/rig1/{table.node}', table=table)
     assert settings == table.defaults()
-
-
-@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
-def test_markdown_has_a_row_for_every_parameter(table: Table) -> None:
-    rows = document.markdown(table).splitlines()[2:]
-    assert [row.split('`')[1] for row in rows] == [entry.name for entry in table.entries]
-    assert {row.count(' | ') for row in rows} == {3}
-
-
-MARKS = ''.join(
-    f'<!-- {node} parameters -->\nold\n<!-- /{node} parameters -->\n' for node in document.TABLES
-)
-
-
-def test_insert_markdown_replaces_what_is_between_the_marks() -> None:
-    new = document.insert_markdown(f'before\n{MARKS}after\n')
-    for table in TABLES:
-        assert document.markdown(table) in new
-    assert new.startswith('before\n<!-- twin parameters -->\n| parameter')
-    assert new.endswith(f'<!-- /{[*document.TABLES][-1]} parameters -->\nafter\n')
-    assert '\nold\n' not in new
-    assert document.insert_markdown(new) == new
-
-
-@pytest.mark.parametrize(
-    'text', ['', MARKS.replace('<!-- /twin', '<!-- '), MARKS + MARKS, MARKS.replace('/', '')]
-)
-def test_insert_markdown_refuses_text_without_its_marks(text: str) -> None:
-    with pytest.raises(ValueError, match='<!-- twin parameters -->'):
-        document.insert_markdown(text)
-
-
-def test_files_are_brought_up_to_date(tmp_path: Path) -> None:
-    readme, config = tmp_path / 'README.md', tmp_path / 'recorder.yaml'
-    readme.write_text(MARKS)
-    update([str(readme), str(config)])
-    assert document.markdown(RECORDER) in readme.read_text()
-    assert config.read_text() == document.parameter_file(RECORDER)
 
 
 @pytest.mark.parametrize('request_', [{'storage': 'none'}, {'rerun.sink': 'none'}])

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+
+import pytest
+from soft_throw_ros.configuration import document, files, interface, RECORDER, TWIN
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize(('path', 'text'), document.documents().items())
+def test_document_is_current(path: str, text: str) -> None:
+    """Bring it up to date with `python -m soft_throw_ros.configuration`."""
+    assert (ROOT / path).read_text('utf-8') == text
+
+
+@pytest.mark.parametrize('table', [TWIN, RECORDER], ids=lambda table: table.node)
+def test_installed_file_of_defaults_is_the_one_in_config(table) -> None:
+    text = (ROOT / f'config/{table.node}.yaml').read_text('utf-8')
+    assert files.default_file(table).read_text('utf-8') == text
+
+
+def test_pages_have_a_row_for_every_parameter_topic_and_service() -> None:
+    pages = document.documents()
+    for name in TWIN.by_name.keys() | RECORDER.by_name.keys():
+        assert f'\n| `{name}` |' in pages['docs/parameters.md']
+    for topics, services in interface.INTERFACES.values():
+        for item in (*topics, *services):
+            assert f'\n| `{item.name}`' in pages['docs/topics.md']

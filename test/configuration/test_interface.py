@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+from soft_throw_ros.configuration.interface import (
+    find_topic,
+    FORMER_TOPICS,
+    JOINT_STATE,
+    RECORDER_TOPICS,
+    TWIN_TOPICS,
+)
+
+OWN = [topic for topic in (*TWIN_TOPICS, *FORMER_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
+
+
+@pytest.mark.parametrize('topic', OWN, ids=lambda topic: topic.name)
+@pytest.mark.parametrize('node', ['/twin', '/rig1/twin', '/layer'])
+def test_topic_of_a_node_is_found_by_its_full_name(topic, node) -> None:
+    assert find_topic(topic.at(node).name, topic.type) == (node, topic)
+
+
+def test_topic_of_nobody_is_found_by_its_own_name() -> None:
+    assert find_topic('/diagnostics', TWIN_TOPICS.diagnostics.type).node == ''
+
+
+@pytest.mark.parametrize(
+    ('name', 'kind'),
+    [
+        ('/twin/phase', JOINT_STATE),
+        ('/rig1/diagnostics', TWIN_TOPICS.diagnostics.type),
+        ('/twin/joint_states_too', JOINT_STATE),
+    ],
+)
+def test_topic_of_other_name_or_type_is_not_found(name, kind) -> None:
+    assert find_topic(name, kind) is None
+
+
+def test_names_are_unique() -> None:
+    assert len({topic.name for topic in TWIN_TOPICS}) == len(TWIN_TOPICS)
