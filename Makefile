@@ -22,7 +22,7 @@ ARGS ?=
 # Files of tests go to a process for each core; each has a ROS domain of its own.
 PARALLEL := -n auto --dist loadfile
 
-VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py recording/test_rerun_scene.py \
+VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py recording/test_rerun_view.py \
 	commands/test_inspect_bag.py)
 
 BIN := .venv/$(ROS_DISTRO)/bin

@@ -22,17 +22,15 @@ import numpy as np
 import pytest
 from soft_throw_ros import recording
 from soft_throw_ros.commands import inspect_bag
-from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.recording.bag import BagWriter, StreamWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
+from soft_throw_ros.recording.rerun_canvas import THROW_TIME
+from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, url_of, Viewer
 
 pytest.importorskip('rerun')
 
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
-from soft_throw_ros.recording.rerun_scene import open_client
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,7 +38,7 @@ TwinMessages: Any = runpy.run_path(str(ROOT / 'test' / 'recording' / 'twin_messa
     'TwinMessages'
 ]
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 """Longest wait for another process; reached only when something is wrong. [s]"""
 
 
@@ -48,6 +46,12 @@ PATIENCE = 60.0
 def twin() -> Any:
     """A throw and a bit."""
     return TwinMessages(throw__period=0.2).go(300)
+
+
+@pytest.fixture(scope='module')
+def two_throws(tmp_path_factory) -> tuple[Any, Path]:
+    twin = TwinMessages(throw__period=0.2).go(500)
+    return twin, write(tmp_path_factory.mktemp('bags') / 'bag', twin.messages)
 
 
 @pytest.fixture(scope='module')
@@ -121,12 +125,43 @@ def test_picture_without_graphics_says_what_to_install(capsys, bag, tmp_path, mo
 def test_bag_is_sent_to_a_viewer_that_is_there_and_shown_at_its_throw(capsys, bag, twin) -> None:
     with viewer_at(free_port()) as viewer:
         code, lines = run(capsys, bag, '--port', viewer.port)
-        client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
-        (shown,) = client.get_state().recordings
+        (shown,) = viewer.client().get_state().recordings
     assert (code, lines) == (0, [])
-    assert shown.current_timeline == 'stamp'
-    since = (shown.current_time or 0) - twin.pace.deadline(200)
-    assert 4_000_000 < since < 7_000_000
+    assert shown.current_timeline == 'time since throw'
+    assert 4_000_000 < (shown.current_time or 0) < 7_000_000
+
+
+@pytest.mark.parametrize(
+    ('options', 'start', 'milliseconds'),
+    [([], 400, 5.35), (['--throw', '1'], 200, 5.35), (['--throw=1', '--at=0.002'], 200, 2.0)],
+)
+def test_throw_and_time_to_show_can_be_chosen(
+    capsys, two_throws, tmp_path, options, start, milliseconds
+) -> None:
+    twin, bag = two_throws
+    with viewer_at(free_port()) as viewer:
+        assert run(capsys, bag, '--port', viewer.port, *options) == (0, [])
+        (shown,) = viewer.client().get_state().recordings
+    assert (shown.current_time or 0) / 1e6 == pytest.approx(milliseconds, abs=0.01)
+    path = tmp_path / 'scene.rrd'
+    assert run(capsys, bag, '--save', path, *options) == (0, [])
+    origins = {
+        int(stamp) - int(since)
+        for chunk in RrdReader(path).stream()
+        if chunk.entity_path == '/twin/position' and not chunk.is_static
+        for batch in [chunk.to_record_batch()]
+        for stamp, since in zip(
+            *(batch.column(name).cast('int64').to_pylist() for name in ('stamp', THROW_TIME)),
+            strict=True,
+        )
+    }
+    assert max(abs(origin - twin.pace.deadline(start)) for origin in origins) <= 1
+
+
+def test_throw_that_is_not_there_is_refused(capsys, bag, tmp_path) -> None:
+    code, (line,) = run(capsys, bag, '--throw', '7', '--save', tmp_path / 'scene.rrd')
+    assert code == 2
+    assert 'no throw 7' in line
 
 
 def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch) -> None:
@@ -141,16 +176,17 @@ def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch)
 
 def test_without_rerun_it_says_how_to_get_it(capsys, bag, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    monkeypatch.delitem(sys.modules, 'soft_throw_ros.recording.rerun_scene', raising=False)
-    monkeypatch.delattr(recording, 'rerun_scene', raising=False)
-    code, lines = run(capsys, bag, '--save', 'scene.rrd')
+    for name in ('rerun_canvas', 'rerun_view'):
+        monkeypatch.delitem(sys.modules, f'soft_throw_ros.recording.{name}', raising=False)
+        monkeypatch.delattr(recording, name, raising=False)
+    code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
     assert code == 1
-    assert lines == ["inspect: inspect needs Rerun: pip install 'soft_throw_ros[rerun]'"]
+    assert 'soft_throw_ros[rerun]' in line
 
 
 def test_it_runs_without_ros() -> None:
     code = (
-        'import sys; import soft_throw_ros.recording.rerun_scene; '
+        'import sys; import soft_throw_ros.recording.rerun_view; '
         'import soft_throw_ros.commands.inspect_bag; '
         'print([name for name in sys.modules if name.split(".")[0] in ("rclpy", "std_msgs")])'
     )
@@ -250,6 +286,8 @@ def test_damaged_bags_are_shown_in_part_or_refused(capsys, small, tmp_path, data
         (['--save', '/nowhere/a.rrd'], 'no folder /nowhere'),
         (['--save', 'a.rrd', '--screenshot', 'a.png'], 'not allowed'),
         (['--sink', 'printer'], "'printer'"),
+        (['--throw', 'last'], "'last'"),
+        (['--at', 'nan'], "'nan'"),
     ],
 )
 def test_arguments_are_refused_in_words(capsys, bag, args, words) -> None:
@@ -258,8 +296,9 @@ def test_arguments_are_refused_in_words(capsys, bag, args, words) -> None:
     assert words in lines[-1]
 
 
-def test_picture_of_a_stream_is_refused(capsys) -> None:
-    code, lines = run(capsys, '-', '--screenshot', 'a.png')
+@pytest.mark.parametrize('option', ['--screenshot=a.png', '--throw=1', '--at=0.1'])
+def test_options_of_bags_are_refused_for_streams(capsys, option) -> None:
+    code, lines = run(capsys, '-', option)
     assert code == 2
     assert 'needs a bag' in lines[-1]
 
@@ -275,22 +314,6 @@ def test_port_that_is_taken_is_named(capsys, bag) -> None:
         code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', viewer.port)
     assert code == 2
     assert f'127.0.0.1:{viewer.port}' in line
-
-
-def test_landscape_is_that_of_the_model() -> None:
-    rig = Rig(layer=Layer(density=900.0), gravity=5.0)
-    thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
-    surveyed = inspect_bag.energy_transfer(rig, thickness, wave_speed)
-    for row, column in np.ndindex(3, 2):
-        layer = Layer(thickness=thickness[0, column], wave_speed=wave_speed[row, 0], density=900.0)
-        other = Rig(layer=layer, gravity=5.0)
-        release = first_release(
-            mass_ratio=other.mass_ratio,
-            speed_ratio=other.speed_ratio,
-            damping_ratio=other.engine.damping_ratio,
-            gravity_ratio=other.gravity_ratio,
-        )
-        assert surveyed[row, column] == pytest.approx(release.energy_transfer, rel=1e-9)
 
 
 # streams
@@ -344,8 +367,8 @@ class Process:
         return self.wait()
 
     def wait(self) -> int:
-        code = self.process.wait(PATIENCE)
-        self._thread.join(PATIENCE)
+        code = self.process.wait(TIMEOUT)
+        self._thread.join(TIMEOUT)
         assert self.process.stdout is not None
         assert self.process.stdout.read() == b''
         assert all(line.startswith('inspect: ') for line in self.lines), self.lines
@@ -353,7 +376,7 @@ class Process:
 
 
 def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -364,7 +387,7 @@ def viewer_at(port: int, *options: str) -> Iterator[Viewer]:
     """Have a viewer without a window, if this machine can."""
     with Viewer(port, '--headless', *options) as viewer:
         try:
-            open_client(viewer)
+            viewer.client()
         except NoGraphicsError as error:
             pytest.skip(str(error))
         yield viewer
@@ -387,7 +410,7 @@ def start() -> Iterator[Callable[..., Process]]:
             process.pipe.close()
         assert process.process.stdout is not None
         assert process.process.stderr is not None
-        process._thread.join(PATIENCE)
+        process._thread.join(TIMEOUT)
         process.process.stdout.close()
         process.process.stderr.close()
 
@@ -420,14 +443,14 @@ def test_viewer_that_comes_back_gets_what_still_holds(start, twin) -> None:
 
 
 def entities(viewer: Viewer) -> set[str]:
-    client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
+    client = ViewerClient.connect(url_of(viewer.port))
     if not client.get_state().recordings:
         return set()
     return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
 def views(viewer: Viewer) -> list[str]:
-    client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
+    client = ViewerClient.connect(url_of(viewer.port))
     return [view.name for view in client.get_state().views]
 
 
@@ -440,7 +463,7 @@ def test_stopped_viewer_does_not_hold_up_the_end(start, twin, how) -> None:
         half = len(twin.messages) // 2
         process.feed(twin.messages[:half])
         wait_until(lambda: '/twin/position' in entities(viewer))
-        os.killpg(viewer._process.pid, signal.SIGSTOP)
+        os.killpg(viewer.pid, signal.SIGSTOP)
         process.feed(twin.messages[half:])
         if how == 'end':
             assert process.end() == 0
@@ -482,12 +505,12 @@ def test_stream_of_a_whole_bag_becomes_a_whole_recording(bag, tmp_path) -> None:
 def test_stream_is_served_to_viewers_on_this_machine(start, twin) -> None:
     port = free_port()
     process = start('--sink', 'serve', '--port', port)
-    process.wait_for_line(f'rerun+http://127.0.0.1:{port}/proxy')
+    process.wait_for_line(url_of(port))
     process.feed(twin.messages)
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
     assert f' 00000000:{port:04X} ' not in listening + Path('/proc/net/tcp6').read_text()
-    url = f'rerun+http://127.0.0.1:{port}/proxy'
+    url = url_of(port)
     with viewer_at(free_port(), '--connect', url) as viewer:
         wait_until(lambda: '/twin/throw_result' in entities(viewer))
     assert process.end() == 0
