@@ -24,7 +24,7 @@ import sys
 import tempfile
 import threading
 import time
-from types import FrameType, ModuleType
+from types import FrameType
 from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
 
 from soft_throw_ros.recording.bag import BagError, BagReader, read_stream
@@ -37,6 +37,7 @@ from soft_throw_ros.recording.viewer import (
     has_display,
     is_open,
     listens,
+    url_of,
     Viewer,
     ViewerError,
 )
@@ -69,15 +70,13 @@ _MOST_WAITING = 20_000
 _FINAL_PAUSE = 2e-3
 """Between looks at the input once the end is near. [s]"""
 
-_INSTALL = "inspect needs Rerun: pip install 'soft_throw_ros[rerun]'"
+
+_WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
+"""Options of a viewer with a window."""
 
 
 class InspectError(Exception):
-    """It cannot be done; the message says why, and `code` is the exit code."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
+    """It cannot be done as asked; the message says why."""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -112,17 +111,14 @@ def main(args: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or '').partition('.')[0] not in ('rerun', 'rerun_bindings', 'pyarrow'):
             raise
-        _say(_INSTALL)
+        _say("inspect needs Rerun: pip install 'soft_throw_ros[rerun]'")
         return 1
-    except BagError as error:
-        _say(str(error))
-        return 2
     except ViewerError as error:
         _say(str(error))
         return 1
-    except InspectError as error:
+    except (BagError, InspectError) as error:
         _say(str(error))
-        return error.code
+        return 2
     except KeyboardInterrupt:
         return 130
 
@@ -207,25 +203,33 @@ def _show_bag(arguments: argparse.Namespace) -> int:
     with BagReader(arguments.bag) as reader:
         if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
             topics = ', '.join(channel.topic for channel in reader.channels)
-            raise InspectError(f'{reader.path}: nothing in it is of a twin, topics: {topics}', 2)
+            raise InspectError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
         throw = _choose_throw(reader, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
         stream = rerun_canvas.new_stream()
         if arguments.save:
-            _save_bag(rerun_canvas, stream, scene, reader, arguments.save)
+            _save_bag(stream, scene, reader, arguments.save)
         elif arguments.screenshot:
             with tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                _save_bag(rerun_canvas, stream, scene, reader, recording)
-                _write(arguments.screenshot, _photograph(recording, scene, arguments))
+                _save_bag(stream, scene, reader, recording)
+                size = '{}x{}'.format(*arguments.size)
+                options = ('--headless', '--window-size', size, recording)
+                with Viewer(free_port(), *options) as viewer:
+                    cursor = _cursor(scene, arguments)
+                    picture = viewer.photograph(rerun_canvas.THROW_TIME, cursor)
+            try:
+                arguments.screenshot.write_bytes(picture)
+            except OSError as error:
+                raise InspectError(f'{arguments.screenshot}: {error.strerror}') from None
         elif arguments.sink == 'serve':
-            _serve(rerun_canvas, stream, arguments.port)
+            _serve(stream, arguments.port)
             _draw(scene, stream, reader)
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     signal.pause()
         else:
-            _send_bag(rerun_canvas, stream, scene, reader, arguments)
+            _send_bag(stream, scene, reader, arguments)
     return 0
 
 
@@ -234,14 +238,12 @@ def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     topics = [each.topic for each in reader.channels if tells_throws(each.topic, each.type)]
     found = find_throws(reader.messages(topics)) if topics else {}
     throws = next((throws for throws in found.values() if throws), [])  # of the view in front
-    if number is None:
-        whole = [throw for throw in throws if throw.has_field] or throws
-        return whole[-1] if whole else None
-    for throw in throws:
-        if throw.number == number:
-            return throw
-    known = f'{throws[0].number} to {throws[-1].number}' if throws else 'none'
-    raise InspectError(f'{reader.path}: it has no throw {number}, of throws {known}', 2)
+    chosen = [throw for throw in throws if number in (None, throw.number)]
+    if number is not None and not chosen:
+        known = f'{throws[0].number} to {throws[-1].number}' if throws else 'none'
+        raise InspectError(f'{reader.path}: it has no throw {number}, of throws {known}')
+    whole = [throw for throw in chosen if throw.has_field] or chosen
+    return whole[-1] if whole else None
 
 
 def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
@@ -255,32 +257,11 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
     decoder, path = scene.decoder, reader.path
     damage = f', {decoder.damage}' if decoder.damage else ''
     if scene.is_empty:
-        raise InspectError(f'{path}: nothing of a twin could be read{damage}', 2)
+        raise InspectError(f'{path}: nothing of a twin could be read{damage}')
     if reader.damage:
         _say(f'{reader.damage}; what there is is shown')
     if decoder.damaged:
         _say(f'{path}: {decoder.damaged} messages are left out{damage}')
-
-
-def _save_bag(
-    canvas: ModuleType, stream: rr.RecordingStream, scene: Scene, reader: BagReader, path: Path
-) -> None:
-    _save(canvas, stream, path, is_live=False)
-    _draw(scene, stream, reader)
-    is_written = canvas.flush(stream, math.inf)
-    stream.disconnect()
-    if not is_written:
-        raise InspectError(f'{path}: it could not be written', 2)
-
-
-def _photograph(recording: Path, scene: Scene, arguments: argparse.Namespace) -> bytes:
-    """Show a recording in a viewer without a window; return what it looks like, as PNG."""
-    from soft_throw_ros.recording.rerun_canvas import THROW_TIME
-
-    width, height = arguments.size
-    options = ('--headless', '--window-size', f'{width}x{height}', recording)
-    with Viewer(free_port(), *options) as viewer:
-        return viewer.photograph(THROW_TIME, _cursor(scene, arguments))
 
 
 def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:
@@ -289,58 +270,63 @@ def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:
     return scene.moment if scene.moment is None or at is None else at
 
 
+def _save_bag(stream: rr.RecordingStream, scene: Scene, reader: BagReader, path: Path) -> None:
+    from soft_throw_ros.recording import rerun_canvas
+
+    _save(stream, path, is_live=False)
+    _draw(scene, stream, reader)
+    is_written = rerun_canvas.flush(stream, math.inf)
+    stream.disconnect()
+    if not is_written:
+        raise InspectError(f'{path}: it could not be written')
+
+
 def _send_bag(
-    canvas: ModuleType,
-    stream: rr.RecordingStream,
-    scene: Scene,
-    reader: BagReader,
-    arguments: argparse.Namespace,
+    stream: rr.RecordingStream, scene: Scene, reader: BagReader, arguments: argparse.Namespace
 ) -> None:
     """Show a bag in the viewer that is there, or in one that stays."""
+    from soft_throw_ros.recording import rerun_canvas
+
     port = arguments.port
     if not listens(port):
         if not has_display():
-            raise InspectError(
+            raise ViewerError(
                 'there is no screen for a window; use --save FILE.rrd or --screenshot '
-                f'FILE.png, or start a viewer that listens at 127.0.0.1:{port}',
-                1,
+                f'FILE.png, or start a viewer that listens at 127.0.0.1:{port}'
             )
-        Viewer(port, '--hide-welcome-screen', '--expect-data-soon', stays=True)
+        Viewer(port, *_WINDOW, stays=True)
     connection = connect(port)
     if connection is None:
-        raise InspectError(f'nobody listens at 127.0.0.1:{port} any more', 1)
+        raise ViewerError(f'nobody listens at 127.0.0.1:{port} any more')
     with connection:
-        canvas.connect_to(stream, port)
+        rerun_canvas.connect_to(stream, port)
         _draw(scene, stream, reader)
-        while not canvas.flush(stream, PROBE_TIME):
+        while not rerun_canvas.flush(stream, PROBE_TIME):
             if not is_open(connection):
-                raise InspectError('the viewer was closed before it had everything', 1)
+                raise ViewerError('the viewer was closed before it had everything')
     cursor = _cursor(scene, arguments)
     if cursor is not None:
-        recording = f'Recording:{canvas.APPLICATION}:{stream.get_recording_id()}'
-        go_to(port, recording, canvas.THROW_TIME, cursor)
+        recording = f'Recording:{rerun_canvas.APPLICATION}:{stream.get_recording_id()}'
+        go_to(port, recording, rerun_canvas.THROW_TIME, cursor)
     stream.disconnect()
 
 
-def _save(canvas: ModuleType, stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+def _save(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+    from soft_throw_ros.recording import rerun_canvas
+
     try:
-        canvas.save_to(stream, path, is_live=is_live)
+        rerun_canvas.save_to(stream, path, is_live=is_live)
     except OSError as error:
-        raise InspectError(f'{path}: {error}', 2) from None
+        raise InspectError(f'{path}: {error}') from None
 
 
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise InspectError(f'{path}: {error.strerror}', 2) from None
+def _serve(stream: rr.RecordingStream, port: int) -> None:
+    from soft_throw_ros.recording import rerun_canvas
 
-
-def _serve(canvas: ModuleType, stream: rr.RecordingStream, port: int) -> None:
     if listens(port):
-        raise InspectError(f'somebody listens at 127.0.0.1:{port} already; take another --port', 2)
-    canvas.serve_at(stream, port)
-    _say(f'to see it: rerun rerun+http://127.0.0.1:{port}/proxy')
+        raise InspectError(f'somebody listens at 127.0.0.1:{port} already; take another --port')
+    rerun_canvas.serve_at(stream, port)
+    _say(f'to see it: rerun {url_of(port)}')
 
 
 # streams
@@ -351,19 +337,18 @@ def _show_stream(arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn
     from soft_throw_ros.recording import rerun_canvas
     from soft_throw_ros.recording.rerun_view import Scene
 
-    scene = Scene('live', is_live=True)
-    stream = rerun_canvas.new_stream()
+    scene, stream = Scene('live', is_live=True), rerun_canvas.new_stream()
     viewer = None
-    if arguments.save:
-        _save(rerun_canvas, stream, arguments.save, is_live=True)
+    if not arguments.save:
+        watchdog.watch_pipe(sys.stdin.buffer.fileno())
+    if arguments.save or arguments.sink == 'serve':
+        if arguments.save:
+            _save(stream, arguments.save, is_live=True)
+        else:
+            _serve(stream, arguments.port)
         scene.connect(stream)
     else:
-        watchdog.watch_pipe(sys.stdin.buffer.fileno())
-        if arguments.sink == 'serve':
-            _serve(rerun_canvas, stream, arguments.port)
-            scene.connect(stream)
-        else:
-            viewer = _ViewerConnection(rerun_canvas, scene, stream, arguments.port)
+        viewer = _ViewerConnection(scene, stream, arguments.port)
     inbox = _Inbox(sys.stdin.buffer)
     while not watchdog.is_told_to_end:
         if viewer is not None:
@@ -415,10 +400,7 @@ class _Inbox:
 class _ViewerConnection:
     """A stream to a viewer that comes and goes."""
 
-    def __init__(
-        self, canvas: ModuleType, scene: Scene, stream: rr.RecordingStream, port: int
-    ) -> None:
-        self._canvas = canvas
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, port: int) -> None:
         self._scene = scene
         self._stream = stream
         self._port = port
@@ -433,12 +415,14 @@ class _ViewerConnection:
 
     def _start(self) -> None:
         try:
-            Viewer(self._port, '--hide-welcome-screen', '--expect-data-soon', stays=True)
+            Viewer(self._port, *_WINDOW, stays=True)
         except ViewerError as error:
             _say(str(error))
 
     def check(self) -> None:
         """Notice that it has gone or come, and show it what is there already."""
+        from soft_throw_ros.recording import rerun_canvas
+
         if self._connection is not None:
             if is_open(self._connection):
                 return
@@ -451,7 +435,7 @@ class _ViewerConnection:
         self._next_probe = time.monotonic() + PROBE_TIME
         self._connection = connect(self._port)
         if self._connection is not None:
-            self._canvas.connect_to(self._stream, self._port)
+            rerun_canvas.connect_to(self._stream, self._port)
             self._scene.connect(self._stream)
             _say(f'connected to the viewer at 127.0.0.1:{self._port}')
 

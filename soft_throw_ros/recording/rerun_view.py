@@ -10,75 +10,40 @@ import math
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.recording import rerun_canvas as drawing
+from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.rerun_canvas import (
-    Axis,
-    BLUE,
-    Canvas,
-    Chart,
-    chart_view,
-    Colour,
-    colours_of,
-    draw_map,
-    GREEN,
-    GREY,
-    image_format,
-    MAP_HEIGHT,
-    ORANGE,
-    PURPLE,
-    RED,
-    round_up,
-    SIGNED,
-    STAMP,
-    Text,
-    THROW_TIME,
-    WHITE,
-    WIDTH,
-)  # fmt: skip
-from soft_throw_ros.recording.timeseries import (
-    AuxiliaryPositions,
-    Decoder,
-    Floats,
-    Item,
-    LayerStates,
-    LogLine,
-    PhaseChange,
-    Positions,
-    RecommendationSummary,
-    RigChange,
-    RigStates,
-    SECOND,
-    Stamps,
-    StrainField,
-    ThrowStart,
-    ThrowSummary,
-)
+from soft_throw_ros.recording.timeseries import Floats, SECOND, Stamps, ThrowStart
 
 _MILLI = 1e3
 
 _PHASES = {
     'rest': (0x60, 0x60, 0x60),
-    'contact': ORANGE,
-    'flight': BLUE,
-    'landed': GREEN,
-    'returning': PURPLE,
+    'contact': drawing.ORANGE,
+    'flight': drawing.BLUE,
+    'landed': drawing.GREEN,
+    'returning': drawing.PURPLE,
 }
 
-_SERIES: Mapping[str, tuple[tuple[str, ...], tuple[Colour, ...], float]] = {
-    'position': (('plate', 'projectile'), (GREY, BLUE), 1.5),
-    'velocity': (('plate', 'projectile'), (GREY, BLUE), 1.5),
-    'force': (('at the plate', 'at the projectile'), (GREY, BLUE), 1.5),
-    'energy/plate_work': (('work of the plate',), (GREY,), 4.0),
-    'energy/projectile': (('projectile',), (BLUE,), 1.5),
-    'energy/layer': (('layer',), (ORANGE,), 1.5),
-    'energy/total': (('projectile + layer',), (GREEN,), 1.5),
-    'position/measured': (('plate, measured', 'projectile, measured'), (RED, ORANGE), 1.0),
-    'position/predicted': (('projectile, predicted',), (GREEN,), 1.0),
-    'residual': (('plate', 'projectile'), (GREY, BLUE), 1.0),
+_SERIES: Mapping[str, tuple[tuple[str, ...], tuple[drawing.Colour, ...], float]] = {
+    'position': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.5),
+    'velocity': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.5),
+    'force': (('at the plate', 'at the projectile'), (drawing.GREY, drawing.BLUE), 1.5),
+    'energy/plate_work': (('work of the plate',), (drawing.GREY,), 4.0),
+    'energy/projectile': (('projectile',), (drawing.BLUE,), 1.5),
+    'energy/layer': (('layer',), (drawing.ORANGE,), 1.5),
+    'energy/total': (('projectile + layer',), (drawing.GREEN,), 1.5),
+    'position/measured': (
+        ('plate, measured', 'projectile, measured'),
+        (drawing.RED, drawing.ORANGE),
+        1.0,
+    ),
+    'position/predicted': (('projectile, predicted',), (drawing.GREEN,), 1.0),
+    'residual': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.0),
 }
 """Lines in plots: by entity their names, colours and width."""
 
@@ -167,11 +132,11 @@ class Scene:
         is_picture: bool = False,
         throw: ThrowStart | None = None,
     ) -> None:
-        self.decoder = Decoder()
+        self.decoder = series.Decoder()
         self._name = name
         self._is_live = is_live
         self._is_picture = is_picture
-        self._canvas = Canvas(throw)
+        self._canvas = drawing.Canvas(throw)
         self._pool = ThreadPoolExecutor(1)  # maps take up to a second, which nothing waits for
         self._twins: dict[str, _TwinView] = {}
         self._has_log = False
@@ -202,7 +167,7 @@ class Scene:
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages."""
         for node, item in self.decoder.decode(messages):
-            if isinstance(item, LogLine):
+            if isinstance(item, series.LogLine):
                 self._log(item)
                 continue
             if node not in self._twins:
@@ -219,7 +184,7 @@ class Scene:
             twin.draw_maps(is_waiting=is_waiting)
         self._arrange()
 
-    def _log(self, line: LogLine) -> None:
+    def _log(self, line: series.LogLine) -> None:
         self._has_log = True
         level = next(name for bound, name in _LEVELS if line.level >= bound)
         columns = rr.TextLog.columns(text=[f'{line.node}: {line.text}'], level=[level])
@@ -241,7 +206,7 @@ class Scene:
                 rrb.SelectionPanel(state='hidden'),
                 rrb.TimePanel(
                     state='collapsed',
-                    timeline=STAMP if self._canvas.throw is None else THROW_TIME,
+                    timeline=drawing.STAMP if self._canvas.throw is None else drawing.THROW_TIME,
                     playback_speed=1.0 if self._is_live else min(0.5 * views[0].period, 1.0),
                     play_state='following' if self._is_live else 'paused',
                 ),
@@ -252,16 +217,16 @@ class Scene:
 class _TwinView:
     """One of the twins."""
 
-    def __init__(self, node: str, canvas: Canvas, pool: ThreadPoolExecutor) -> None:
+    def __init__(self, node: str, canvas: drawing.Canvas, pool: ThreadPoolExecutor) -> None:
         self.ejection_time: float | None = None  # in the throw that is shown
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
         self._pool = pool
-        self._rig: Rig | None = None
-        self._settings: Settings = TWIN.defaults()
-        self._largest_strain = _DEFAULT_STRAIN
-        self._recommendation: RecommendationSummary | None = None
+        self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
+        self._rows_per_period = 0.0  # of the layer's states
+        self._side = _SideView(canvas, self._path('side'))
+        self._recommendation: series.RecommendationSummary | None = None
         self._throw_start = 0
         self._has_residual = False
         self._residuals = np.zeros(0)  # in the last contacts, or in that which is shown
@@ -269,9 +234,6 @@ class _TwinView:
         self._map_rig: Rig | None = None
         styles = {
             'phase': rr.StateConfiguration(values=list(_PHASES), colors=list(_PHASES.values())),
-            'side/layer': rr.Image.from_fields(
-                format=image_format(1, _CELLS), magnification_filter='linear'
-            ),
             'strain/picture': rr.Image.from_fields(magnification_filter='linear'),
         }
         for name, style in styles.items():
@@ -280,34 +242,38 @@ class _TwinView:
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
-    def draw(self, item: Item) -> None:
+    def draw(self, item: series.Item) -> None:
         """Draw something that the messages say."""
         match item:
-            case RigStates():
+            case series.RigStates():
                 self._draw_states(item)
-            case Positions():
-                self._draw_positions(item.stamps, item.position)
-            case AuxiliaryPositions():
+            case series.Positions():
+                self._side.draw_positions(item.stamps, item.position)
+            case series.AuxiliaryPositions():
                 self._draw_auxiliary(item)
-            case LayerStates():
-                self._draw_layer(item)
+            case series.LayerStates():
+                self._side.draw_layer(item)
                 self._draw_layer_energy(item)
-            case StrainField():
+            case series.StrainField():
                 self._draw_strain(item)
-            case PhaseChange():
+            case series.PhaseChange():
                 columns = rr.StateChange.columns(state=[item.phase])
                 self._canvas.put(self._path('phase'), item.stamp, columns)
             case ThrowStart():
                 self._throw_start = item.stamp
-            case ThrowSummary():
+            case series.ThrowSummary():
                 self._write('throw_result', item.stamp, _throw_text(item.values))
-            case RecommendationSummary():
+            case series.RecommendationSummary():
                 self._recommendation = item
                 self._write('recommendation', item.stamp, _recommendation_text(item))
                 if item.rig is not None:
                     self._request_map(item.stamp, item.rig, item.settings)
-            case RigChange():
-                self._change_rig(item)
+            case series.RigChange():
+                self._period_of_stamps = 1.0 / (item.rig.engine.frequency * item.time_scale)
+                self._rows_per_period = item.settings['rate.field'] * self._period_of_stamps
+                self._side.change_rig(item.stamp, item.rig)
+                if self._map_rig != item.rig:  # the map of what is recommended for it is there
+                    self._request_map(item.stamp, item.rig, item.settings)
 
     # plots
 
@@ -317,16 +283,16 @@ class _TwinView:
         self._canvas.style(self._path(name), style)
         self._canvas.send(self._path(name), stamps, rr.Scalars.columns(scalars=values))
 
-    def _draw_states(self, states: RigStates) -> None:
+    def _draw_states(self, states: series.RigStates) -> None:
         stamps = states.stamps
         self._draw_series('position', stamps, _MILLI * states.position)
         self._draw_series('velocity', stamps, states.velocity)
         self._draw_series('force', stamps, states.force * [-1.0, 1.0])
         self._draw_series('energy/plate_work', stamps, _MILLI * states.plate_work)
         self._draw_series('energy/projectile', stamps, _MILLI * states.projectile_energy)
-        self._draw_positions(stamps, states.position)
+        self._side.draw_positions(stamps, states.position)
 
-    def _draw_auxiliary(self, positions: AuxiliaryPositions) -> None:
+    def _draw_auxiliary(self, positions: series.AuxiliaryPositions) -> None:
         name, factor = _AUXILIARY[positions.topic]
         values = factor * positions.position
         self._draw_series(name, positions.stamps, values)
@@ -343,9 +309,9 @@ class _TwinView:
             known = values[np.isfinite(values)]
             self._residuals = np.concatenate([self._residuals, known])[-_KEPT_RESIDUALS:]
 
-    def _draw_layer_energy(self, layer: LayerStates) -> None:
+    def _draw_layer_energy(self, layer: series.LayerStates) -> None:
         """Draw lines through rows that are close together in time, and no others."""
-        is_dense = self._settings['rate.field'] * self._period_of_stamps >= _DENSE
+        is_dense = self._rows_per_period >= _DENSE
         if not (is_dense or layer.is_throw):
             return
         for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
@@ -354,110 +320,36 @@ class _TwinView:
                 stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
             self._draw_series(f'energy/{name}', stamps, values)
 
-    # side view, in mm, downwards as Rerun has it
-
-    def _draw_positions(self, stamps: Stamps, position: Floats) -> None:
-        translation = np.zeros((stamps.size, 3))
-        for name, height in zip(('plate', 'projectile'), position.T, strict=True):
-            translation[:, 1] = -_MILLI * height
-            columns = rr.Transform3D.columns(translation=translation)
-            self._canvas.send(self._path(f'side/{name}'), stamps, columns)
-        # what is above the view can be told by its text
-        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self._bounds()[2])
-        columns = rr.Transform3D.columns(translation=translation)
-        self._canvas.send(self._path('side/projectile_text'), stamps, columns)
-
-    def _draw_layer(self, layer: LayerStates) -> None:
-        """Colour cells that are even in height, wherever their matter is."""
-        if self._rig is None:
-            return
-        bottom, top = layer.height[:, 0], layer.height[:, -1]
-        parts = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
-        rows = zip(bottom, top, layer.height, layer.strain, strict=True)
-        strain = np.array(
-            [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
-        )
-        pixels = colours_of(strain, -self._largest_strain, self._largest_strain, SIGNED)
-        diameter = _MILLI * self._rig.layer.diameter
-        nothing, one = np.zeros_like(top), np.ones_like(top)
-        corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
-        scale = np.stack([diameter * one, _MILLI * (top - bottom) / _CELLS, one], axis=1)
-        columns = [
-            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
-        ]
-        self._canvas.send(self._path('side/layer'), layer.stamps, columns)
-
-    def _change_rig(self, change: RigChange) -> None:
-        rig, stamp = change.rig, change.stamp
-        self._rig, self._settings = rig, change.settings
-        diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
-        for name, colour, w, y, h in (
-            ('plate', GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
-            ('projectile', BLUE, diameter, -length, length),
-        ):
-            path, pixel = self._path(f'side/{name}/body'), np.array([[colour]], np.uint8)
-            self._canvas.picture(path, stamp, pixel, x=-0.5 * w, y=y, w=w, h=h)
-        for name, text, y in (
-            ('plate/text', 'plate', 0.0),
-            ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
-            ('projectile_text', 'projectile', -0.5 * length),
-        ):
-            texts = [Text(0.95 * diameter, y, text, WHITE)]
-            self._canvas.texts(self._path(f'side/{name}'), stamp, texts)
-        self._draw_ruler(stamp, -0.5 * _PLATE_WIDTH * diameter)
-        if self._map_rig != rig:  # what is recommended for it is drawn already
-            self._request_map(stamp, rig, change.settings)
-
-    def _bounds(self) -> tuple[float, float, float]:
-        """Return half the width, lowest and highest height of the side view. [mm]"""
-        if self._rig is None:
-            return 15.0, -5.0, 60.0
-        diameter = _MILLI * self._rig.layer.diameter
-        content = _MILLI * (self._rig.layer.thickness + self._rig.projectile.length)
-        return 1.25 * diameter, -0.4 * diameter, 1.35 * content + 0.8 * diameter
-
-    def _draw_ruler(self, stamp: int, plate: float) -> None:
-        """Draw heights to the left of the plate."""
-        width, low, high = self._bounds()
-        ticks, x = Axis(0.0, high).ticks(8), plate - 0.03 * width
-        strips = [[(x, 0.0), (x, -ticks[-1])]]
-        strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
-        self._canvas.lines(self._path('side/ruler'), stamp, strips, GREY)
-        lift = 0.009 * (high - low)  # texts stand below their places
-        texts = [Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
-        self._canvas.texts(self._path('side/ruler/texts'), stamp, texts)
-
     # waves in the layer
 
-    def _draw_strain(self, field: StrainField) -> None:
+    def _draw_strain(self, field: series.StrainField) -> None:
         time = field.ejection_time
         contact = field.strain[field.times <= (time or field.times[-1])]
-        self._largest_strain = round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
-        limit = self._largest_strain
-        chart = Chart(
+        limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
+        self._side.largest_strain = limit
+        chart = drawing.Chart(
             self._canvas,
             self._path('strain'),
             field.start,
             height=_STRAIN_HEIGHT,
-            x=Axis(0.0, _MILLI * float(field.times[-1])),
-            y=Axis(0.0, _MILLI * field.thickness),
+            x=drawing.Axis(0.0, _MILLI * float(field.times[-1])),
+            y=drawing.Axis(0.0, _MILLI * field.thickness),
         )
-        pixels = colours_of(field.strain.T[::-1], -limit, limit, SIGNED)
+        pixels = drawing.colours_of(field.strain.T[::-1], -limit, limit, drawing.SIGNED)
         chart.draw(pixels, titles=('t (ms)', 'y (mm)'))
-        chart.draw_bar(Axis(-100.0 * limit, 100.0 * limit), SIGNED, title='ε (%)')
+        chart.draw_bar(drawing.Axis(-100.0 * limit, 100.0 * limit), drawing.SIGNED, title='ε (%)')
         if time is not None:
             chart.draw_line('ejection', chart.x_at(_MILLI * time), f'tₑ {_MILLI * time:.2f} ms')
             if self._canvas.throw is not None and field.start == self._canvas.throw.stamp:
                 self.ejection_time = time
         stamps = field.stamps()
         strips = np.zeros((stamps.size, 2, 2), np.float32)
-        strips[:, :, 0] = np.linspace(0.0, WIDTH, stamps.size)[:, None]
+        strips[:, :, 0] = np.linspace(0.0, drawing.WIDTH, stamps.size)[:, None]
         strips[:, 1, 1] = _STRAIN_HEIGHT
         gone = np.append(stamps, 2 * stamps[-1] - stamps[-2])
         columns = rr.LineStrips2D.columns(
             strips=strips,
-            colors=[RED] * stamps.size,
+            colors=[drawing.RED] * stamps.size,
             radii=rr.Radius.ui_points([1.0] * stamps.size),
         ).partition([1] * stamps.size + [0])
         self._canvas.send(self._path('strain/now'), gone, columns)
@@ -478,13 +370,13 @@ class _TwinView:
             stamp, future = self._maps.pop(0)
             found = future.result()
             x, y = _MILLI * found.thickness, found.wave_speed
-            draw_map(
+            drawing.draw_map(
                 self._canvas,
                 self._path('landscape'),
                 stamp,
                 values=found.energy_transfer,
-                x=Axis(float(x[0]), float(x[-1]), is_log=True),
-                y=Axis(float(y[0]), float(y[-1]), is_log=True),
+                x=drawing.Axis(float(x[0]), float(x[-1]), is_log=True),
+                y=drawing.Axis(float(y[0]), float(y[-1]), is_log=True),
                 titles=('Lₛ (mm)', 'cₛ (m/s)', found.title),
                 marks=[
                     (_MILLI * mark.thickness, mark.wave_speed, mark.text) for mark in found.marks
@@ -496,13 +388,6 @@ class _TwinView:
         self._canvas.put(self._path(name), stamp, columns)
 
     # layout
-
-    @property
-    def _period_of_stamps(self) -> float:
-        """Of the plate, by the clock of the stamps. [s]"""
-        if self._rig is None:
-            return 1.0
-        return 1.0 / (self._rig.engine.frequency * float(self._settings['time_scale']))
 
     @property
     def period(self) -> float:
@@ -517,11 +402,11 @@ class _TwinView:
         if not self._residuals.size:
             return _DEFAULT_RESIDUAL
         most = float(np.quantile(self._residuals, _RESIDUAL_QUANTILE))
-        return round_up(max(1.5 * most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
+        return drawing.round_up(max(1.5 * most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
 
     def layout_key(self) -> object:
         """Return what another layout is needed for."""
-        return self.period, self._bounds(), self._residual_limit()
+        return self.period, self._side.bounds, self._residual_limit()
 
     def layout(self, *, is_live: bool, has_log: bool) -> rrb.Container:
         """Arrange all there is of the twin."""
@@ -546,38 +431,130 @@ class _TwinView:
             for name, title in _PLOTS.items()
             if name != 'residual' or limit
         ]
-        half, low, high = self._bounds()
-        side = rrb.Spatial2DView(
-            origin=self._path('side'),
-            name='Rig, z (mm)',
-            visual_bounds=rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low]),
-        )
         phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
         strain, landscape = self._path('strain'), self._path('landscape')
         throw = rrb.TextDocumentView(origin=self._path('throw_result'), name='Throw')
         best = rrb.TextDocumentView(origin=self._path('recommendation'), name='Recommended layer')
         right = [
-            (chart_view(strain, 'Strain ε(y, t) in the throw', _STRAIN_HEIGHT), 2.9),
-            (chart_view(landscape, 'Energy transfer α(Lₛ, cₛ)', MAP_HEIGHT), 3.8),
+            (drawing.chart_view(strain, 'Strain ε(y, t) in the throw', _STRAIN_HEIGHT), 2.9),
+            (drawing.chart_view(landscape, 'Energy transfer α(Lₛ, cₛ)', drawing.MAP_HEIGHT), 3.8),
             (best, 3.8),
         ]
         if has_log:
             columns = rrb.TextLogColumns(
                 timeline_columns=[
                     rrb.encodings.TimelineColumn(name, visible=False)
-                    for name in (STAMP, THROW_TIME)
+                    for name in (drawing.STAMP, drawing.THROW_TIME)
                 ],
                 text_log_columns=['LogLevel', 'Body'],
             )
             right.append((rrb.TextLogView(origin=_LOG, name='Log', columns=columns), 2.1))
         views, shares = zip(*right, strict=True)
         return rrb.Horizontal(
-            rrb.Vertical(side, throw, row_shares=[3.0, 2.1]),
+            rrb.Vertical(self._side.view(), throw, row_shares=[3.0, 2.1]),
             rrb.Vertical(phase, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
             rrb.Vertical(*views, row_shares=shares),
             column_shares=[2.5, 4.2, 4.2],
             name=self._node or '/',
         )
+
+
+class _SideView:
+    """
+    The rig from the side, to scale: in mm, downwards as Rerun has it.
+
+    Attributes
+    ----------
+    largest_strain : float
+        Where the colours of strain end. [-]
+
+    """
+
+    def __init__(self, canvas: drawing.Canvas, path: str) -> None:
+        self.largest_strain = _DEFAULT_STRAIN
+        self._canvas = canvas
+        self._path = path
+        self._rig: Rig | None = None
+        style = rr.Image.from_fields(
+            format=drawing.image_format(1, _CELLS), magnification_filter='linear'
+        )
+        canvas.style(f'{path}/layer', style)
+
+    def draw_positions(self, stamps: Stamps, position: Floats) -> None:
+        """Move plate and projectile."""
+        translation = np.zeros((stamps.size, 3))
+        for name, height in zip(('plate', 'projectile'), position.T, strict=True):
+            translation[:, 1] = -_MILLI * height
+            columns = rr.Transform3D.columns(translation=translation)
+            self._canvas.send(f'{self._path}/{name}', stamps, columns)
+        # what is above the view can be told by its text
+        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self.bounds[2])
+        columns = rr.Transform3D.columns(translation=translation)
+        self._canvas.send(f'{self._path}/projectile_text', stamps, columns)
+
+    def draw_layer(self, layer: series.LayerStates) -> None:
+        """Colour cells that are even in height, wherever their matter is."""
+        if self._rig is None:
+            return
+        bottom, top = layer.height[:, 0], layer.height[:, -1]
+        parts = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
+        rows = zip(bottom, top, layer.height, layer.strain, strict=True)
+        strain = np.array(
+            [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
+        )
+        limit = self.largest_strain
+        pixels = drawing.colours_of(strain, -limit, limit, drawing.SIGNED)
+        diameter = _MILLI * self._rig.layer.diameter
+        nothing, one = np.zeros_like(top), np.ones_like(top)
+        corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
+        scale = np.stack([diameter * one, _MILLI * (top - bottom) / _CELLS, one], axis=1)
+        columns = [
+            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
+            *rr.Transform3D.columns(translation=corner, scale=scale),
+        ]
+        self._canvas.send(f'{self._path}/layer', layer.stamps, columns)
+
+    def change_rig(self, stamp: int, rig: Rig) -> None:
+        """Draw the bodies of a rig, and heights to the left of them."""
+        self._rig = rig
+        diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
+        for name, colour, w, y, h in (
+            ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
+            ('projectile', drawing.BLUE, diameter, -length, length),
+        ):
+            path, pixel = f'{self._path}/{name}/body', np.array([[colour]], np.uint8)
+            self._canvas.picture(path, stamp, pixel, x=-0.5 * w, y=y, w=w, h=h)
+        for name, text, y in (
+            ('plate/text', 'plate', 0.0),
+            ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
+            ('projectile_text', 'projectile', -0.5 * length),
+        ):
+            texts = [drawing.Text(0.95 * diameter, y, text, drawing.WHITE)]
+            self._canvas.texts(f'{self._path}/{name}', stamp, texts)
+        width, low, high = self.bounds
+        ticks = drawing.Axis(0.0, high).ticks(8)
+        x = -0.5 * _PLATE_WIDTH * diameter - 0.03 * width
+        strips = [[(x, 0.0), (x, -ticks[-1])]]
+        strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
+        self._canvas.lines(f'{self._path}/ruler', stamp, strips, drawing.GREY)
+        lift = 0.009 * (high - low)  # texts stand below their places
+        texts = [drawing.Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
+        self._canvas.texts(f'{self._path}/ruler/texts', stamp, texts)
+
+    @property
+    def bounds(self) -> tuple[float, float, float]:
+        """Half the width of the view, and its lowest and highest height. [mm]"""
+        if self._rig is None:
+            return 15.0, -5.0, 60.0
+        diameter = _MILLI * self._rig.layer.diameter
+        content = _MILLI * (self._rig.layer.thickness + self._rig.projectile.length)
+        return 1.25 * diameter, -0.4 * diameter, 1.35 * content + 0.8 * diameter
+
+    def view(self) -> rrb.Spatial2DView:
+        """Make the view."""
+        half, low, high = self.bounds
+        bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
+        return rrb.Spatial2DView(origin=self._path, name='Rig, z (mm)', visual_bounds=bounds)
 
 
 # what is said of a throw and of a layer: key, title, and factor from SI units
@@ -640,7 +617,7 @@ def _throw_text(values: Mapping[str, float | str]) -> str:
     return text
 
 
-def _recommendation_text(summary: RecommendationSummary) -> str:
+def _recommendation_text(summary: series.RecommendationSummary) -> str:
     """Write what layer is recommended, beside that which is there."""
     values = summary.values
     if 'now.thickness' not in values:

@@ -312,11 +312,12 @@ class RecommendationSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class RigChange:
-    """The rig and all settings of the twin, from some time on."""
+    """The rig and all settings, from some time on; `time_scale` is as in `ThrowStart`."""
 
     stamp: int
     rig: Rig
     settings: Settings
+    time_scale: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -517,7 +518,7 @@ class _TwinDecoder:
         self._rig, self._settings = rig, settings
         self._wanted = {**settings, **_known(entry.get('pending', {}))}
         if is_change:
-            yield RigChange(stamp=stamp, rig=rig, settings=settings)
+            yield RigChange(stamp=stamp, rig=rig, settings=settings, time_scale=self._time_scale)
         if entry['kind'] == 'throw':
             self._number = operator.index(entry.get('throw', 0))
             yield ThrowStart(stamp=stamp, number=self._number, time_scale=self._time_scale)
