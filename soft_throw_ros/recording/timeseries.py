@@ -503,7 +503,7 @@ class _TwinDecoder:
         rig = rig_of(settings)
         is_change = self._rig is None or settings != self._settings
         if entry['kind'] == 'throw':
-            if 'schedule' in entry:
+            if entry.get('schedule'):
                 self._deadline = _deadlines(entry['schedule'])
             due = stamp if self._deadline is None else self._deadline(step)
             onset = entry.get('onset', entry.get('departure'))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.recording.energy_map import compute_energy_map, energy_transfer
 
@@ -56,3 +56,11 @@ def test_map_reaches_to_layers_beyond_those_considered() -> None:
     found = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
     assert (found.thickness[0], found.thickness[-1]) == pytest.approx((1e-3, 0.08))
     assert np.nanmax(found.energy_transfer) > 4.0
+
+
+def test_map_of_what_never_leaves_says_so() -> None:
+    """To find out takes some milliseconds for every layer, so the map is coarse."""
+    found = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
+    assert [mark.text for mark in found.marks] == ['now: no release']
+    assert np.isnan(found.energy_transfer).any()
+    assert found.energy_transfer.size < 160 * 100

@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.timeseries import find_throws
 from soft_throw_ros.recording.viewer import find_viewer, free_port, NoGraphicsError, Viewer
-from soft_throw_ros.twin import journal
 
 rr = pytest.importorskip('rerun')
 
@@ -142,21 +140,6 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
-def test_scene_has_the_energies_of_the_model_at_the_release(twin, recording) -> None:
-    throw = simulate(Rig())
-    release = twin.pace.deadline(500) + throw.ejection_time * 1e9
-    for name, expected, tolerance in (
-        ('plate_work', throw.energies.plate_work, 5e-2),  # by states of a millisecond,
-        ('projectile', throw.energies.projectile, 5e-2),
-        ('layer', throw.energies.layer, 2e-2),  # and by the field of the throw
-        ('total', throw.energies.plate_work, 1e-2),
-    ):
-        times, values = recording.scalars(f'/twin/energy/{name}')
-        here = np.isfinite(values[:, 0])
-        shown = np.interp(release, times[here], values[here, 0])
-        assert shown == pytest.approx(1e3 * expected, rel=tolerance), name
-
-
 def test_energy_of_the_layer_is_shown_in_throws_only_where_its_rows_are_far_apart(
     recording,
 ) -> None:
@@ -258,19 +241,6 @@ def test_map_is_of_the_rig_that_is_recommended_for_before_it_is_thrown_with(tmp_
     times, _ = recording.series('/twin/landscape/mark_texts', 'Points2D:labels')
     later = Recording(record(tmp_path / 'later.rrd', Scene('test'), twin.messages))
     assert later.series('/twin/landscape/mark_texts', 'Points2D:labels')[0].size == times.size
-
-
-def test_map_of_what_never_leaves_says_so_and_is_coarse(twin, tmp_path) -> None:
-    """To find out takes some milliseconds for every layer."""
-    settings = {**TWIN.defaults(), 'projectile.mass': 1.0}
-    line = journal.encode(journal.start_entry(0, settings)).encode() + b'\0'
-    data = b'\0\1\0\0' + len(line).to_bytes(4, 'little') + line
-    messages = [Message(twin.channels['journal'], data, 5, 5)]
-    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
-    (now,) = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
-    assert 'no release' in now
-    pixels = np.array(recording.last('/twin/landscape/picture', 'Image:buffer')[0])
-    assert (pixels.reshape(-1, 3) == 0xB0).all(axis=1).any()
 
 
 def test_words_have_the_numbers(recording) -> None:

@@ -288,17 +288,6 @@ def test_summaries_have_their_numbers_and_logs_their_words(real) -> None:
     assert 'throw 1' in line.text
 
 
-def test_twins_are_kept_apart() -> None:
-    one, two = TwinMessages('/rig1/twin'), TwinMessages('/rig2/twin', layer__thickness=0.01)
-    messages = sorted(one.go(50).messages + two.go(50).messages, key=lambda each: each.log_time)
-    rigs = {
-        node: item.rig.layer.thickness
-        for node, item in Decoder().decode(messages)
-        if isinstance(item, RigChange)
-    }
-    assert rigs == {'/rig1/twin': 0.0168, '/rig2/twin': 0.01}
-
-
 @pytest.mark.parametrize(
     'name', ['joint_states', 'measured_joint_states', 'predicted_joint_states', 'residual']
 )
