@@ -23,7 +23,7 @@ ARGS ?=
 PARALLEL := -n auto --dist loadfile
 
 VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py recording/test_rerun_view.py \
-	commands/test_inspect_bag.py)
+	commands/test_inspect_bag.py commands/test_design_map.py)
 
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
