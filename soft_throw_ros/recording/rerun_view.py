@@ -263,6 +263,9 @@ class _TwinView:
                 self._throw_start = item.stamp
             case series.ThrowSummary():
                 self._write('throw_result', item.stamp, _throw_text(item.values))
+                shown, time = self._canvas.throw, item.values.get('ejection_time')
+                if shown and item.values.get('throw') == shown.number and isinstance(time, float):
+                    self.ejection_time = time
             case series.RecommendationSummary():
                 self._recommendation = item
                 self._write('recommendation', item.stamp, _recommendation_text(item))
@@ -340,8 +343,6 @@ class _TwinView:
         chart.draw_bar(drawing.Axis(-100.0 * limit, 100.0 * limit), drawing.SIGNED, title='ε (%)')
         if time is not None:
             chart.draw_line('ejection', chart.x_at(_MILLI * time), f'tₑ {_MILLI * time:.2f} ms')
-            if self._canvas.throw is not None and field.start == self._canvas.throw.stamp:
-                self.ejection_time = time
         stamps = field.stamps()
         strips = np.zeros((stamps.size, 2, 2), np.float32)
         strips[:, :, 0] = np.linspace(0.0, drawing.WIDTH, stamps.size)[:, None]

@@ -493,35 +493,40 @@ class _TwinDecoder:
                     self._deadline = _deadlines(entry)
                 case 'input' if entry.get('input') == 'parameters':
                     self._wanted = {**self._wanted, **_known(entry['values'])}
-                case 'start' | 'throw':
-                    yield from self._change_rig(entry, self._stamp(message))
+                case 'input' if entry.get('input') == 'reset' and self._wanted:
+                    yield from self._set_rig(self._wanted, self._stamp(message))
+                case 'start':
+                    yield from self._set_rig(_complete(entry), self._stamp(message))
+                case 'throw':
+                    yield from self._start_throw(entry, self._stamp(message))
 
-    def _change_rig(self, entry: journal.Entry, stamp: int) -> Iterator[Item]:
-        """Take over what is said at the start of a session or of a throw."""
-        step = operator.index(entry['step'])
-        settings = {**TWIN.defaults(), **_known(entry['settings'])}
-        rig = rig_of(settings)
-        is_change = self._rig is None or settings != self._settings
-        if entry['kind'] == 'throw':
-            if entry.get('schedule'):
-                self._deadline = _deadlines(entry['schedule'])
-            due = stamp if self._deadline is None else self._deadline(step)
-            onset = entry.get('onset', entry.get('departure'))
-            rest = None
-            if onset is not None:
-                due = operator.index(onset['onset_ns'])
-                rest = onset['plate_rest'], onset['projectile_rest'] or math.nan
-            self._rest, self._ejection_time = rest, None
-            self._start = stamp = due if abs(due - stamp) < _SAME_CLOCK else stamp
-            if self._states is not None:
-                self._states = self._states.since(stamp)
-        self._rig, self._settings = rig, settings
+    def _set_rig(self, settings: Settings, stamp: int) -> Iterator[RigChange]:
+        """Take over settings, with nothing that waits."""
+        is_same = self._rig is not None and settings == self._settings
+        self._rig, self._settings, self._wanted = rig_of(settings), settings, settings
+        if not is_same:
+            scale = self._time_scale
+            yield RigChange(stamp=stamp, rig=self._rig, settings=settings, time_scale=scale)
+
+    def _start_throw(self, entry: journal.Entry, stamp: int) -> Iterator[Item]:
+        """Take over what is said at the start of a throw, and find out when that was."""
+        settings, step = _complete(entry), operator.index(entry['step'])
+        number = operator.index(entry.get('throw', 0))
+        if entry.get('schedule'):
+            self._deadline = _deadlines(entry['schedule'])
+        due = stamp if self._deadline is None else self._deadline(step)
+        onset = entry.get('onset', entry.get('departure'))
+        self._rest = None
+        if onset is not None:
+            due = operator.index(onset['onset_ns'])
+            self._rest = onset['plate_rest'], onset['projectile_rest'] or math.nan
+        stamp = due if abs(due - stamp) < _SAME_CLOCK else stamp
+        if self._states is not None:
+            self._states = self._states.since(stamp)
+        self._number, self._start, self._ejection_time = number, stamp, None
+        yield from self._set_rig(settings, stamp)
         self._wanted = {**settings, **_known(entry.get('pending', {}))}
-        if is_change:
-            yield RigChange(stamp=stamp, rig=rig, settings=settings, time_scale=self._time_scale)
-        if entry['kind'] == 'throw':
-            self._number = operator.index(entry.get('throw', 0))
-            yield ThrowStart(stamp=stamp, number=self._number, time_scale=self._time_scale)
+        yield ThrowStart(stamp=stamp, number=number, time_scale=self._time_scale)
 
     # plate and projectile
 
@@ -790,6 +795,11 @@ def _deadlines(values: Mapping[str, Any]) -> Callable[[int], int]:
     if not 0.0 < rate < math.inf:
         raise ValueError(f'a schedule has a rate, got {rate!r}')
     return lambda other: time + round((other - step) * SECOND / rate)
+
+
+def _complete(entry: journal.Entry) -> Settings:
+    """Return the settings of an entry, and defaults for what it does not have."""
+    return {**TWIN.defaults(), **_known(entry['settings'])}
 
 
 def _known(settings: Mapping[str, Any]) -> dict[str, Any]:

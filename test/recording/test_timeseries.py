@@ -278,6 +278,15 @@ def test_rig_changes_with_a_throw_and_recommendations_are_for_what_is_wanted() -
     assert layers
 
 
+def test_rig_changes_with_a_reset() -> None:
+    twin = TwinMessages(throw__period=0).go(50)
+    twin.change(layer__thickness=0.01)
+    assert len(items(twin.messages, RigChange)) == 1
+    twin.session.reset()
+    changes = items(twin.go(50).messages, RigChange)
+    assert [change.rig.layer.thickness for change in changes] == [0.0168, 0.01]
+
+
 def test_summaries_have_their_numbers_and_logs_their_words(real) -> None:
     summary = items(real.messages, ThrowSummary)[0]
     assert (summary.values['stage'], summary.stamp) == ('release', real.pace.deadline(0))
