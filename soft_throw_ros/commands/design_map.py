@@ -37,7 +37,7 @@ from soft_throw_ros.recording.viewer import has_display, HOST, listens, Viewer, 
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from soft_throw_ros.recording import rerun_scene
+    from soft_throw_ros.recording import rerun_canvas
 
 _POINTS = 256
 
@@ -361,13 +361,13 @@ def record(landscape: Landscape, path: Path) -> None:
         If the file cannot be written.
 
     """
-    from soft_throw_ros.recording import rerun_scene
+    from soft_throw_ros.recording import rerun_canvas
 
     with atomic_file(path) as unfinished:
-        stream = rerun_scene.new_stream()
-        rerun_scene.save_to(stream, unfinished, is_live=False)
+        stream = rerun_canvas.new_stream()
+        rerun_canvas.save_to(stream, unfinished, is_live=False)
         _send(landscape, stream)
-        is_written = rerun_scene.flush(stream, math.inf)
+        is_written = rerun_canvas.flush(stream, math.inf)
         stream.disconnect()
         if not is_written:
             raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
@@ -375,15 +375,15 @@ def record(landscape: Landscape, path: Path) -> None:
 
 def _view(landscape: Landscape) -> None:
     """Show a landscape in the viewer that is there, or in one that stays."""
-    from soft_throw_ros.recording import rerun_scene
+    from soft_throw_ros.recording import rerun_canvas
 
     try:
         if not listens(PORT):
-            Viewer(PORT, '--hide-welcome-screen', '--expect-data-soon')
-        stream = rerun_scene.new_stream()
-        rerun_scene.connect_to(stream, PORT)
+            Viewer(PORT, '--hide-welcome-screen', '--expect-data-soon', stays=True)
+        stream = rerun_canvas.new_stream()
+        rerun_canvas.connect_to(stream, PORT)
         _send(landscape, stream)
-        is_shown = rerun_scene.flush(stream, _SHOW_TIME)
+        is_shown = rerun_canvas.flush(stream, _SHOW_TIME)
         stream.disconnect()
     except ViewerError as error:
         raise OutputError(f'--rerun: {error}') from None
@@ -393,14 +393,14 @@ def _view(landscape: Landscape) -> None:
 
 def _send(landscape: Landscape, stream: Any) -> None:
     """Draw a landscape into a recording of Rerun."""
-    from soft_throw_ros.recording import rerun_scene
+    from soft_throw_ros.recording import rerun_canvas
 
-    rerun_scene.draw_landscape(
+    rerun_canvas.draw_landscape(
         stream,
         name=str(landscape.attributes['title']),
         axes=(_map_axis(landscape.axes[0]), _map_axis(landscape.axes[1])),
         panels=[
-            rerun_scene.MapPanel(
+            rerun_canvas.MapPanel(
                 name=name,
                 title=RESULTS[name].meaning,
                 symbol=_PLAIN[name],
@@ -416,13 +416,13 @@ def _send(landscape: Landscape, stream: Any) -> None:
     )
 
 
-def _map_axis(axis: Axis) -> rerun_scene.MapAxis:
-    from soft_throw_ros.recording import rerun_scene
+def _map_axis(axis: Axis) -> rerun_canvas.MapAxis:
+    from soft_throw_ros.recording import rerun_canvas
 
     unit, factor = _SHOWN.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
     symbol = _PLAIN.get(axis.name, axis.name)
     title = f'{symbol} ({unit})' if unit else symbol
-    return rerun_scene.MapAxis(title=title, values=factor * axis.values)
+    return rerun_canvas.MapAxis(title=title, values=factor * axis.values)
 
 
 def _highest(landscape: Landscape, name: str) -> float | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 import contextlib
 import itertools
 import math
@@ -28,25 +27,26 @@ import time
 from types import FrameType
 from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
 
-import numpy as np
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.travelling_wave import first_releases
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
-from soft_throw_ros.recording.digest import Floats, is_shown
 from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.timeseries import find_throws, is_shown, tells_throws, ThrowStart
 from soft_throw_ros.recording.viewer import (
     connect,
+    free_port,
+    go_to,
     has_display,
     is_open,
     listens,
+    url_of,
     Viewer,
     ViewerError,
 )
 
 if TYPE_CHECKING:
-    from soft_throw_ros.recording import rerun_scene
+    import rerun as rr
+    from soft_throw_ros.recording.rerun_view import Scene
 
-PERIOD = 1.0 / 30.0
+LIVE_PERIOD = 1.0 / 30.0
 """How often what has come is shown. [s]"""
 
 FILE_PERIOD = 0.5
@@ -58,26 +58,25 @@ PROBE_TIME = 1.0
 EXIT_TIME = 0.7
 """After its input, or a signal, the process ends within this time. [s]"""
 
-PATIENCE = 3.0
+SLOW_NOTICE_TIME = 3.0
 """After this it is said why it takes so long. [s]"""
 
 _BATCH = 5000
 """Messages of a bag that are drawn at once."""
 
-_WAITING = 20_000
+_MOST_WAITING = 20_000
 """Messages that may wait to be shown; then no more are read, and it is for the sender to drop."""
 
-_BREATH = 2e-3  # [s]
+_FINAL_PAUSE = 2e-3
+"""Between looks at the input once the end is near. [s]"""
 
-_INSTALL = "inspect needs Rerun: pip install 'soft_throw_ros[rerun]'"
+
+_WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
+"""Options of a viewer with a window."""
 
 
 class InspectError(Exception):
-    """It cannot be done; the message says why, and `code` is the exit code."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
+    """It cannot be done as asked; the message says why."""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -106,12 +105,20 @@ def main(args: list[str] | None = None) -> int:
     try:
         if arguments.bag == '-':
             with _Watchdog(code=0, is_gentle=True) as watchdog:
-                _show_stream(_import_scene(), arguments, watchdog)
+                _show_stream(arguments, watchdog)
         with _Watchdog(code=130):
-            return _show_bag(_import_scene(), arguments)
-    except InspectError as error:
+            return _show_bag(arguments)
+    except ModuleNotFoundError as error:
+        if (error.name or '').partition('.')[0] not in ('rerun', 'rerun_bindings', 'pyarrow'):
+            raise
+        _say("inspect needs Rerun: pip install 'soft_throw_ros[rerun]'")
+        return 1
+    except ViewerError as error:
         _say(str(error))
-        return error.code
+        return 1
+    except (BagError, InspectError) as error:
+        _say(str(error))
+        return 2
     except KeyboardInterrupt:
         return 130
 
@@ -129,6 +136,16 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
         '--size', metavar='WxH', type=_size, default=(1600, 1000), help='of it (default 1600x1000)'
     )
     parser.add_argument(
+        '--throw', metavar='N', type=int, help='show this throw (default the last whole one)'
+    )
+    parser.add_argument(
+        '--at',
+        metavar='TIME',
+        type=_time,
+        help='show it at this time of the rig since the throw started, in seconds '
+        '(default in the contact)',
+    )
+    parser.add_argument(
         '--sink',
         choices=('viewer', 'serve'),
         default='viewer',
@@ -140,8 +157,9 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
     arguments = parser.parse_args(args)
     if arguments.save and arguments.screenshot:
         parser.error('argument --screenshot: not allowed with argument --save')
-    if arguments.bag == '-' and arguments.screenshot:
-        parser.error('argument --screenshot: needs a bag, not a stream')
+    for option in ('screenshot', 'throw', 'at'):
+        if arguments.bag == '-' and getattr(arguments, option) is not None:
+            parser.error(f'argument --{option}: needs a bag, not a stream')
     for path in (arguments.save, arguments.screenshot):
         if path is not None and not path.absolute().parent.is_dir():
             parser.error(f'{path}: there is no folder {path.parent}')
@@ -164,198 +182,173 @@ def _port(text: str) -> int:
     return int(text)
 
 
-def _import_scene() -> Any:
-    """Import what needs Rerun, or say how to get it."""
+def _time(text: str) -> float:
     try:
-        from soft_throw_ros.recording import rerun_scene
-    except ModuleNotFoundError as error:
-        if (error.name or '').partition('.')[0] not in ('rerun', 'rerun_bindings', 'pyarrow'):
-            raise
-        raise InspectError(_INSTALL, 1) from None
-    return rerun_scene
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not abs(seconds) <= 1e6:
+        raise argparse.ArgumentTypeError(f'must be a number of seconds, got {text!r}')
+    return seconds
 
 
-def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
-    """
-    Compute alpha of a rig with other layers, without loss.
-
-    Parameters
-    ----------
-    rig : Rig
-        All but thickness and wave speed of the layer stay.
-    thickness, wave_speed : ndarray
-        Broadcast against each other. [m], [m/s]
-
-    Returns
-    -------
-    ndarray
-        NaN where it cannot be told, or the projectile does not leave. [-]
-
-    """
-    layer_mass = rig.layer.density * rig.layer.section * thickness
-    releases = first_releases(
-        mass_ratio=rig.projectile.mass / layer_mass,
-        speed_ratio=wave_speed / (thickness * rig.engine.frequency),
-        damping_ratio=rig.engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
-        unresolved='nan',
-    )
-    return np.asarray(releases.energy_transfer)
+# bags
 
 
-def _show_bag(module: Any, arguments: argparse.Namespace) -> int:
-    try:
-        with BagReader(arguments.bag) as reader:
-            _check_bag(reader)
-            with ThreadPoolExecutor(1) as pool:
-                use = 'picture' if arguments.screenshot else 'bag'
-                name = reader.path.name
-                scene = module.Scene(energy_transfer, pool, name=name, use=use)
-                return _BagShow(module, scene, reader, arguments).run()
-    except BagError as error:
-        raise InspectError(str(error), 2) from None
-    except ViewerError as error:
-        raise InspectError(str(error), 1) from None
+def _show_bag(arguments: argparse.Namespace) -> int:
+    """Show a bag in one of four ways; return the exit code."""
+    from soft_throw_ros.recording import rerun_canvas
+    from soft_throw_ros.recording.rerun_view import Scene
 
-
-def _check_bag(reader: BagReader) -> None:
-    if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
-        topics = ', '.join(channel.topic for channel in reader.channels)
-        raise InspectError(f'{reader.path}: nothing in it is of a twin, topics: {topics}', 2)
-
-
-class _BagShow:
-    """A bag, and where it is shown."""
-
-    def __init__(
-        self,
-        module: Any,
-        scene: rerun_scene.Scene,
-        reader: BagReader,
-        arguments: argparse.Namespace,
-    ) -> None:
-        self._module = module
-        self._scene = scene
-        self._reader = reader
-        self._arguments = arguments
-        self._stream = module.new_stream()
-
-    def run(self) -> int:
-        """Show it; return the exit code."""
-        arguments = self._arguments
+    with BagReader(arguments.bag) as reader:
+        if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
+            topics = ', '.join(channel.topic for channel in reader.channels)
+            raise InspectError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
+        throw = _choose_throw(reader, arguments.throw)
+        scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
+        stream = rerun_canvas.new_stream()
         if arguments.save:
-            self._save(arguments.save)
+            _save_bag(stream, scene, reader, arguments.save)
         elif arguments.screenshot:
             with tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                self._save(recording)
-                picture = self._module.photograph(
-                    recording, size=arguments.size, moment=self._scene.moment
-                )
-            _write(arguments.screenshot, picture)
+                _save_bag(stream, scene, reader, recording)
+                size = '{}x{}'.format(*arguments.size)
+                options = ('--headless', '--window-size', size, recording)
+                with Viewer(free_port(), *options) as viewer:
+                    cursor = _cursor(scene, arguments)
+                    picture = viewer.photograph(rerun_canvas.THROW_TIME, cursor)
+            try:
+                arguments.screenshot.write_bytes(picture)
+            except OSError as error:
+                raise InspectError(f'{arguments.screenshot}: {error.strerror}') from None
         elif arguments.sink == 'serve':
-            _serve(self._module, self._stream, arguments.port)
-            self._draw()
+            _serve(stream, arguments.port)
+            _draw(scene, stream, reader)
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     signal.pause()
         else:
-            self._show(arguments.port)
-        return 0
-
-    def _save(self, path: Path) -> None:
-        _save(self._module, self._stream, path, is_live=False)
-        self._draw()
-        is_written = self._module.flush(self._stream, math.inf)
-        self._stream.disconnect()
-        if not is_written:
-            raise InspectError(f'{path}: it could not be written', 2)
-
-    def _show(self, port: int) -> None:
-        """Show it in the viewer that is there, or in one that stays."""
-        if not listens(port):
-            if not has_display():
-                raise InspectError(
-                    'there is no screen for a window; use --save FILE.rrd or --screenshot '
-                    f'FILE.png, or start a viewer that listens at 127.0.0.1:{port}',
-                    1,
-                )
-            Viewer(port, '--hide-welcome-screen', '--expect-data-soon')
-        connection = connect(port)
-        if connection is None:
-            raise InspectError(f'nobody listens at 127.0.0.1:{port} any more', 1)
-        with connection:
-            self._module.connect_to(self._stream, port)
-            self._draw()
-            while not self._module.flush(self._stream, PROBE_TIME):
-                if not is_open(connection):
-                    raise InspectError('the viewer was closed before it had everything', 1)
-        if self._scene.moment is not None:
-            self._module.go_to(self._stream, port, self._scene.moment)
-        self._stream.disconnect()
-
-    def _draw(self) -> None:
-        """Draw the whole bag, and say what of it could not be read."""
-        scene, path = self._scene, self._reader.path
-        scene.connect(self._stream)
-        with _notice():
-            for batch in _batches(self._reader.messages()):
-                scene.show(batch)
-            scene.finish(is_waiting=True)
-        if scene.is_empty:
-            raise InspectError(f'{path}: nothing of a twin could be read{_damage(scene)}', 2)
-        if self._reader.damage:
-            _say(f'{self._reader.damage}; what there is is shown')
-        if scene.digest.damaged:
-            _say(f'{path}: {scene.digest.damaged} messages are left out{_damage(scene)}')
+            _send_bag(stream, scene, reader, arguments)
+    return 0
 
 
-def _batches(messages: Iterator[Message]) -> Iterator[list[Message]]:
-    while batch := list(itertools.islice(messages, _BATCH)):
-        yield batch
+def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
+    """Find the throw to show; None if the bag has none, and none is asked for."""
+    topics = [each.topic for each in reader.channels if tells_throws(each.topic, each.type)]
+    found = find_throws(reader.messages(topics)) if topics else {}
+    throws = next((throws for throws in found.values() if throws), [])  # of the view in front
+    chosen = [throw for throw in throws if number in (None, throw.number)]
+    if number is not None and not chosen:
+        known = f'{throws[0].number} to {throws[-1].number}' if throws else 'none'
+        raise InspectError(f'{reader.path}: it has no throw {number}, of throws {known}')
+    whole = [throw for throw in chosen if throw.has_field] or chosen
+    return whole[-1] if whole else None
 
 
-def _damage(scene: rerun_scene.Scene) -> str:
-    return f', {scene.digest.damage}' if scene.digest.damage else ''
+def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
+    """Draw a whole bag, and say what of it could not be read."""
+    scene.connect(stream)
+    with _slow_notice():
+        messages = reader.messages()
+        while batch := list(itertools.islice(messages, _BATCH)):
+            scene.show(batch)
+        scene.finish(is_waiting=True)
+    decoder, path = scene.decoder, reader.path
+    damage = f', {decoder.damage}' if decoder.damage else ''
+    if scene.is_empty:
+        raise InspectError(f'{path}: nothing of a twin could be read{damage}')
+    if reader.damage:
+        _say(f'{reader.damage}; what there is is shown')
+    if decoder.damaged:
+        _say(f'{path}: {decoder.damaged} messages are left out{damage}')
 
 
-def _save(module: Any, stream: Any, path: Path, *, is_live: bool) -> None:
+def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:
+    """Return when in the throw the cursor is, in time of the rig; None without a throw. [s]"""
+    at: float | None = arguments.at
+    return scene.moment if scene.moment is None or at is None else at
+
+
+def _save_bag(stream: rr.RecordingStream, scene: Scene, reader: BagReader, path: Path) -> None:
+    from soft_throw_ros.recording import rerun_canvas
+
+    _save(stream, path, is_live=False)
+    _draw(scene, stream, reader)
+    is_written = rerun_canvas.flush(stream, math.inf)
+    stream.disconnect()
+    if not is_written:
+        raise InspectError(f'{path}: it could not be written')
+
+
+def _send_bag(
+    stream: rr.RecordingStream, scene: Scene, reader: BagReader, arguments: argparse.Namespace
+) -> None:
+    """Show a bag in the viewer that is there, or in one that stays."""
+    from soft_throw_ros.recording import rerun_canvas
+
+    port = arguments.port
+    if not listens(port):
+        if not has_display():
+            raise ViewerError(
+                'there is no screen for a window; use --save FILE.rrd or --screenshot '
+                f'FILE.png, or start a viewer that listens at 127.0.0.1:{port}'
+            )
+        Viewer(port, *_WINDOW, stays=True)
+    connection = connect(port)
+    if connection is None:
+        raise ViewerError(f'nobody listens at 127.0.0.1:{port} any more')
+    with connection:
+        rerun_canvas.connect_to(stream, port)
+        _draw(scene, stream, reader)
+        while not rerun_canvas.flush(stream, PROBE_TIME):
+            if not is_open(connection):
+                raise ViewerError('the viewer was closed before it had everything')
+    cursor = _cursor(scene, arguments)
+    if cursor is not None:
+        recording = f'Recording:{rerun_canvas.APPLICATION}:{stream.get_recording_id()}'
+        go_to(port, recording, rerun_canvas.THROW_TIME, cursor)
+    stream.disconnect()
+
+
+def _save(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+    from soft_throw_ros.recording import rerun_canvas
+
     try:
-        module.save_to(stream, path, is_live=is_live)
+        rerun_canvas.save_to(stream, path, is_live=is_live)
     except OSError as error:
-        raise InspectError(f'{path}: {error}', 2) from None
+        raise InspectError(f'{path}: {error}') from None
 
 
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise InspectError(f'{path}: {error.strerror}', 2) from None
+def _serve(stream: rr.RecordingStream, port: int) -> None:
+    from soft_throw_ros.recording import rerun_canvas
 
-
-def _serve(module: Any, stream: Any, port: int) -> None:
     if listens(port):
-        raise InspectError(f'somebody listens at 127.0.0.1:{port} already; take another --port', 2)
-    module.serve_at(stream, port)
-    _say(f'to see it: rerun rerun+http://127.0.0.1:{port}/proxy')
+        raise InspectError(f'somebody listens at 127.0.0.1:{port} already; take another --port')
+    rerun_canvas.serve_at(stream, port)
+    _say(f'to see it: rerun {url_of(port)}')
 
 
-def _show_stream(module: Any, arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn:
+# streams
+
+
+def _show_stream(arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn:
     """Show what comes; the process ends here, since Rerun might wait for a viewer that hangs."""
-    pool = ThreadPoolExecutor(1)
-    scene = module.Scene(energy_transfer, pool, name='live', use='live')
-    stream = module.new_stream()
+    from soft_throw_ros.recording import rerun_canvas
+    from soft_throw_ros.recording.rerun_view import Scene
+
+    scene, stream = Scene('live', is_live=True), rerun_canvas.new_stream()
     viewer = None
-    if arguments.save:
-        _save(module, stream, arguments.save, is_live=True)
+    if not arguments.save:
+        watchdog.watch_pipe(sys.stdin.buffer.fileno())
+    if arguments.save or arguments.sink == 'serve':
+        if arguments.save:
+            _save(stream, arguments.save, is_live=True)
+        else:
+            _serve(stream, arguments.port)
         scene.connect(stream)
     else:
-        watchdog.follow(sys.stdin.buffer.fileno())
-        if arguments.sink == 'serve':
-            _serve(module, stream, arguments.port)
-            scene.connect(stream)
-        else:
-            viewer = _Viewer(module, scene, stream, arguments.port)
+        viewer = _ViewerConnection(scene, stream, arguments.port)
     inbox = _Inbox(sys.stdin.buffer)
     while not watchdog.is_told_to_end:
         if viewer is not None:
@@ -363,14 +356,14 @@ def _show_stream(module: Any, arguments: argparse.Namespace, watchdog: _Watchdog
         scene.show(inbox.take())
         if inbox.is_over:
             break
-        watchdog.wait(FILE_PERIOD if arguments.save else PERIOD)
+        watchdog.wait(FILE_PERIOD if arguments.save else LIVE_PERIOD)
     watchdog.count_down()
-    if inbox.trouble:
-        _say(inbox.trouble)
+    if inbox.error:
+        _say(inbox.error)
     scene.finish(is_waiting=False)
-    if module.flush(stream, EXIT_TIME):
+    if rerun_canvas.flush(stream, EXIT_TIME):
         stream.disconnect()
-    os._exit(2 if inbox.trouble and scene.is_empty else 0)
+    os._exit(2 if inbox.error and scene.is_empty else 0)
 
 
 class _Inbox:
@@ -378,9 +371,9 @@ class _Inbox:
 
     def __init__(self, stream: BinaryIO) -> None:
         self.is_over = False
-        self.trouble = ''
+        self.error = ''
         self._stream = stream
-        self._messages: queue.Queue[Message | None] = queue.Queue(_WAITING)
+        self._messages: queue.Queue[Message | None] = queue.Queue(_MOST_WAITING)
         threading.Thread(target=self._run, name='reader', daemon=True).start()
 
     def take(self) -> list[Message]:
@@ -400,20 +393,19 @@ class _Inbox:
                 if isinstance(item, Message):
                     self._messages.put(item)
         except BagError as error:
-            self.trouble = str(error)
+            self.error = str(error)
         self._messages.put(None)
 
 
-class _Viewer:
-    """A viewer that comes and goes."""
+class _ViewerConnection:
+    """A stream to a viewer that comes and goes."""
 
-    def __init__(self, module: Any, scene: rerun_scene.Scene, stream: Any, port: int) -> None:
-        self._module = module
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, port: int) -> None:
         self._scene = scene
         self._stream = stream
         self._port = port
         self._connection: socket.socket | None = None
-        self._next_time = -1.0
+        self._next_probe = -math.inf
         if listens(port):
             return
         if has_display():
@@ -423,12 +415,14 @@ class _Viewer:
 
     def _start(self) -> None:
         try:
-            Viewer(self._port, '--hide-welcome-screen', '--expect-data-soon')
+            Viewer(self._port, *_WINDOW, stays=True)
         except ViewerError as error:
             _say(str(error))
 
     def check(self) -> None:
         """Notice that it has gone or come, and show it what is there already."""
+        from soft_throw_ros.recording import rerun_canvas
+
         if self._connection is not None:
             if is_open(self._connection):
                 return
@@ -436,12 +430,12 @@ class _Viewer:
             self._connection = None
             self._scene.connect(None)
             _say(f'the viewer at 127.0.0.1:{self._port} has gone; waiting for one')
-        if time.monotonic() < self._next_time:
+        if time.monotonic() < self._next_probe:
             return
-        self._next_time = time.monotonic() + PROBE_TIME
+        self._next_probe = time.monotonic() + PROBE_TIME
         self._connection = connect(self._port)
         if self._connection is not None:
-            self._module.connect_to(self._stream, self._port)
+            rerun_canvas.connect_to(self._stream, self._port)
             self._scene.connect(self._stream)
             _say(f'connected to the viewer at 127.0.0.1:{self._port}')
 
@@ -472,7 +466,7 @@ class _Watchdog:
         self.is_told_to_end = False
         self._code = code
         self._is_gentle = is_gentle
-        self._has_ended = threading.Event()
+        self._is_ending = threading.Event()
         self._is_closed = threading.Event()
 
     def __enter__(self) -> _Watchdog:
@@ -497,23 +491,23 @@ class _Watchdog:
         for end in self._pipe:
             os.close(end)
 
-    def follow(self, source: int) -> None:
+    def watch_pipe(self, source: int) -> None:
         """Begin to count down when the other end of a pipe is closed."""
-        threading.Thread(target=self._follow, args=(source,), name='follow', daemon=True).start()
+        threading.Thread(target=self._await_end, args=(source,), name='input', daemon=True).start()
 
     def count_down(self) -> None:
         """End the process in bounded time, whatever is still to be done."""
         os.write(self._pipe[1], b'.')
 
     def wait(self, seconds: float) -> None:
-        """Sleep, or only take breath once the end is near."""
-        if self._has_ended.wait(seconds):
-            time.sleep(_BREATH)
+        """Sleep, or only for a moment once the end is near."""
+        if self._is_ending.wait(seconds):
+            time.sleep(_FINAL_PAUSE)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.is_told_to_end = True
 
-    def _follow(self, source: int) -> None:
+    def _await_end(self, source: int) -> None:
         poll = select.poll()
         poll.register(source, 0)  # which is told all the same when the other end is closed
         poll.poll()
@@ -521,16 +515,16 @@ class _Watchdog:
 
     def _run(self) -> None:
         os.read(self._pipe[0], 1)
-        self._has_ended.set()
+        self._is_ending.set()
         if not self._is_closed.wait(EXIT_TIME):
             os._exit(self._code)
 
 
 @contextlib.contextmanager
-def _notice() -> Iterator[None]:
+def _slow_notice() -> Iterator[None]:
     """Say why it takes so long if it does."""
     text = 'reading; for the first time this takes half a minute longer, for compiling'
-    notice = threading.Timer(PATIENCE, _say, (text,))
+    notice = threading.Timer(SLOW_NOTICE_TIME, _say, (text,))
     notice.daemon = True
     notice.start()
     try:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer of Rerun as a process: found, started on this machine only, and watched."""
+"""The viewer of Rerun: found, started on this machine only, watched, and told what to show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import contextlib
 from importlib import util
 import json
@@ -16,13 +16,28 @@ import subprocess
 import sys
 import tempfile
 import time
+from typing import NoReturn, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
 
 HOST = '127.0.0.1'
 
 START_TIME = 20.0
 """Longest wait for a viewer to listen. [s]"""
 
+_ANSWER_TIME = 30.0
+"""Longest wait for it to load a recording. [s]"""
+
+_END_TIME = 5.0
+"""Longest wait for a viewer that no longer answers to end. [s]"""
+
 _POLL = 0.05  # [s]
+
+_FRAME_PAUSE = 0.25
+"""Between pictures that are compared. [s]"""
+
+_MOST_PICTURES = 40
 
 _CONNECT_TIME = 0.2  # [s]
 
@@ -31,9 +46,23 @@ _MEMORY = ('--memory-limit', '2GB', '--server-memory-limit', '256MB')
 _NO_GRAPHICS = ('render context', 'adapter')
 """In what a viewer says last if it finds no Vulkan."""
 
+_CLIENT_ERRORS = (RuntimeError, OSError)
+"""Of a viewer that is gone, or too slow: OSError is ConnectionError and TimeoutError."""
+
+_END_WITH_PARENT = (
+    'import ctypes, os, sys; '
+    'ctypes.CDLL(None).prctl(1, 9, 0, 0, 0); '  # PR_SET_PDEATHSIG, SIGKILL
+    'os.getppid() == int(sys.argv[1]) and os.execv(sys.argv[2], sys.argv[2:])'
+)
+"""What becomes the program, and is killed by the kernel however its parent ends."""
+
 
 class ViewerError(RuntimeError):
     """The viewer cannot be used; the message says why, and what would help."""
+
+
+class NoGraphicsError(ViewerError):
+    """The viewer finds nothing to draw with, which a machine without Vulkan lacks."""
 
 
 def find_viewer() -> Path:
@@ -60,6 +89,11 @@ def find_viewer() -> Path:
 def has_display() -> bool:
     """Tell whether a window could be opened."""
     return any(os.environ.get(name) for name in ('WAYLAND_DISPLAY', 'WAYLAND_SOCKET', 'DISPLAY'))
+
+
+def url_of(port: int) -> str:
+    """Return where a viewer that listens on a port is found."""
+    return f'rerun+http://{HOST}:{port}/proxy'
 
 
 def connect(port: int) -> socket.socket | None:
@@ -110,6 +144,8 @@ class Viewer:
         Where it is to listen.
     *options : str or path_like
         Of the program.
+    stays : bool
+        Whether it is there for a user, and stays when this process ends.
 
     Raises
     ------
@@ -118,8 +154,11 @@ class Viewer:
 
     """
 
-    def __init__(self, port: int, *options: str | Path) -> None:
+    def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
         command = [find_viewer(), '--bind', HOST, '--port', str(port), *_MEMORY, *options]
+        if not stays:
+            parent = str(os.getpid())
+            command = [sys.executable, '-I', '-S', '-c', _END_WITH_PARENT, parent, *command]
         self.port = port
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115
         with _without_statistics() as environment:
@@ -145,19 +184,55 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         self.end()
 
+    @property
+    def pid(self) -> int:
+        """Number of the process, and of its group."""
+        return self._process.pid
+
     def check(self) -> None:
         """Raise ViewerError if it has ended."""
-        if self._process.poll() is None:
-            return
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors='replace').strip().splitlines()
-        self.end()
-        if any(word in line for line in lines for word in _NO_GRAPHICS):
-            raise ViewerError(
-                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
-                'mesa-vulkan-drivers libvulkan1` brings what it needs'
-            )
-        raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
+        if self._process.poll() is not None:
+            self._raise_reason()
+
+    def client(self) -> ViewerClient:
+        """
+        Return a client, once the viewer has drawn something.
+
+        Raises
+        ------
+        ViewerError
+            If it does not draw; NoGraphicsError if that is because it finds no graphics.
+
+        """
+        from rerun.experimental import ViewerClient
+
+        with self._explained_errors():
+            client = ViewerClient.connect(url_of(self.port))
+            client.take_screenshot(max_size=64)  # it answers other questions before it draws
+        return client
+
+    def photograph(self, timeline: str, seconds: float | None) -> bytes:
+        """
+        Return what it shows at a time since the origin of a timeline, as PNG. [s]
+
+        Raises
+        ------
+        ViewerError
+            If it does not draw.
+
+        """
+        client = self.client()
+        with self._explained_errors():
+            _wait_for(lambda: _has_loaded(client))
+            if seconds is not None:
+                client.set_time(timeline, duration=seconds, play_state='paused')
+            picture = b''
+            for _ in range(_MOST_PICTURES):  # until nothing moves any more, as axes do for a while
+                before, picture = picture, client.take_screenshot()
+                if picture == before:
+                    break
+                time.sleep(_FRAME_PAUSE)
+            return picture
 
     def end(self) -> None:
         """End it."""
@@ -165,6 +240,56 @@ class Viewer:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._errors.close()
+
+    @contextlib.contextmanager
+    def _explained_errors(self) -> Iterator[None]:
+        """Raise ViewerError for errors of its client, with the reason if the viewer gives one."""
+        try:
+            yield
+        except _CLIENT_ERRORS as error:
+            # without graphics it closes its connections a moment before it ends
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_END_TIME)
+                self._raise_reason()
+            raise ViewerError(f'the viewer does not draw: {error}') from None
+
+    def _raise_reason(self) -> NoReturn:
+        """Raise ViewerError for a viewer that has ended, from what it said last."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors='replace').strip().splitlines()
+        self.end()
+        if any(word in line for line in lines for word in _NO_GRAPHICS):
+            raise NoGraphicsError(
+                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
+                'mesa-vulkan-drivers libvulkan1` brings what it needs'
+            )
+        raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
+
+
+def go_to(port: int, recording: str, timeline: str, seconds: float) -> None:
+    """Have a viewer show a time of a recording that was sent to it, if it can do that. [s]"""
+    from rerun.experimental import ViewerClient
+
+    with contextlib.suppress(*_CLIENT_ERRORS):
+        client = ViewerClient.connect(url_of(port))
+        _wait_for(
+            lambda: any(each.store_id == recording for each in client.get_state().recordings)
+        )
+        client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
+
+
+def _has_loaded(client: ViewerClient) -> bool:
+    state = client.get_state()
+    return bool(state.recordings and state.views and not state.loading)
+
+
+def _wait_for(is_so: Callable[[], bool]) -> None:
+    """Ask until it is so."""
+    deadline = time.monotonic() + _ANSWER_TIME
+    while not is_so():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f'not within {_ANSWER_TIME:g} s')
+        time.sleep(_FRAME_PAUSE)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ import pytest
 from soft_throw_ros.commands import design_map
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import compute_landscape
-from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
+from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,16 +118,15 @@ def test_recording_has_the_values_and_the_marks(task, tmp_path):
 
 
 def test_map_is_sent_to_the_viewer_that_is_there(task, monkeypatch):
-    experimental = pytest.importorskip('rerun.experimental', reason='comes with [rerun]')
+    pytest.importorskip('rerun', reason='comes with [rerun]')
     port = free_port()
     monkeypatch.setattr(design_map, 'PORT', port)
-    try:
-        viewer = Viewer(port, '--headless')
-    except ViewerError as error:
-        pytest.skip(str(error))
-    with viewer:
+    with Viewer(port, '--headless') as viewer:
+        try:
+            client = viewer.client()
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
         assert 'largest alpha' in task.run(*SMALL, '--rerun')
-        client = experimental.ViewerClient.connect(f'rerun+http://127.0.0.1:{port}/proxy')
         deadline = time.monotonic() + 30.0
         while not client.get_state().recordings:
             assert time.monotonic() < deadline

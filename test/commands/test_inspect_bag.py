@@ -18,21 +18,19 @@ import warnings
 
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
-import numpy as np
 import pytest
 from soft_throw_ros import recording
 from soft_throw_ros.commands import inspect_bag
-from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.viewer import free_port, Viewer, ViewerError
+from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, url_of, Viewer
 
 pytest.importorskip('rerun')
 
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
+from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,14 +38,16 @@ TwinMessages: Any = runpy.run_path(str(ROOT / 'test' / 'recording' / 'twin_messa
     'TwinMessages'
 ]
 
-PATIENCE = 60.0
+INSPECT = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
+
+TIMEOUT = 60.0
 """Longest wait for another process; reached only when something is wrong. [s]"""
 
 
 @pytest.fixture(scope='module')
 def twin() -> Any:
-    """A throw and a bit."""
-    return TwinMessages(throw__period=0.2).go(300)
+    """Two throws and a bit."""
+    return TwinMessages(throw__period=0.2).go(500)
 
 
 @pytest.fixture(scope='module')
@@ -76,14 +76,33 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
 
 
 def rows(path: Path) -> dict[str, int]:
-    """Count the rows of each entity in a recording."""
+    """Count the rows of each entity in a recording, less those of its style."""
     counts: dict[str, int] = {}
     with warnings.catch_warnings():
         warnings.filterwarnings('ignore', 'RRD file has no footer')  # of a stream, as it grows
         reader = RrdReader(path)
     for chunk in reader.stream():
-        counts[chunk.entity_path] = counts.get(chunk.entity_path, 0) + chunk.num_rows
+        if not chunk.is_static:
+            counts[chunk.entity_path] = counts.get(chunk.entity_path, 0) + chunk.num_rows
     return counts
+
+
+@contextlib.contextmanager
+def viewer_at(port: int, *options: str) -> Iterator[Viewer]:
+    """Have a viewer without a window, if this machine can."""
+    with Viewer(port, '--headless', *options) as viewer:
+        try:
+            viewer.client()
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
+        yield viewer
+
+
+def entities(viewer: Viewer) -> set[str]:
+    client = ViewerClient.connect(url_of(viewer.port))
+    if not client.get_state().recordings:
+        return set()
+    return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
 # bags
@@ -93,32 +112,58 @@ def test_bag_becomes_a_recording(capsys, bag, tmp_path) -> None:
     path = tmp_path / 'scene.rrd'
     assert run(capsys, bag, '--save', path) == (0, [])
     counts = rows(path)
-    assert counts['/twin/position'] == 300 + 1  # and its style
-    assert counts['/twin/recommendation'] == 1
-    assert RrdReader(path).recordings()[0].application_id == 'soft_throw_ros'
+    assert (counts['/twin/position'], counts['/twin/recommendation']) == (500, 1)
 
 
 def test_bag_becomes_a_picture_of_the_size_asked_for(capsys, bag, tmp_path) -> None:
     image = pytest.importorskip('PIL.Image')
     path = tmp_path / 'scene.png'
     code, lines = run(capsys, bag, '--screenshot', path, '--size', '800x600')
-    if lines and 'graphics' in lines[0]:
+    if lines and 'mesa-vulkan-drivers' in lines[0]:
         pytest.skip(lines[0])
     assert (code, lines) == (0, [])
     with image.open(path) as picture:
         assert picture.size == (800, 600)
-        assert len(np.unique(np.asarray(picture.convert('RGB')).reshape(-1, 3), axis=0)) > 500
 
 
-def test_bag_is_sent_to_a_viewer_that_is_there_and_shown_at_its_throw(capsys, bag, twin) -> None:
+def test_picture_without_graphics_says_what_to_install(capsys, bag, tmp_path, monkeypatch) -> None:
+    for name in ('VK_DRIVER_FILES', 'VK_ICD_FILENAMES'):
+        monkeypatch.setenv(name, '/nowhere')
+    code, (line,) = run(capsys, bag, '--screenshot', tmp_path / 'scene.png')
+    assert code == 1
+    assert 'mesa-vulkan-drivers' in line
+
+
+@pytest.mark.parametrize(
+    ('options', 'start', 'milliseconds'),
+    [([], 400, 5.353), (['--throw', '1'], 200, 5.353), (['--throw=1', '--at=0.002'], 200, 2.0)],
+)
+def test_throw_and_time_to_show_can_be_chosen(
+    capsys, twin, bag, tmp_path, options, start, milliseconds
+) -> None:
     with viewer_at(free_port()) as viewer:
-        code, lines = run(capsys, bag, '--port', viewer.port)
-        client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
-        (shown,) = client.get_state().recordings
-    assert (code, lines) == (0, [])
-    assert shown.current_timeline == 'stamp'
-    since = (shown.current_time or 0) - twin.pace.deadline(200)
-    assert 4_000_000 < since < 7_000_000
+        assert run(capsys, bag, '--port', viewer.port, *options) == (0, [])
+        (shown,) = viewer.client().get_state().recordings
+    assert shown.current_timeline == THROW_TIME
+    assert (shown.current_time or 0) / 1e6 == pytest.approx(milliseconds, abs=0.01)
+    path = tmp_path / 'scene.rrd'
+    assert run(capsys, bag, '--save', path, *options) == (0, [])
+    batches = [
+        chunk.to_record_batch()
+        for chunk in RrdReader(path).stream()
+        if chunk.entity_path == '/twin/position' and not chunk.is_static
+    ]
+    for batch in batches:
+        stamps, times = (
+            batch.column(name).cast('int64').to_numpy() for name in (STAMP, THROW_TIME)
+        )
+        assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
+
+
+def test_throw_that_is_not_there_is_refused(capsys, bag, tmp_path) -> None:
+    code, (line,) = run(capsys, bag, '--throw', '7', '--save', tmp_path / 'scene.rrd')
+    assert code == 2
+    assert 'no throw 7' in line
 
 
 def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch) -> None:
@@ -133,16 +178,17 @@ def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch)
 
 def test_without_rerun_it_says_how_to_get_it(capsys, bag, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    monkeypatch.delitem(sys.modules, 'soft_throw_ros.recording.rerun_scene', raising=False)
-    monkeypatch.delattr(recording, 'rerun_scene', raising=False)
-    code, lines = run(capsys, bag, '--save', 'scene.rrd')
+    for name in ('rerun_canvas', 'rerun_view'):
+        monkeypatch.delitem(sys.modules, f'soft_throw_ros.recording.{name}', raising=False)
+        monkeypatch.delattr(recording, name, raising=False)
+    code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
     assert code == 1
-    assert lines == ["inspect: inspect needs Rerun: pip install 'soft_throw_ros[rerun]'"]
+    assert 'soft_throw_ros[rerun]' in line
 
 
 def test_it_runs_without_ros() -> None:
     code = (
-        'import sys; import soft_throw_ros.recording.rerun_scene; '
+        'import sys; import soft_throw_ros.recording.rerun_view; '
         'import soft_throw_ros.commands.inspect_bag; '
         'print([name for name in sys.modules if name.split(".")[0] in ("rclpy", "std_msgs")])'
     )
@@ -152,23 +198,14 @@ def test_it_runs_without_ros() -> None:
     assert done.stdout == '[]\n'
 
 
-@pytest.mark.parametrize(
-    ('content', 'words'),
-    [
-        (None, 'no such file'),
-        (b'', 'is empty'),
-        (b'some text', 'no mcap file'),
-        (b'SQLite format 3\0' + bytes(100), 'sqlite3'),
-    ],
-)
-def test_what_is_no_bag_is_refused_in_one_line(capsys, tmp_path, content, words) -> None:
+@pytest.mark.parametrize('content', [None, b'', b'some text', b'SQLite format 3\0' + bytes(100)])
+def test_file_that_is_no_bag_is_refused_in_one_line(capsys, tmp_path, content) -> None:
     path = tmp_path / 'bag.mcap'
     if content is not None:
         path.write_bytes(content)
     code, (line,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
     assert code == 2
-    assert line.startswith(f'inspect: {path}')
-    assert words in line.lower()
+    assert str(path) in line
     assert not (tmp_path / 'scene.rrd').exists()
 
 
@@ -180,15 +217,14 @@ def test_bag_of_something_else_is_refused_with_its_topics(capsys, tmp_path) -> N
     assert '/scan' in line
 
 
-def test_what_is_there_of_a_bag_is_shown_and_the_rest_is_named(capsys, bag, tmp_path) -> None:
+def test_bag_that_is_cut_is_shown_up_to_there_and_named(capsys, bag, tmp_path) -> None:
     whole = (bag / 'bag_0.mcap').read_bytes()
     path, scene = tmp_path / 'cut.mcap', tmp_path / 'scene.rrd'
     path.write_bytes(whole[: len(whole) // 2])
     code, (line,) = run(capsys, path, '--save', scene)
     assert code == 0
     assert str(path) in line
-    assert line.endswith('what there is is shown')
-    assert 0 < rows(scene)['/twin/position'] < 300
+    assert 0 < rows(scene)['/twin/position'] < 500
 
 
 def test_messages_that_cannot_be_read_are_counted(capsys, twin, tmp_path) -> None:
@@ -202,19 +238,19 @@ def test_messages_that_cannot_be_read_are_counted(capsys, twin, tmp_path) -> Non
     bag = write(tmp_path / 'bag', messages)
     code, (line,) = run(capsys, bag, '--save', tmp_path / 'scene.rrd')
     assert code == 0
-    assert f'{lost} messages are left out, /twin/phase: ' in line
+    assert f' {lost} messages' in line
+    assert '/twin/phase' in line
 
 
 @pytest.fixture(scope='module')
 def small(twin, tmp_path_factory) -> bytes:
     """A bag with something of everything."""
     some = [message for message in twin.messages if message.channel.topic != '/twin/joint_states']
-    some = [*twin.messages[:20], *some[-12:]]
-    folder = write(tmp_path_factory.mktemp('bags') / 'small', some)
+    folder = write(tmp_path_factory.mktemp('bags') / 'small', [*twin.messages[:20], *some[-12:]])
     return (folder / 'small_0.mcap').read_bytes()
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_damaged_bags_are_shown_in_part_or_refused(capsys, small, tmp_path, data) -> None:
     damaged = bytearray(small)
@@ -235,54 +271,35 @@ def test_damaged_bags_are_shown_in_part_or_refused(capsys, small, tmp_path, data
 @pytest.mark.parametrize(
     ('args', 'words'),
     [
-        (['--size', '10x10'], '200 to 8000'),
-        (['--size', 'large'], "'large'"),
-        (['--port', '80'], "'80'"),
-        (['--port', 'x'], "'x'"),
-        (['--save', '/nowhere/a.rrd'], 'no folder /nowhere'),
-        (['--save', 'a.rrd', '--screenshot', 'a.png'], 'not allowed'),
-        (['--sink', 'printer'], "'printer'"),
+        (['--size', '10x10'], '10x10'),
+        (['--size', 'large'], 'large'),
+        (['--port', '80'], '80'),
+        (['--save', '/nowhere/a.rrd'], '/nowhere'),
+        (['--save', 'a.rrd', '--screenshot', 'a.png'], '--screenshot'),
+        (['--sink', 'printer'], 'printer'),
+        (['--throw', 'last'], 'last'),
+        (['--at', 'nan'], 'nan'),
+        (['--save', '.'], 'inspect: .: '),
     ],
 )
-def test_arguments_are_refused_in_words(capsys, bag, args, words) -> None:
+def test_arguments_are_refused_with_their_value(capsys, bag, args, words) -> None:
     code, lines = run(capsys, bag, *args)
     assert code == 2
     assert words in lines[-1]
 
 
-def test_picture_of_a_stream_is_refused(capsys) -> None:
-    code, lines = run(capsys, '-', '--screenshot', 'a.png')
+@pytest.mark.parametrize('option', ['--screenshot', '--throw', '--at'])
+def test_options_of_bags_are_refused_for_streams(capsys, option) -> None:
+    code, lines = run(capsys, '-', f'{option}=1')
     assert code == 2
-    assert 'needs a bag' in lines[-1]
-
-
-def test_file_that_cannot_be_written_is_named(capsys, bag, tmp_path) -> None:
-    code, (line,) = run(capsys, bag, '--save', tmp_path)
-    assert code == 2
-    assert str(tmp_path) in line
+    assert option in lines[-1]
 
 
 def test_port_that_is_taken_is_named(capsys, bag) -> None:
-    with viewer_at(free_port()) as viewer:
+    with Viewer(free_port(), '--headless') as viewer:
         code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', viewer.port)
     assert code == 2
     assert f'127.0.0.1:{viewer.port}' in line
-
-
-def test_landscape_is_that_of_the_model() -> None:
-    rig = Rig(layer=Layer(density=900.0), gravity=5.0)
-    thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
-    surveyed = inspect_bag.energy_transfer(rig, thickness, wave_speed)
-    for row, column in np.ndindex(3, 2):
-        layer = Layer(thickness=thickness[0, column], wave_speed=wave_speed[row, 0], density=900.0)
-        other = Rig(layer=layer, gravity=5.0)
-        release = first_release(
-            mass_ratio=other.mass_ratio,
-            speed_ratio=other.speed_ratio,
-            damping_ratio=other.engine.damping_ratio,
-            gravity_ratio=other.gravity_ratio,
-        )
-        assert surveyed[row, column] == pytest.approx(release.energy_transfer, rel=1e-9)
 
 
 # streams
@@ -292,20 +309,13 @@ class Process:
     """`inspect -`, what it is fed, and what it says."""
 
     def __init__(self, *args: Any) -> None:
-        code = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
-        environment = {
-            name: value
-            for name, value in os.environ.items()
-            if name not in ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
-        }
+        hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
         self.process = subprocess.Popen(
-            [sys.executable, '-c', code, '-', *map(str, args)],
+            [sys.executable, '-c', INSPECT, '-', *map(str, args)],
             cwd=ROOT,
-            env=environment,
+            env={name: value for name, value in os.environ.items() if name not in hidden},
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=False,
         )
         assert self.process.stdin is not None
         self.pipe = self.process.stdin
@@ -317,8 +327,9 @@ class Process:
 
     def _listen(self) -> None:
         assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line.decode().rstrip())
+        with self.process.stderr as stream:
+            for line in stream:
+                self.lines.append(line.decode().rstrip())
 
     def feed(self, messages: list[Message]) -> None:
         for message in messages:
@@ -336,35 +347,17 @@ class Process:
         return self.wait()
 
     def wait(self) -> int:
-        code = self.process.wait(PATIENCE)
-        self._thread.join(PATIENCE)
-        assert self.process.stdout is not None
-        assert self.process.stdout.read() == b''
+        code = self.process.wait(TIMEOUT)
+        self._thread.join(TIMEOUT)
         assert all(line.startswith('inspect: ') for line in self.lines), self.lines
         return code
 
 
 def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.05)
-
-
-@contextlib.contextmanager
-def viewer_at(port: int, *options: str) -> Iterator[Viewer]:
-    """Have a viewer without a window, if this machine can."""
-    with Viewer(port, '--headless', *options) as viewer:
-        client = ViewerClient.connect(f'rerun+http://127.0.0.1:{port}/proxy')
-        try:
-            client.get_state()  # which needs graphics
-        except (RuntimeError, ConnectionError):
-            try:
-                viewer.check()
-            except ViewerError as error:
-                pytest.skip(str(error))
-            raise
-        yield viewer
 
 
 @pytest.fixture
@@ -377,24 +370,10 @@ def start() -> Iterator[Callable[..., Process]]:
 
     yield start
     for process in processes:
-        if process.process.poll() is None:
-            process.process.kill()
-        process.process.wait()
+        process.process.kill()
         with contextlib.suppress(OSError):
             process.pipe.close()
-        assert process.process.stdout is not None
-        assert process.process.stderr is not None
-        process._thread.join(PATIENCE)
-        process.process.stdout.close()
-        process.process.stderr.close()
-
-
-def test_stream_without_a_viewer_is_read_to_its_end(start, twin) -> None:
-    process = start('--port', free_port())
-    process.wait_for_line('no viewer at')
-    process.feed(twin.messages)
-    assert process.end() == 0
-    assert len(process.lines) == 1
+        process.wait()
 
 
 def test_viewer_that_comes_back_gets_what_still_holds(start, twin) -> None:
@@ -412,20 +391,9 @@ def test_viewer_that_comes_back_gets_what_still_holds(start, twin) -> None:
         process.wait_for_line('connected', times=2)
         # published once, at the very beginning, or while there was no viewer
         wait_until(lambda: {'/twin/recommendation', '/twin/throw_result'} <= entities(viewer))
-        wait_until(lambda: len(views(viewer)) == 11)
+        client = ViewerClient.connect(url_of(port))
+        wait_until(lambda: len(client.get_state().views) == 11)
         assert process.end() == 0
-
-
-def entities(viewer: Viewer) -> set[str]:
-    client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
-    if not client.get_state().recordings:
-        return set()
-    return {entity.entity_path for entity in client.get_recording_schema().entities}
-
-
-def views(viewer: Viewer) -> list[str]:
-    client = ViewerClient.connect(f'rerun+http://127.0.0.1:{viewer.port}/proxy')
-    return [view.name for view in client.get_state().views]
 
 
 @pytest.mark.parametrize('how', ['end', signal.SIGINT, signal.SIGTERM])
@@ -437,7 +405,7 @@ def test_stopped_viewer_does_not_hold_up_the_end(start, twin, how) -> None:
         half = len(twin.messages) // 2
         process.feed(twin.messages[:half])
         wait_until(lambda: '/twin/position' in entities(viewer))
-        os.killpg(viewer._process.pid, signal.SIGSTOP)
+        os.killpg(viewer.pid, signal.SIGSTOP)
         process.feed(twin.messages[half:])
         if how == 'end':
             assert process.end() == 0
@@ -446,58 +414,47 @@ def test_stopped_viewer_does_not_hold_up_the_end(start, twin, how) -> None:
             assert process.wait() == 0
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_it_quietly(start, twin, number) -> None:
+@pytest.mark.parametrize('how', ['end', signal.SIGINT, signal.SIGTERM])
+def test_stream_without_a_viewer_ends_quietly(start, twin, how) -> None:
     process = start('--port', free_port())
     process.wait_for_line('no viewer at')
-    process.feed(twin.messages[:100])
-    process.process.send_signal(number)
-    assert process.wait() == 0
-    assert len(process.lines) == 1
-
-
-def test_stream_becomes_a_recording(start, twin, tmp_path) -> None:
-    path = tmp_path / 'scene.rrd'
-    process = start('--save', path)
     process.feed(twin.messages)
-    assert process.end() == 0
-    assert rows(path)['/twin/position'] == 300 + 1
-    assert process.lines == []
+    if how == 'end':
+        assert process.end() == 0
+    else:
+        process.process.send_signal(how)
+        assert process.wait() == 0
+    assert len(process.lines) == 1
 
 
 def test_stream_of_a_whole_bag_becomes_a_whole_recording(bag, tmp_path) -> None:
     """The writer is gone long before all is read."""
     path = tmp_path / 'scene.rrd'
-    code = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
-    command = [sys.executable, '-c', code, '-', '--save', str(path)]
+    command = [sys.executable, '-c', INSPECT, '-', '--save', str(path)]
     with subprocess.Popen(['cat', bag / 'bag_0.mcap'], stdout=subprocess.PIPE) as writer:
         done = subprocess.run(command, stdin=writer.stdout, cwd=ROOT, check=False)
     assert done.returncode == 0
-    assert rows(path)['/twin/position'] == 300 + 1
+    assert rows(path)['/twin/position'] == 500
 
 
 def test_stream_is_served_to_viewers_on_this_machine(start, twin) -> None:
     port = free_port()
     process = start('--sink', 'serve', '--port', port)
-    process.wait_for_line(f'rerun+http://127.0.0.1:{port}/proxy')
+    process.wait_for_line(url_of(port))
     process.feed(twin.messages)
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
     assert f' 00000000:{port:04X} ' not in listening + Path('/proc/net/tcp6').read_text()
-    url = f'rerun+http://127.0.0.1:{port}/proxy'
-    with viewer_at(free_port(), '--connect', url) as viewer:
+    with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
         wait_until(lambda: '/twin/throw_result' in entities(viewer))
     assert process.end() == 0
 
 
-@pytest.mark.parametrize('garbage', [b'', b'some text', bytes(1000)])
-def test_stream_of_something_else_is_refused(start, garbage) -> None:
+def test_stream_of_something_else_is_refused(start) -> None:
     process = start('--port', free_port())
-    process._writer.start()
     process.wait_for_line('no viewer at')
-    process.pipe.write(b'\x05' + garbage)  # where a record should be
-    process.end()
-    assert process.process.returncode == 2
+    process.pipe.write(b'\x05some text')  # where a record should be
+    assert process.end() == 2
     assert 'standard input' in process.lines[-1]
 
 

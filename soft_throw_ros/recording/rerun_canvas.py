@@ -1,0 +1,508 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Recordings of Rerun: what is drawn into them, as shapes and charts, and where they go.
+
+What changes with every step goes out in columns, many rows at once; what stays until it is
+replaced is remembered, for a viewer that comes later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+import rerun as rr
+import rerun.blueprint as rrb
+from soft_throw_ros.recording.timeseries import Floats, SECOND, Stamps, ThrowStart
+from soft_throw_ros.recording.viewer import HOST, url_of
+
+APPLICATION = 'soft_throw_ros'
+"""What Rerun knows the recordings by."""
+
+STAMP = 'stamp'
+"""Timeline of the messages' stamps."""
+
+THROW_TIME = 'time since throw'
+"""Timeline of the rig, from the start of the throw that is shown."""
+
+Bytes = NDArray[np.uint8]
+
+Colour = tuple[int, int, int]
+
+# Okabe and Ito's colours, which everybody can tell apart
+GREY = (0xB0, 0xB0, 0xB0)
+WHITE = (0xFF, 0xFF, 0xFF)
+BLUE = (0x56, 0xB4, 0xE9)
+ORANGE = (0xE6, 0x9F, 0x00)
+GREEN = (0x00, 0x9E, 0x73)
+PURPLE = (0xCC, 0x79, 0xA7)
+RED = (0xD5, 0x5E, 0x00)
+BLACK = (0x00, 0x00, 0x00)
+
+WIDTH = 200.0
+"""Of a chart, in units of its view."""
+
+_LINE = 4.0
+"""Half a line of text, in units of the view."""
+
+_BAR_FOOT = 0.08
+"""Part of a bar of colours that is beside the title of an axis, and has no ticks."""
+
+_BEHIND, _IN_FRONT = 30.0, 40.0
+"""Where dots are drawn."""
+
+_SERVER_MEMORY = '256MB'
+
+
+def _ramp(anchors: str) -> Bytes:
+    """Make 256 colours that go evenly through some."""
+    rows = np.array([list(bytes.fromhex(anchor)) for anchor in anchors.split()], float)
+    places = np.linspace(0, len(rows) - 1, 256)
+    columns = [np.interp(places, np.arange(len(rows)), column) for column in rows.T]
+    return np.asarray(np.rint(columns).T, np.uint8)
+
+
+# For any eyes: PuOr of ColorBrewer where there are two signs, viridis of matplotlib for one.
+SIGNED = _ramp(
+    '7f3b08 b35806 e08214 fdb863 fee0b6 f7f7f7 d8daeb b2abd2 8073ac 542788 2d004b'
+)  # fmt: skip
+UNSIGNED = _ramp('440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725')
+
+
+def colours_of(values: Floats, low: float, high: float, ramp: Bytes) -> Bytes:
+    """Colour values, those that are none in grey."""
+    places = np.nan_to_num((values - low) / (high - low))
+    colours: Bytes = ramp[np.rint(255.0 * places.clip(0.0, 1.0)).astype(int)]
+    colours[np.isnan(values)] = GREY
+    return colours
+
+
+def image_format(width: int, height: int) -> rr.components.ImageFormat:
+    """Return the format of pixels with a byte for each of red, green and blue."""
+    return rr.components.ImageFormat(
+        width=width, height=height, color_model='RGB', channel_datatype='U8'
+    )
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text whose upper edge is a little below a place in the view."""
+
+    x: float
+    y: float
+    text: str
+    colour: Colour = GREY
+
+
+class Canvas:
+    """
+    Where things are drawn: a recording, if there is one, and a memory of what stays.
+
+    Parameters
+    ----------
+    throw : ThrowStart, optional
+        The throw whose start is the origin of `THROW_TIME`; without, there is only `STAMP`.
+
+    """
+
+    def __init__(self, throw: ThrowStart | None = None) -> None:
+        self.throw = throw
+        self._stream: rr.RecordingStream | None = None
+        self._styles: dict[str, Any] = {}  # archetypes of Rerun
+        self._rows: dict[str, tuple[int, list[Any]]] = {}  # their columns
+
+    def connect(self, stream: rr.RecordingStream | None) -> None:
+        """Draw into a recording from now on, what is remembered first; or into none."""
+        self._stream = stream
+        if stream is not None:
+            for path, style in self._styles.items():
+                stream.log(path, style, static=True)
+            for path, (stamp, columns) in self._rows.items():
+                self.send(path, np.array([stamp]), columns)
+
+    def style(self, path: str, style: Any) -> None:
+        """Say once how something looks."""
+        if path not in self._styles:
+            self._styles[path] = style
+            if self._stream is not None:
+                self._stream.log(path, style, static=True)
+
+    def put(self, path: str, stamp: int, columns: Iterable[Any]) -> None:
+        """Draw what stays until something else is put there."""
+        self._rows[path] = stamp, list(columns)
+        self.send(path, np.array([stamp]), self._rows[path][1])
+
+    def send(self, path: str, stamps: Stamps, columns: Iterable[Any]) -> None:
+        """Draw what changes all the time."""
+        if self._stream is None or not stamps.size:
+            return
+        indexes = [rr.TimeColumn(STAMP, timestamp=stamps.astype('datetime64[ns]'))]
+        if self.throw is not None:
+            seconds = (stamps - self.throw.stamp) * (self.throw.time_scale / SECOND)
+            indexes.append(rr.TimeColumn(THROW_TIME, duration=seconds))
+        self._stream.send_columns(path, indexes, columns)
+
+    def arrange(self, blueprint: rrb.Blueprint) -> None:
+        """Arrange the views."""
+        if self._stream is not None:
+            self._stream.send_blueprint(blueprint)
+
+    # shapes that stay
+
+    def picture(
+        self, path: str, stamp: int, pixels: Bytes, *, x: float, y: float, w: float, h: float
+    ) -> None:
+        """Stretch pixels over a rectangle, whose upper left corner is at x, y."""
+        rows, columns = pixels.shape[:2]
+        image = rr.Image.columns(buffer=[pixels.tobytes()], format=[image_format(columns, rows)])
+        place = rr.Transform3D.columns(
+            translation=[[x, y, 0.0]], scale=[[w / columns, h / rows, 1.0]]
+        )
+        self.put(path, stamp, [*image, *place])
+
+    def lines(self, path: str, stamp: int, strips: Sequence[Any], colour: Colour) -> None:
+        """Draw thin lines."""
+        columns = rr.LineStrips2D.columns(
+            strips=[np.array(strip, np.float32) for strip in strips],
+            colors=[colour] * len(strips),
+            radii=rr.Radius.ui_points([0.5] * len(strips)),
+        )
+        self.put(path, stamp, columns.partition([len(strips)]))
+
+    def texts(self, path: str, stamp: int, texts: Sequence[Text]) -> None:
+        """Write texts."""
+        columns = rr.Points2D.columns(
+            positions=[[text.x, text.y] for text in texts],
+            radii=rr.Radius.ui_points([0.0] * len(texts)),
+            colors=[text.colour for text in texts],
+            labels=[text.text for text in texts],
+        )
+        show = rr.Points2D.columns(show_labels=[True], draw_order=[_IN_FRONT])
+        self.put(path, stamp, [*columns.partition([len(texts)]), *show])
+
+    def dots(
+        self, path: str, stamp: int, places: Sequence[tuple[float, float]],
+        colours: Sequence[Colour], *, radius: float, order: float = _IN_FRONT,
+    ) -> None:  # fmt: skip
+        """Draw dots, whose radius is in points of the screen."""
+        columns = rr.Points2D.columns(
+            positions=places,
+            radii=rr.Radius.ui_points([radius] * len(places)),
+            colors=colours,
+        )
+        show = rr.Points2D.columns(draw_order=[order])
+        self.put(path, stamp, [*columns.partition([len(places)]), *show])
+
+
+@dataclass(frozen=True)
+class Axis:
+    """From one value to another."""
+
+    low: float
+    high: float
+    is_log: bool = False
+
+    @classmethod
+    def of_pixels(cls, values: Floats) -> Axis:
+        """Make the axis of pixels around values that grow by the same step or factor each."""
+        if values.size > 2 and values[0] > 0.0 and not np.allclose(np.diff(values, 2), 0.0):
+            half = 0.5 * math.log(values[1] / values[0])
+            low, high = math.exp(-half) * values[0], math.exp(half) * values[-1]
+            return cls(float(low), float(high), is_log=True)
+        half = 0.5 * (values[1] - values[0])
+        return cls(float(values[0] - half), float(values[-1] + half))
+
+    def part(self, value: float) -> float:
+        """Return where a value is, from 0 to 1."""
+        if self.is_log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def ticks(self, count: int) -> list[float]:
+        """Return round values, about so many."""
+        if self.is_log:
+            decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)))
+            values = [digit * 10.0**decade for decade in decades for digit in (1, 2, 5)]
+            return [value for value in values if 0.999 * self.low <= value <= 1.001 * self.high]
+        step = round_up(0.99 * (self.high - self.low) / count, (1.0, 2.0, 5.0, 10.0))
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        return [step * n for n in range(first, last + 1)]
+
+
+def round_up(value: float, digits: Sequence[float] = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)) -> float:
+    """Return a round number that is not less than a positive one."""
+    unit = 10.0 ** math.floor(math.log10(value))
+    return unit * next(digit for digit in digits if digit * unit >= value)
+
+
+class Chart:
+    """
+    A picture with axes, of `WIDTH`. Coordinates of the view: x from 0, y from 0 downwards.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        Where it is drawn.
+    path : str
+        Its entity.
+    stamp : int
+        When it begins to hold. [ns]
+    height : float
+        Of the picture.
+    x, y : Axis
+        To the right, and upwards.
+
+    """
+
+    def __init__(
+        self, canvas: Canvas, path: str, stamp: int, *, height: float, x: Axis, y: Axis
+    ) -> None:
+        self._canvas = canvas
+        self._path = path
+        self._stamp = stamp
+        self._height = height
+        self._x, self._y = x, y
+
+    def x_at(self, value: float) -> float:
+        """Return where a value of the x-axis is."""
+        return WIDTH * self._x.part(value)
+
+    def y_at(self, value: float) -> float:
+        """Return where a value of the y-axis is."""
+        return self._height * (1.0 - self._y.part(value))
+
+    def draw(self, pixels: Bytes, *, titles: tuple[str, str]) -> None:
+        """Draw picture, frame, ticks and titles."""
+        height, path, stamp = self._height, self._path, self._stamp
+        self._canvas.picture(f'{path}/picture', stamp, pixels, x=0.0, y=0.0, w=WIDTH, h=height)
+        x_ticks = [(self.x_at(tick), f'{tick:g}') for tick in self._x.ticks(6)]
+        y_ticks = [(self.y_at(tick), f'{tick:g}') for tick in self._y.ticks(5)]
+        short, left = 0.4 * _LINE, -1.8 * _LINE
+        strips = [[(0.0, 0.0), (WIDTH, 0.0), (WIDTH, height), (0.0, height), (0.0, 0.0)]]
+        strips += [[(x, height), (x, height + short)] for x, _ in x_ticks]
+        strips += [[(-short, y), (0.0, y)] for y, _ in y_ticks]
+        self._canvas.lines(f'{path}/frame', stamp, strips, GREY)
+        texts = [Text(x, height + short, text) for x, text in x_ticks]
+        texts += [Text(left, y - _LINE, text) for y, text in y_ticks]
+        texts.append(Text(1.075 * WIDTH, height + short, titles[0], WHITE))
+        texts.append(Text(left, -2.6 * _LINE, titles[1], WHITE))
+        self._canvas.texts(f'{path}/texts', stamp, texts)
+
+    def draw_bar(self, axis: Axis, ramp: Bytes, *, title: str) -> None:
+        """Draw what the colours mean, to the right."""
+        left, thick, path = WIDTH + _LINE, 1.2 * _LINE, f'{self._path}/bar'
+        self._canvas.picture(
+            path, self._stamp, ramp[::-1, None], x=left, y=0.0, w=thick, h=self._height
+        )
+        x = left + thick + 1.8 * _LINE
+        places = [(axis.part(tick), f'{tick:g}') for tick in axis.ticks(4)]
+        texts = [
+            Text(x, self._height * (1.0 - part) - _LINE, text)
+            for part, text in places
+            if part > _BAR_FOOT
+        ]
+        texts.append(Text(left + thick, -2.6 * _LINE, title, WHITE))
+        self._canvas.texts(f'{self._path}/bar_texts', self._stamp, texts)
+
+    def draw_line(self, name: str, x: float, text: str) -> None:
+        """Draw a vertical line with a text at its top."""
+        path = f'{self._path}/{name}'
+        self._canvas.lines(path, self._stamp, [[(x, 0.0), (x, self._height)]], BLACK)
+        self._canvas.texts(f'{path}/text', self._stamp, [Text(x, -2.6 * _LINE, text, WHITE)])
+
+    def draw_marks(self, marks: Sequence[tuple[float, float, str]]) -> None:
+        """Draw up to two dots with a dark rim, and their texts, that of the upper one above it."""
+        places = [(self.x_at(x), self.y_at(y)) for x, y, _ in marks]
+        upper = min(range(len(marks)), key=lambda index: places[index][1])
+        texts = [
+            Text(
+                min(max(x, 0.15 * WIDTH), 0.85 * WIDTH),
+                y - 3.6 * _LINE if index == upper and len(marks) > 1 else y + 0.6 * _LINE,
+                marks[index][2],
+                WHITE,
+            )
+            for index, (x, y) in enumerate(places)
+        ]
+        path, stamp, colours = self._path, self._stamp, (WHITE, RED)[: len(marks)]
+        rims = [BLACK] * len(marks)
+        self._canvas.dots(f'{path}/rims', stamp, places, rims, radius=6.0, order=_BEHIND)
+        self._canvas.dots(f'{path}/marks', stamp, places, colours, radius=4.0)
+        self._canvas.texts(f'{path}/mark_texts', stamp, texts)
+
+
+def chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
+    """Make the view of a `Chart`."""
+    return rrb.Spatial2DView(
+        origin=origin,
+        name=title,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-0.1 * WIDTH, 1.13 * WIDTH],
+            y_range=[-2.5 * _LINE, height + 4.5 * _LINE],
+        ),
+    )
+
+
+# maps of designs
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapAxis:
+    """
+    An axis of a map.
+
+    Parameters
+    ----------
+    title : str
+        What it is, with its unit.
+    values : ndarray, shape (n,)
+        In that unit; from each to the next by the same step, or by the same factor.
+
+    """
+
+    title: str
+    values: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapPanel:
+    """
+    What a map shows.
+
+    Parameters
+    ----------
+    name : str
+        Of the entity.
+    title, symbol : str
+        What it is, and how that is written.
+    values : ndarray, shape (n, m)
+        Along the first and the second axis, from 0 on; NaN where there is none.
+    highest : float or None
+        Where the colours end; at the largest value if not given.
+
+    """
+
+    name: str
+    title: str
+    symbol: str
+    values: Floats
+    highest: float | None = None
+
+
+def draw_landscape(
+    stream: rr.RecordingStream,
+    *,
+    name: str,
+    axes: tuple[MapAxis, MapAxis],
+    panels: Sequence[MapPanel],
+    marks: Sequence[tuple[float, float, str]] = (),
+) -> None:
+    """
+    Draw maps over two axes, one above the other. The values are beside them, as tensors.
+
+    Parameters
+    ----------
+    stream : RecordingStream
+        Where to; it has no time.
+    name : str
+        Of the recording, for the viewer.
+    axes : tuple of MapAxis
+        To the right, and upwards.
+    panels : sequence of MapPanel
+        The maps.
+    marks : sequence of tuple
+        Up to two places to be marked in each: values on the axes, and a text.
+
+    """
+    stream.send_recording_name(name)
+    canvas = Canvas()
+    canvas.connect(stream)
+    x, y = axes
+    for panel in panels:
+        path = f'/{panel.name}'
+        draw_map(
+            canvas, path, 0, values=panel.values.T, highest=panel.highest,
+            x=Axis.of_pixels(x.values), y=Axis.of_pixels(y.values),
+            titles=(x.title, y.title, panel.symbol), marks=marks,
+        )  # fmt: skip
+        tensor = rr.Tensor(panel.values, dim_names=[x.title, y.title])
+        stream.log(f'/values/{panel.name}', tensor, static=True)
+    canvas.arrange(
+        rrb.Blueprint(
+            rrb.Vertical(
+                *(chart_view(f'/{each.name}', each.title, MAP_HEIGHT) for each in panels)
+            ),
+            rrb.BlueprintPanel(state='hidden'),
+            rrb.SelectionPanel(state='hidden'),
+            rrb.TimePanel(state='hidden', timeline=STAMP),
+        )
+    )
+
+
+MAP_HEIGHT = 84.0
+
+
+def draw_map(
+    canvas: Canvas, path: str, stamp: int, *, values: Floats, highest: float | None = None,
+    x: Axis, y: Axis, titles: tuple[str, str, str], marks: Sequence[tuple[float, float, str]],
+) -> None:  # fmt: skip
+    """Draw a map, a row of values for each y; titles are those of x, y and the values."""
+    if highest is None:
+        known = values[np.isfinite(values)]
+        highest = float(known.max()) if known.size and known.max() > 0.0 else 1.0
+    chart = Chart(canvas, path, stamp, height=MAP_HEIGHT, x=x, y=y)
+    chart.draw(colours_of(values[::-1], 0.0, highest, UNSIGNED), titles=titles[:2])
+    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=titles[2])
+    if marks:
+        chart.draw_marks(marks)
+
+
+# where recordings go
+
+
+def new_stream() -> rr.RecordingStream:
+    """Begin a recording, which goes nowhere yet."""
+    return rr.RecordingStream(
+        APPLICATION, batcher_config=rr.ChunkBatcherConfig.LOW_LATENCY(), send_properties=False
+    )
+
+
+def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+    """
+    Have a recording written to a file.
+
+    Raises
+    ------
+    OSError
+        If that cannot be done.
+
+    """
+    try:
+        stream.save(path, write_footer=not is_live)  # whose size grows with time, in memory
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+
+
+def connect_to(stream: rr.RecordingStream, port: int) -> None:
+    """Have a recording sent to a viewer, or to the next one, if the last has ended."""
+    stream.connect_grpc(url_of(port))
+
+
+def serve_at(stream: rr.RecordingStream, port: int) -> None:
+    """Have a recording sent to viewers that connect, on this machine only."""
+    stream.set_sinks(
+        rr.GrpcServerSink(bind_ip=HOST, port=port, server_memory_limit=_SERVER_MEMORY)
+    )
+
+
+def flush(stream: rr.RecordingStream, seconds: float) -> bool:
+    """Send what waits, and tell whether it went."""
+    try:
+        stream.flush(timeout_sec=seconds)
+    except RuntimeError:
+        return False
+    return True

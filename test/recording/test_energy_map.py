@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map of all layers, against the model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.core.rig import Layer, Projectile, Rig
+from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.recording.energy_map import compute_energy_map, energy_transfer
+
+BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
+
+
+def test_energy_transfer_of_other_layers_is_that_of_the_model() -> None:
+    rig = Rig(layer=Layer(density=900.0), gravity=5.0)
+    thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
+    computed = energy_transfer(rig, thickness, wave_speed)
+    for row, column in np.ndindex(3, 2):
+        layer = Layer(thickness=thickness[0, column], wave_speed=wave_speed[row, 0], density=900.0)
+        other = Rig(layer=layer, gravity=5.0)
+        release = first_release(
+            mass_ratio=other.mass_ratio,
+            speed_ratio=other.speed_ratio,
+            damping_ratio=other.engine.damping_ratio,
+            gravity_ratio=other.gravity_ratio,
+        )
+        assert computed[row, column] == pytest.approx(release.energy_transfer, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('values', 'expected'),
+    [
+        ({}, ['now: α 3.637']),
+        (BEST, ['now: α 3.637', 'recommended: α 4.143']),
+        ({'thickness': 0.0169, 'wave_speed': 7.8}, ['now, as recommended: α 3.637']),
+        ({**BEST, 'thickness': -1.0}, ['now: α 3.637']),
+        # what is said of the rig counts, and what is said of another does not
+        (
+            {'now.thickness': 0.0168, 'now.wave_speed': 7.8, 'now.energy_transfer': 3.5, **BEST},
+            ['now: α 3.500', 'recommended: α 4.143'],
+        ),
+        (
+            {'now.thickness': 0.0100, 'now.wave_speed': 7.8, 'now.energy_transfer': 3.5},
+            ['now: α 3.637'],
+        ),
+    ],
+)
+def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
+    found = compute_energy_map(Rig(), TWIN.defaults(), values)
+    assert [mark.text for mark in found.marks] == expected
+
+
+def test_map_reaches_to_layers_beyond_those_considered() -> None:
+    found = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
+    assert (found.thickness[0], found.thickness[-1]) == pytest.approx((1e-3, 0.08))
+    assert np.nanmax(found.energy_transfer) > 4.0
+
+
+def test_map_of_what_never_leaves_says_so() -> None:
+    """To find out takes some milliseconds for every layer, so the map is coarse."""
+    found = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
+    assert [mark.text for mark in found.marks] == ['now: no release']
+    assert np.isnan(found.energy_transfer).any()
+    assert found.energy_transfer.size < 160 * 100

@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene, read back by Rerun itself from what it has written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import io
+from pathlib import Path
+import runpy
+import subprocess
+from typing import Any
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.timeseries import find_throws
+from soft_throw_ros.recording.viewer import find_viewer, free_port, NoGraphicsError, Viewer
+
+rr = pytest.importorskip('rerun')
+
+from rerun.chunk import RrdReader  # noqa: E402
+from soft_throw_ros.recording import rerun_canvas  # noqa: E402
+from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
+
+HERE = Path(__file__).parent
+TwinMessages: Any = runpy.run_path(str(HERE / 'twin_messages.py'))['TwinMessages']
+measured_throw: Any = runpy.run_path(str(HERE.parent / 'twin' / 'rigs.py'))['measured_throw']
+
+
+@pytest.fixture(autouse=True, scope='module')
+def mistakes_raise() -> Iterator[None]:
+    """Otherwise Rerun logs them and goes on."""
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+class Recording:
+    """What Rerun reads from a file: rows by entity and component, times in [ns]."""
+
+    def __init__(self, path: Path) -> None:
+        reader = RrdReader(path)
+        self.entities: dict[str, list[Any]] = {}
+        for chunk in reader.stream():
+            batch = chunk.to_record_batch()
+            self.entities.setdefault(chunk.entity_path, []).append(batch)
+        blueprints = [
+            chunk.to_record_batch().to_pydict()
+            for store in reader.blueprints()
+            for chunk in reader.stream(store=store)
+        ]
+        self.views = [
+            each['ViewBlueprint:display_name'][0][0]
+            for each in blueprints
+            if 'ViewBlueprint:display_name' in each
+        ]
+        self.ranges = [
+            tuple(each['ScalarAxis:range'][0][0])
+            for each in blueprints
+            if 'ScalarAxis:range' in each
+        ]
+
+    def series(
+        self, entity: str, component: str, timeline: str = 'stamp'
+    ) -> tuple[Any, list[Any]]:
+        """Return times and values of a component, by time."""
+        times: list[int] = []
+        values: list[Any] = []
+        for batch in self.entities[entity]:
+            if {timeline, component} <= set(batch.schema.names):
+                times += batch.column(timeline).cast('int64').to_pylist()
+                values += batch.column(component).to_pylist()
+        order = np.argsort(times, kind='stable')
+        return np.array(times)[order], [values[place] for place in order]
+
+    def scalars(self, entity: str, timeline: str = 'stamp') -> tuple[Any, Any]:
+        times, values = self.series(entity, 'Scalars:scalars', timeline)
+        return times, np.array(values)
+
+    def last(self, entity: str, component: str) -> Any:
+        return self.series(entity, component)[1][-1]
+
+    def components(self, entity: str) -> set[str]:
+        return {name for batch in self.entities[entity] for name in batch.schema.names}
+
+
+def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> Path:
+    """Have a scene written to a file, with what it knows already."""
+    stream = rerun_canvas.new_stream()
+    rerun_canvas.save_to(stream, path, is_live=False)
+    scene.connect(stream)
+    for begin in range(0, len(messages), batch):
+        scene.show(messages[begin : begin + batch])
+    scene.finish(is_waiting=True)
+    assert rerun_canvas.flush(stream, 10.0)
+    stream.disconnect()
+    scene.connect(None)
+    return path
+
+
+@pytest.fixture(scope='module')
+def twin() -> Any:
+    """Two throws in real time."""
+    return TwinMessages(throw__period=0.5).go(1200)
+
+
+@pytest.fixture(scope='module')
+def path(twin, tmp_path_factory) -> Path:
+    throw = find_throws(twin.messages)['/twin'][-1]
+    scene = Scene('test', throw=throw)
+    path = record(tmp_path_factory.mktemp('scene') / 'scene.rrd', scene, twin.messages)
+    assert scene.moment == pytest.approx(0.7 * simulate(Rig()).ejection_time, rel=1e-6)
+    return path
+
+
+@pytest.fixture(scope='module')
+def recording(path) -> Recording:
+    return Recording(path)
+
+
+def test_scene_is_verified_by_rerun(path) -> None:
+    subprocess.run([find_viewer(), 'rrd', 'verify', path], check=True, timeout=60)
+
+
+def test_scene_has_every_state_in_its_units(twin, recording) -> None:
+    states = np.array([outputs.state for outputs in twin.outputs])
+    due = np.array([twin.pace.deadline(step) for step in range(1200)])
+    for name, expected in (
+        ('position', 1e3 * states[:, 0:2]),
+        ('velocity', states[:, 2:4]),
+        ('force', states[:, 4:6] * [-1.0, 1.0]),
+    ):
+        times, values = recording.scalars(f'/twin/{name}')
+        assert times.tolist() == due.tolist()
+        np.testing.assert_array_equal(values, expected)
+        since, values = recording.scalars(f'/twin/{name}', 'time since throw')
+        np.testing.assert_allclose(since, due - twin.pace.deadline(1000), atol=1)
+        np.testing.assert_array_equal(values, expected)
+
+
+def test_energy_of_the_layer_is_shown_in_throws_only_where_its_rows_are_far_apart(
+    recording,
+) -> None:
+    times, values = recording.scalars('/twin/energy/layer')
+    ends = np.flatnonzero(np.isnan(values[:, 0]))
+    assert ends.tolist() == [200, 401]  # after the 200 times of each throw
+    assert np.diff(times)[:199].max() < 1e5
+
+
+def test_side_view_is_to_scale(twin, recording) -> None:
+    """Downwards in mm: the top of the layer is where the projectile's lower face is."""
+    times, places = recording.series('/twin/side/projectile', 'Transform3D:translation')
+    z_of_projectile = -np.array(places)[:, 0, 1]
+    times_of_layer, tops = recording.series('/twin/side/layer', 'Transform3D:translation')
+    _, scales = recording.series('/twin/side/layer', 'Transform3D:scale')
+    top = -np.array(tops)[:, 0, 1]
+    width, height = np.array(scales)[:, 0, 0], 64 * np.array(scales)[:, 0, 1]
+    begin = twin.pace.deadline(500)
+    in_contact = (times_of_layer >= begin) & (times_of_layer < begin + 7_600_000)
+    at_layer = np.interp(times_of_layer[in_contact], times, z_of_projectile)
+    assert in_contact.sum() > 100
+    np.testing.assert_allclose(top[in_contact], at_layer, atol=0.01)
+    np.testing.assert_allclose(width, 12.0)
+    np.testing.assert_allclose(height[0], 16.8 - 1e3 * Rig().static_sag, atol=1e-4)
+    body = recording.last('/twin/side/projectile/body', 'Transform3D:scale')
+    assert body[0][:2] == pytest.approx([12.0, 8.2])
+
+
+def test_layer_has_the_colour_of_its_strain(twin, recording) -> None:
+    """Orange where it is compressed, purple where it is stretched, white at rest."""
+    times, pictures = recording.series('/twin/side/layer', 'Image:buffer')
+    throw = simulate(Rig(), until=0.02)
+    for since in (-0.1, 0.005, 0.0099):
+        row = int(np.searchsorted(times, twin.pace.deadline(500) + since * 1e9))
+        red, _, blue = np.reshape(pictures[row][0], (64, 3))[::-1].astype(int).T
+        at = (times[row] - twin.pace.deadline(500)) / 1e9
+        strain = throw.fields(np.array([max(at, 0.0)]), points=64).strain[0]
+        sure = np.abs(strain) > 0.03
+        are_right = (blue > red) == (strain > 0.0)
+        assert are_right[sure].sum() >= 0.95 * sure.sum()  # cells are even in height
+        assert sure.any() == (since > 0.0)
+
+
+def test_strain_of_every_throw_is_a_picture_with_its_ejection_time(twin, recording) -> None:
+    times, pictures = recording.series('/twin/strain/picture', 'Image:buffer')
+    assert times.tolist() == [twin.pace.deadline(step) for step in (500, 1000)]
+    assert [len(picture[0]) for picture in pictures] == [3 * 64 * 200] * 2
+    texts = recording.last('/twin/strain/texts', 'Points2D:labels')
+    assert {'t (ms)', 'y (mm)', '0', '10', '15'} <= set(texts)
+    (label,) = recording.last('/twin/strain/ejection/text', 'Points2D:labels')
+    assert f'{1e3 * simulate(Rig()).ejection_time:.2f} ms' in label
+    _, lines = recording.series('/twin/strain/now', 'LineStrips2D:strips')
+    assert [len(line) for line in lines] == 2 * ([1] * 200 + [0])
+
+
+def test_phases_are_states_on_a_timeline(twin, recording) -> None:
+    times, phases = recording.series('/twin/phase', 'StateChange:state')
+    entered = [
+        (twin.pace.deadline(outputs.step), phase.value)
+        for outputs in twin.outputs
+        for phase in outputs.phases
+    ]
+    assert list(zip(times, (phase for (phase,) in phases), strict=True)) == entered
+
+
+def table_of(text: str) -> list[list[str]]:
+    """Return the cells of a table in Markdown, the heads first."""
+    rows = [line.split('|')[1:-1] for line in text.splitlines() if line.startswith('|')]
+    return [[cell.strip(' *') for cell in row] for row in rows if '--' not in row[0]]
+
+
+def test_map_marks_the_layers_of_the_table_where_it_is_brightest(recording) -> None:
+    text = recording.last('/twin/recommendation', 'TextDocument:text')[0]
+    heads, thickness, wave_speed, _, alpha, *_ = table_of(text)
+    assert heads[1:] == ['now', 'other thickness', 'other wave speed', 'both']
+    assert [float(cell) for cell in thickness[1:]] == [16.8, 13.4, 16.8, 41.8]
+    marks = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
+    assert [mark.split('α ')[1] for mark in marks] == [f'{float(alpha[n]):.3f}' for n in (1, 4)]
+    assert [mark.split(':')[0] for mark in marks] == ['now', 'recommended']
+    places = recording.last('/twin/landscape/marks', 'Points2D:positions')
+    for column, (x, y) in zip((1, 4), places, strict=True):
+        part = np.log([float(thickness[column]), float(wave_speed[column])]) / np.log(50.0)
+        assert [x, y] == pytest.approx([200.0 * part[0], 84.0 * (1.0 - part[1])], rel=2e-3)
+    buffer = recording.last('/twin/landscape/picture', 'Image:buffer')[0]
+    brightness = np.reshape(buffer, (100, 160, 3))[:, :, :2].astype(int).sum(axis=2)
+    row, column = np.unravel_index(brightness.argmax(), brightness.shape)
+    assert [column / 0.8, row * 0.84] == pytest.approx(places[1], abs=8)
+
+
+def test_map_is_of_the_rig_that_is_recommended_for_before_it_is_thrown_with(tmp_path) -> None:
+    twin = TwinMessages(throw__period=0.2).go(300)
+    twin.change(engine__frequency=70.0, layer__thickness=0.012)
+    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), twin.messages))
+    text = recording.last('/twin/recommendation', 'TextDocument:text')[0]
+    alpha = table_of(text)[4]
+    marks = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
+    assert [mark.split('α ')[1] for mark in marks] == [f'{float(alpha[n]):.3f}' for n in (1, 4)]
+    twin.go(200)  # with the next throw the map is what it was
+    times, _ = recording.series('/twin/landscape/mark_texts', 'Points2D:labels')
+    later = Recording(record(tmp_path / 'later.rrd', Scene('test'), twin.messages))
+    assert later.series('/twin/landscape/mark_texts', 'Points2D:labels')[0].size == times.size
+
+
+def test_words_have_the_numbers(recording) -> None:
+    text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
+    throw = simulate(Rig())
+    assert 'Throw 2' in text
+    heads, times_, _, transfers, *_ = table_of(text)
+    assert heads == ['', 'twin', 'elastic', 'glued on', 'spring']
+    assert times_[1] == f'{1e3 * throw.ejection_time:.4g}'
+    assert transfers[1] == f'{throw.energy_transfer:.4g}'
+    assert [times_[-1], transfers[-1]] == ['6.412', '3.098']  # of App. A
+    times, lines = recording.series('/log', 'TextLog:text')
+    assert len(lines) == len(times) == 3
+    assert 'throw 1' in lines[0][0]
+
+
+def test_layout_has_a_view_of_everything_with_its_unit(recording) -> None:
+    assert sorted(recording.views) == sorted(
+        [
+            'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
+            'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
+            'Throw', 'Recommended layer', 'Log',
+        ]
+    )  # fmt: skip
+
+
+def test_twins_have_trees_and_tabs_of_their_own(tmp_path) -> None:
+    twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
+    messages = [message for twin in twins for message in twin.go(150).messages]
+    messages.sort(key=lambda message: message.log_time)
+    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
+    for root in ('/rig1/twin', r'/rig\ 2/twin'):
+        assert len(recording.scalars(f'{root}/position')[0]) == 150
+    assert recording.views.count('Energy (mJ)') == 2
+
+
+def test_twin_without_journal_is_shown_as_far_as_it_is_known(twin, tmp_path) -> None:
+    messages = [each for each in twin.messages if each.channel.topic == '/twin/joint_states']
+    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
+    assert len(recording.scalars('/twin/velocity')[0]) == 1200
+    assert not any(entity.startswith('/twin/landscape') for entity in recording.entities)
+
+
+def test_late_viewer_gets_what_still_holds_and_nothing_else(twin, tmp_path) -> None:
+    scene = Scene('test', is_live=True)
+    before = Recording(record(tmp_path / 'first.rrd', scene, twin.messages, batch=100))
+    after = Recording(record(tmp_path / 'second.rrd', scene, []))
+    for entity, component in (
+        ('/twin/phase', 'StateChange:state'),
+        ('/twin/throw_result', 'TextDocument:text'),
+        ('/twin/recommendation', 'TextDocument:text'),
+        ('/twin/strain/picture', 'Image:buffer'),
+        ('/twin/landscape/picture', 'Image:buffer'),
+        ('/twin/side/plate/body', 'Image:buffer'),
+    ):
+        assert after.series(entity, component)[0].size == 1
+        assert after.last(entity, component) == before.last(entity, component)
+    assert set(after.views) == set(before.views)
+    for entity in ('/twin/position', '/twin/phase', '/twin/side/layer'):
+        assert any(
+            name.split(':')[-1] in ('colors', 'format') for name in after.components(entity)
+        )
+    assert 'Scalars:scalars' not in after.components('/twin/position')
+
+
+def test_picture_shows_the_throw(path) -> None:
+    image = pytest.importorskip('PIL.Image')
+    try:
+        with Viewer(free_port(), '--headless', '--window-size', '800x600', path) as viewer:
+            data = viewer.photograph('time since throw', 0.005)
+    except NoGraphicsError as error:
+        pytest.skip(str(error))
+    with image.open(io.BytesIO(data)) as opened:
+        picture = np.asarray(opened.convert('RGB')).astype(int)
+    assert picture.shape == (600, 800, 3)
+    red, green, blue = picture[40:320, 10:185].reshape(-1, 3).T
+    is_compressed = (red > green + 40) & (green > blue + 40)
+    is_projectile = (blue > red + 80) & (blue > green + 20)
+    assert is_compressed.sum() > 1000
+    # equal to scale: 16.8 mm of layer, some of it hardly strained, below 8.2 mm of projectile
+    assert 0.3 < is_projectile.sum() / is_compressed.sum() < 1.0
+
+
+def test_measured_throw_is_drawn_with_prediction_and_residual_without_its_spikes(tmp_path) -> None:
+    twin = TwinMessages(engine__motion='measured')
+    samples = measured_throw(Rig(), begin_ns=twin.now, duration=0.1, onset=0.05)
+    twin.measure(samples)
+    onset = twin.pace.time_ns + 50_000_000
+    spike = twin._encode_positions(onset + 5_000_000, (0.0, 0.1))
+    twin.messages.append(Message(twin.channels['residual'], spike, twin.now, twin.now, 0))
+    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), twin.messages))
+    predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
+    stamps, values = recording.scalars('/twin/position/predicted')
+    assert stamps.tolist() == [item.stamp_ns for item in predictions]
+    assert values[:, 0] == pytest.approx([1e3 * item.position for item in predictions])
+    residuals = [outputs.residual[1:] for outputs in twin.outputs if outputs.residual]
+    _, values = recording.scalars('/twin/residual')
+    assert sorted(values[:, 0]) == pytest.approx(
+        sorted([1e6 * each[0] for each in residuals] + [0.0])
+    )
+    assert values.max() == pytest.approx(1e5)
+    ((low, high),) = recording.ranges
+    assert (low, high) == pytest.approx((-high, high))
+    assert 1.0 < high < 1e3
+    _, truth = recording.scalars('/twin/position/measured')
+    assert truth[:, 1].max() > 1e3 * Rig().layer.thickness
+    assert 'Model less measurement (µm)' in recording.views
+
+
+def test_maps_are_read_back_with_values_colours_and_marks(tmp_path) -> None:
+    x, y = np.linspace(10.0, 30.0, 5), np.geomspace(1.0, 100.0, 3)
+    values = np.arange(15.0).reshape(5, 3)
+    values[1, 0] = np.nan
+    path = tmp_path / 'map.rrd'
+    stream = rerun_canvas.new_stream()
+    rerun_canvas.save_to(stream, path, is_live=False)
+    rerun_canvas.draw_landscape(
+        stream,
+        name='a map',
+        axes=(
+            rerun_canvas.MapAxis(title='x (mm)', values=x),
+            rerun_canvas.MapAxis(title='y', values=y),
+        ),
+        panels=[
+            rerun_canvas.MapPanel(name='a', title='First', symbol='s', values=values),
+            rerun_canvas.MapPanel(
+                name='b', title='Second', symbol='t', values=values, highest=7.0
+            ),
+        ],
+        marks=[(10.0, 1.0, 'low'), (30.0, 100.0, 'high')],
+    )
+    assert rerun_canvas.flush(stream, 10.0)
+    stream.disconnect()
+    recording = Recording(path)
+    (batch,) = recording.entities['/values/a']
+    (tensor,) = batch.column('Tensor:data').to_pylist()[0]
+    assert [tensor['shape'], tensor['names']] == [[5, 3], ['x (mm)', 'y']]
+    np.testing.assert_array_equal(np.reshape(tensor['buffer'], (5, 3)), values)
+    for name, highest in (('a', 14.0), ('b', 7.0)):
+        pixels = np.reshape(recording.last(f'/{name}/picture', 'Image:buffer')[0], (3, 5, 3))
+        bar = np.reshape(recording.last(f'/{name}/bar', 'Image:buffer')[0], (256, 3))
+        assert pixels[0, 4].tolist() == bar[0].tolist()  # rows downwards
+        assert pixels[2, 1].tolist() == [0xB0, 0xB0, 0xB0]
+        expected = bar[255 - round(255.0 * values[2, 1] / highest)]
+        assert pixels[1, 2].tolist() == expected.tolist()
+        texts = recording.last(f'/{name}/texts', 'Points2D:labels')
+        assert {'x (mm)', 'y', '10', '30', '1', '100'} <= set(texts)
+        assert recording.last(f'/{name}/mark_texts', 'Points2D:labels') == ['low', 'high']
+        # values are in the middle of their pixels
+        low, high = recording.last(f'/{name}/marks', 'Points2D:positions')
+        assert low == pytest.approx([20.0, 84.0 - 14.0], rel=1e-5)
+        assert high == pytest.approx([180.0, 14.0], rel=1e-5)
+    assert set(recording.views) == {'First', 'Second'}
