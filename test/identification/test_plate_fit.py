@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import (
     fit_plate,
-    motion_slopes,
     NAMES,
-    peak_velocity_slopes,
 )
 from soft_throw_ros.identification.tracks import Track
 
@@ -132,21 +130,6 @@ def test_plate_fit_knows_how_exact_its_peak_velocity_is():
         pulls.append((peak.value - motion.peak_velocity) / peak.error)
     assert abs(np.mean(pulls)) < 0.4
     assert 0.75 < np.std(pulls) < 1.25
-
-
-def test_slopes_are_those_of_the_motion():
-    motion = Underdamped(**TRUTH)
-    time = np.linspace(-0.01, 0.08, 50)
-    for place, name in enumerate(('frequency', 'damping_ratio', 'amplitude')):
-        step = 1e-5 * getattr(motion, name)
-        high, low = (
-            replace(motion, **{name: getattr(motion, name) + sign * step}) for sign in (1, -1)
-        )
-        by_difference = (high.position(time) - low.position(time)) / (2.0 * step)
-        slope = motion_slopes(motion, time)[place]
-        assert slope == pytest.approx(by_difference, abs=1e-6 * np.abs(slope).max())
-        peak = (high.peak_velocity - low.peak_velocity) / (2.0 * step)
-        assert peak_velocity_slopes(motion)[place] == pytest.approx(peak, rel=1e-6)
 
 
 def test_plate_that_goes_down_is_refused():

@@ -9,10 +9,10 @@ import pytest
 from soft_throw_ros.core import method_of_steps
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification import fit as fit_module
-from soft_throw_ros.identification.fit import FitError
-from soft_throw_ros.identification.path import follow
-from soft_throw_ros.identification.problem import ENGINE, PARAMETERS, rest_height, USUAL
+from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.fit_description import ENGINE, FitDescription, PARAMETERS, USUAL
+from soft_throw_ros.identification.rig_model import rest_height
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -56,7 +56,11 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
         plate=replace(reference_throw.plate, known_noise=2e-5),
         projectile=replace(reference_throw.projectile, known_noise=2e-5),
     )
-    found = fit_rig([throw], replace(KNOWN, gravity=0.0), heights='absolute', reference='centre')
+    found = fit_rig(
+        [throw],
+        replace(KNOWN, gravity=0.0),
+        FitDescription(heights='absolute', reference='centre'),
+    )
     assert set(found.fit.names) == set(REFERENCE)
     for name, (value, error) in REFERENCE.items():
         assert found.fit[name].value == pytest.approx(value, abs=1e-2 * error)
@@ -128,14 +132,16 @@ def test_many_throws_are_as_exact_as_they_should(make_throw):
         )
 
 
-def test_many_throws_are_fitted_as_few_are(make_throw, monkeypatch):
-    throws = [make_throw(Rig(), rate=1500.0, duration=0.06, seed=seed) for seed in range(3)]
-    few = fit_rig(throws, KNOWN).fit
-    monkeypatch.setattr(fit_module, '_MANY', 10)
-    many = fit_rig(throws, KNOWN).fit
-    assert len(many.names) > 10
-    assert np.abs((many.values - few.values) / few.errors).max() < 1e-3
-    assert many.covariance == pytest.approx(few.covariance, rel=1e-3, abs=1e-20)
+def test_many_throws_are_fitted_as_few_are(make_throw):
+    # From 41 parameters on the solver takes sparse derivatives
+    throws = [
+        make_throw(Rig(), rate=800.0, duration=0.06, seed=seed, noise=2e-5) for seed in range(14)
+    ]
+    many, few = fit_rig(throws, KNOWN).fit, fit_rig(throws[:7], KNOWN).fit
+    assert len(many.names) == 46
+    assert max(map(abs, pulls_of(many, truth_of(Rig())).values())) < 4.0
+    for name in USUAL:
+        assert many[name].error == pytest.approx(few[name].error / np.sqrt(2.0), rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +183,7 @@ def test_heights_from_one_zero_tell_the_thickness(make_throw, heights, reference
     throw = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
     known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
     found = fit_rig(
-        [throw], known, free=(*USUAL, 'layer.thickness'), heights=heights, reference=reference
+        [throw], known, FitDescription({'layer.thickness': 'free'}, heights, reference)
     )
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert found.fit['layer.thickness'].error < 5e-5
@@ -190,9 +196,7 @@ def test_wrong_reference_is_noticed(make_throw):
         fit_rig(
             [throw],
             replace(KNOWN, projectile=Projectile(length=0.05)),
-            free=(*USUAL, 'layer.thickness'),
-            heights='common',
-            reference='centre',
+            FitDescription({'layer.thickness': 'free'}, 'common', 'centre'),
         )
 
 
@@ -205,7 +209,7 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     )
     throw = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    fit = fit_rig([throw], known, free=(*USUAL, 'layer.thickness')).fit
+    fit = fit_rig([throw], known, FitDescription({'layer.thickness': 'free'})).fit
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
@@ -227,9 +231,11 @@ def test_loss_is_found(loss_tangent):
     throw = ThrowTracks(
         name='lossy',
         plate=Track(time=time, position=Underdamped.of(rig.engine).position(since) + noise[0]),
-        projectile=Track(time=time, position=follow(rig, since).position + noise[1]),
+        projectile=Track(
+            time=time, position=ThrowSimulator().follow(rig, since).position + noise[1]
+        ),
     )
-    found = fit_rig([throw], KNOWN, free=(*USUAL, 'layer.loss_tangent'))
+    found = fit_rig([throw], KNOWN, FitDescription({'layer.loss_tangent': 'free'}))
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert found.fit['layer.loss_tangent'].error < 0.01
     if loss_tangent:  # and is missed if it is not looked for
@@ -252,7 +258,7 @@ def test_plate_alone_gives_the_engine(make_throw):
     throws = [
         replace(make_throw(Rig(), rate=2000.0, seed=seed), projectile=None) for seed in range(2)
     ]
-    found = fit_rig(throws, KNOWN, free=ENGINE)
+    found = fit_rig(throws, KNOWN, FitDescription({'layer.wave_speed': 'held'}))
     assert set(found.fit.names) >= set(ENGINE)
     assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), ENGINE).values())) < 4.0
     assert found.rig.layer == KNOWN.layer
@@ -260,11 +266,15 @@ def test_plate_alone_gives_the_engine(make_throw):
 
 def test_rig_that_is_known_can_be_checked(make_throw):
     throw = make_throw(Rig(), rate=2000.0)
-    found = fit_rig([throw], Rig(), free=())
+    found = fit_rig([throw], Rig(), FitDescription({name: 'held' for name in PARAMETERS}))
     assert found.rig == Rig()
     assert found.fit.names == ('start_time', 'plate_offset', 'projectile_offset')
     assert found.fit.warnings() == []
-    worse = fit_rig([throw], replace(Rig(), layer=Layer(wave_speed=8.0)), free=())
+    worse = fit_rig(
+        [throw],
+        replace(Rig(), layer=Layer(wave_speed=8.0)),
+        FitDescription({name: 'held' for name in PARAMETERS}),
+    )
     assert any('leaves out something' in each for each in worse.fit.warnings())
 
 
@@ -276,22 +286,6 @@ def test_heights_predicted_are_those_that_were_fitted(make_throw):
     assert projectile == pytest.approx(found.fit.residuals[1].fitted, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ('change', 'message'),
-    [
-        (
-            {'free': ('layer.density',)},
-            "free must be some of engine.frequency, .*, got 'layer",
-        ),
-        ({'heights': 'any'}, "heights must be 'own', 'common' or 'absolute', got 'any'"),
-        ({'reference': 'top'}, "reference must be 'face' or 'centre', got 'top'"),
-    ],
-)
-def test_rig_fit_refuses_what_it_does_not_know(make_throw, change, message):
-    with pytest.raises(ValueError, match=message):
-        fit_rig([make_throw(Rig(), rate=500.0)], KNOWN, **change)
-
-
 def test_fit_from_a_rig_that_is_about_right_ends_where_others_do(make_throw):
     throw = make_throw(Rig(layer=Layer(thickness=9.5e-3)), rate=2000.0)
     known = replace(KNOWN, layer=Layer(thickness=9.5e-3, wave_speed=50.0))
@@ -299,8 +293,8 @@ def test_fit_from_a_rig_that_is_about_right_ends_where_others_do(make_throw):
     near = replace(known, layer=Layer(thickness=9.5e-3, wave_speed=7.5))
     found = fit_rig([throw], known, start=near)
     assert found.fit.values == pytest.approx(anywhere.fit.values, rel=1e-5, abs=1e-9)
-    assert not found.fit.is_misfit
-    assert fit_rig([throw], known, start=known).fit.is_misfit  # 50 m/s is too far away
+    assert not found.fit.is_mismatch
+    assert fit_rig([throw], known, start=known).fit.is_mismatch  # 50 m/s is too far away
 
 
 def test_noises_that_are_estimated_are_not_too_unlike(make_throw):

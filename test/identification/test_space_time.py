@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.identification.space_time import space_time, SpaceTime
 from soft_throw_ros.identification.tracks import TrackError
-from soft_throw_ros.identification.wave_speed import change_of_length, fit_ringing
+from soft_throw_ros.identification.ringing import change_of_length, fit_ringing
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))

@@ -8,7 +8,8 @@ import runpy
 import numpy as np
 import pytest
 from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
-from soft_throw_ros.identification.tracks import csv_lines, read_csv, TrackError
+from soft_throw_ros.identification.track_csv import csv_lines, read_csv
+from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))

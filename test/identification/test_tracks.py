@@ -6,10 +6,11 @@ import re
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.segmentation import split_into_throws
+from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     noise_of,
-    read_csv,
     ThrowTracks,
     Track,
     TrackError,
@@ -161,7 +162,7 @@ def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
 @pytest.mark.parametrize('noise', [0.0, 1e-5, 2e-4])  # up to a tenth of the amplitude
 def test_record_is_cut_into_its_throws(noise):
     starts = [0.2, 0.7, 1.3, 1.8]
-    throws = record(starts=starts, noise=noise).throws()
+    throws = split_into_throws(record(starts=starts, noise=noise))
     assert [throw.name for throw in throws] == [f'bag, throw {n}' for n in range(1, 5)]
     for start, throw in zip(starts, throws, strict=True):
         assert start - 0.01 < throw.plate.time[0] < start
@@ -172,19 +173,19 @@ def test_record_is_cut_into_its_throws(noise):
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
 def test_throw_that_has_only_begun_when_the_record_ends_is_none(seen, count):
     starts = [0.2, 0.7, 1.3]
-    throws = record(starts=starts, period=0.5).between(0.0, starts[-1] + seen).throws()
+    throws = split_into_throws(record(starts=starts, period=0.5).between(0.0, starts[-1] + seen))
     assert len(throws) == count
 
 
 def test_record_of_an_hour_is_cut_too():
     # Far more samples than swings: at 400 Hz the plate has ten in a period
     starts = [5.0, 1800.0, 3590.0]
-    throws = record(starts=starts, rate=400.0).throws()
+    throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
 
 
 def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
-    (throw,) = record(starts=[0.2], period=1.0).throws()
+    (throw,) = split_into_throws(record(starts=[0.2], period=1.0))
     assert throw.name == 'bag'
     assert 0.34 < throw.plate.time[-1] < 0.36
 
@@ -198,11 +199,11 @@ def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
     ],
 )
 def test_record_of_a_throw_that_settles_stays_whole(whole):
-    assert whole.throws() == [whole]
+    assert split_into_throws(whole) == [whole]
 
 
 def test_harmonic_plate_that_touches_its_rest_is_one_throw():
     time = np.arange(0.0, 0.3, 1e-4)
     position = Underdamped(frequency=30.0, amplitude=2e-3).position(time - 0.05)
     whole = ThrowTracks(name='harmonic', plate=Track(time=time, position=position))
-    assert whole.throws() == [whole]
+    assert split_into_throws(whole) == [whole]

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from soft_throw_ros.identification.fit import FitError, Value
+from soft_throw_ros.identification.least_squares import FitError, Estimate
 from soft_throw_ros.identification.tracks import Track, TrackError
-from soft_throw_ros.identification.wave_speed import (
+from soft_throw_ros.identification.ringing import (
     change_of_length,
     fit_ringing,
     fit_wave_speed,
@@ -120,7 +120,7 @@ def test_wave_speed_is_the_least_squares_one():
     best = minimize(misfit, start, method='Nelder-Mead', options=patience)
     found = fit_wave_speed(
         thicknesses.tolist(),
-        [Value(*pair) for pair in zip(periods, errors, strict=True)],
+        [Estimate(*pair) for pair in zip(periods, errors, strict=True)],
         thickness_error=1e-4,
     )
     assert best.success
@@ -135,7 +135,7 @@ def test_wave_speed_knows_how_exact_it_is():
     pulls, agreements = [], []
     for _ in range(400):
         true = thicknesses + 1e-4 * rng.normal(size=5)
-        periods = [Value(2.0 * t / 7.8 + 1e-5 * rng.normal(), 1e-5) for t in true.tolist()]
+        periods = [Estimate(2.0 * t / 7.8 + 1e-5 * rng.normal(), 1e-5) for t in true.tolist()]
         found = fit_wave_speed(thicknesses.tolist(), periods, thickness_error=1e-4)
         pulls.append((found.value.value - 7.8) / found.value.error)
         agreements.append(found.agreement)
@@ -145,7 +145,7 @@ def test_wave_speed_knows_how_exact_it_is():
 
 
 def test_wave_speed_of_one_layer_is_its_own():
-    found = fit_wave_speed([0.02], [Value(5e-3, 5e-5)], thickness_error=1e-4)
+    found = fit_wave_speed([0.02], [Estimate(5e-3, 5e-5)], thickness_error=1e-4)
     assert found.value.value == pytest.approx(8.0)
     assert found.value.error == pytest.approx(8.0 * np.hypot(0.01, 0.005))
     assert (found.dof, found.agreement) == (0, 1.0)
@@ -156,14 +156,14 @@ def test_wave_speed_of_one_layer_is_its_own():
     [
         ({'thicknesses': [0.01]}, 'a period for each thickness, got 2 for 1'),
         ({'thicknesses': [0.01, -0.02]}, 'thicknesses must be above 0 and finite, got -0.02'),
-        ({'periods': [Value(1e-3, 1e-6)] * 3}, 'got 3 for 2'),
+        ({'periods': [Estimate(1e-3, 1e-6)] * 3}, 'got 3 for 2'),
         ({'thickness_error': -1.0}, 'thickness_error must be finite and not negative, got -1'),
     ],
 )
 def test_wave_speed_refuses_what_does_not_fit(change, message):
     given = {
         'thicknesses': [0.01, 0.02],
-        'periods': [Value(2e-3, 1e-5), Value(4e-3, 1e-5)],
+        'periods': [Estimate(2e-3, 1e-5), Estimate(4e-3, 1e-5)],
         'thickness_error': 0.0,
     }
     with pytest.raises(ValueError, match=message):

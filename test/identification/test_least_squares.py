@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from soft_throw_ros.identification.fit import fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.least_squares import fit_tracks, FitError, FitModel, Estimate
 from soft_throw_ros.identification.tracks import Track
 
 TIME = np.linspace(0.0, 2.0, 200)
@@ -19,10 +19,10 @@ def decay(time, size, rate):
     return size * np.exp(-rate * time)
 
 
-MODEL = Model(
+MODEL = FitModel(
     names=('size', 'rate'),
     predict=lambda values: decay(TIME, *values),
-    slopes=lambda values: np.stack(
+    jacobian=lambda values: np.stack(
         [np.exp(-values[1] * TIME), -TIME * decay(TIME, *values)], axis=1
     ),
     low=np.array([0.0, 0.0]),
@@ -100,8 +100,12 @@ def test_parameters_that_do_the_same_are_named():
             [growth * one, -TIME * predict(values), 0.01 * TIME * values[0] * one], axis=1
         )
 
-    model = Model(
-        ('size', 'rate', 'growth'), predict, slopes, -np.inf * np.ones(3), np.ones(3) * 9
+    model = FitModel(
+        names=('size', 'rate', 'growth'),
+        predict=predict,
+        jacobian=slopes,
+        low=-np.inf * np.ones(3),
+        high=np.ones(3) * 9,
     )
     found = fit_tracks(model, np.array([1.4, 0.7, 0.0]), [('decay', track())])
     (warning,) = found.warnings()
@@ -131,10 +135,10 @@ def test_colour_of_what_is_far_below_the_noise_does_not_matter():
 
 
 def test_parameter_that_does_nothing_is_not_known_at_all():
-    model = Model(
+    model = FitModel(
         names=('size', 'rate', 'idle'),
         predict=lambda values: MODEL.predict(values[:2]),
-        slopes=lambda values: np.column_stack([MODEL.slopes(values[:2]), np.zeros(TIME.size)]),
+        jacobian=lambda values: np.column_stack([MODEL.jacobian(values[:2]), np.zeros(TIME.size)]),
         low=-np.inf * np.ones(3),
         high=np.inf * np.ones(3),
     )
@@ -145,10 +149,10 @@ def test_parameter_that_does_nothing_is_not_known_at_all():
 
 def test_fit_with_too_few_samples_is_refused():
     short = track().between(0.0, 0.12)
-    many = Model(
+    many = FitModel(
         names=tuple('abcdefghijklmn'),
         predict=lambda values: np.zeros(short.time.size),
-        slopes=lambda values: np.zeros((short.time.size, 14)),
+        jacobian=lambda values: np.zeros((short.time.size, 14)),
         low=-np.ones(14),
         high=np.ones(14),
     )
@@ -159,12 +163,12 @@ def test_fit_with_too_few_samples_is_refused():
 @pytest.mark.parametrize(
     ('value', 'text'),
     [
-        (Value(63.19175, 0.0141), '63.192 +- 0.014'),
-        (Value(2.0e-3, 1.97e-6), '0.0020000 +- 0.0000020'),
-        (Value(7.8, 0.3), '7.80 +- 0.30'),
-        (Value(1234.0, 56.0), '1234 +- 56'),
-        (Value(1.0, 0.0), '1 +- 0'),
-        (Value(1.0, math.inf), '1 +- inf'),
+        (Estimate(63.19175, 0.0141), '63.192 +- 0.014'),
+        (Estimate(2.0e-3, 1.97e-6), '0.0020000 +- 0.0000020'),
+        (Estimate(7.8, 0.3), '7.80 +- 0.30'),
+        (Estimate(1234.0, 56.0), '1234 +- 56'),
+        (Estimate(1.0, 0.0), '1 +- 0'),
+        (Estimate(1.0, math.inf), '1 +- inf'),
     ],
 )
 def test_value_is_written_with_two_digits_of_its_error(value, text):
