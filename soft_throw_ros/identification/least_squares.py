@@ -8,8 +8,8 @@ Weights are one over the noise of each track. If somebody knows the noise it is 
 and so are the standard errors; if it was estimated, they are multiplied by the square root of
 chi squared per degree of freedom, so that only the ratios of noises matter to them.
 
-A sample is an outlier if its residual differs from the median of the residuals around it by more
-than `OUTLIER_LIMIT` times the noise. So a model that does not fit makes no outliers: what it
+A sample is an outlier if its residual is away from those around it by more than `OUTLIER_LIMIT`
+times the noise. So a model that does not fit makes no outliers: what it
 leaves changes slowly from sample to sample. If there are any, the fit is repeated with a robust
 loss, which they hardly draw to themselves; then they are left out, and the rest is fitted by
 plain least squares. Without outliers that is all there is.
@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, sparse, stats
-from scipy.ndimage import median_filter
+from scipy.ndimage import rank_filter
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,8 @@ INSEPARABLE = 0.99
 OUTLIER_LIMIT = 6.0
 """How many times the noise a sample must be off to be left out; noise alone is not in 1e8."""
 
-_NEIGHBOURHOOD = 7  # samples whose median an outlier differs from; three of them may be outliers
+_NEIGHBOURHOOD = 7  # samples, of which two may be outliers: one is away from all ...
+_RANKS = (2, 4)  # from the third to the fifth of them in size
 _MAX_OUTLIER_SHARE = 0.1  # of a track; if there are more, it is the model that does not fit
 _OUTLIER_ROUNDS = 6  # of leaving them out and fitting again
 _AUTOCORRELATION_LAGS = 10
@@ -365,8 +366,11 @@ class _LeastSquares:
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
         for left in np.split(residuals, self._ends):
-            apart = np.abs(left - median_filter(left, _NEIGHBOURHOOD, mode='nearest'))
-            scale = max(1.0, 1.4826 * float(np.median(apart)))
+            low, high = (
+                rank_filter(left, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS
+            )
+            apart = np.maximum(left - high, low - left).clip(0.0)
+            scale = max(1.0, 1.4826 * float(np.median(np.abs(left - 0.5 * (low + high)))))
             flagged = apart > OUTLIER_LIMIT * scale
             flags.append(flagged & (flagged.mean() < _MAX_OUTLIER_SHARE))
         return np.concatenate(flags)

@@ -154,6 +154,10 @@ class Track:
             spikes = places[apart[places] > _SPIKE_LIMIT * usual]
             if not spikes.size:
                 break
+            if spikes[0] == 2:  # which one of the first it is cannot be told
+                spikes = np.append([0, 1], spikes)
+            if spikes[-1] == kept.size - 3:
+                spikes = np.append(spikes, [kept.size - 2, kept.size - 1])
             kept = np.delete(kept, spikes)
         if kept.size < max(FEWEST, (1.0 - _MAX_SPIKE_SHARE) * self.time.size):
             return self

@@ -74,19 +74,6 @@ def value(found, name):
     return found['found'][name]['value'], found['found'][name]['error']
 
 
-def test_sample_is_what_it_says():
-    time, plate, projectile = np.loadtxt(SAMPLE, delimiter=',', skiprows=4).T
-    since = time - 0.0124
-    history = follow(RIG, until=since[-1])
-    for heights, exact in (
-        (plate, Underdamped.of(RIG.engine).position(since)),
-        (projectile, history.projectile_position(since)),
-    ):
-        noise = heights - 1e3 * exact
-        assert np.std(noise) == pytest.approx(0.02, rel=0.15)
-        assert np.abs(noise).max() < 0.08
-
-
 def test_sample_gives_its_rig(capsys):
     found = run_json(capsys, *OF_SAMPLE)
     truth = (58.0, 0.05, 1.8e-3, 6.9)
@@ -144,30 +131,6 @@ def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
     )
 
 
-def test_settings_of_a_file_are_kept(capsys, tmp_path, write):
-    config = write(
-        'twin: {ros__parameters: {rate.state: 500.0, layer.thickness: 0.012}}', 'a.yaml'
-    )
-    output = tmp_path / 'b.yaml'
-    run(capsys, SAMPLE, '--unit', 'mm', '--config', config, '--output', output)
-    settings = files.read(output)
-    assert settings['rate.state'] == 500.0
-    assert settings['layer.thickness'] == 0.012
-    assert settings['engine.frequency'] == pytest.approx(58.0, rel=1e-2)
-
-
-def test_table_has_values_with_errors_and_both_analyses(capsys):
-    lines = run(capsys, *OF_SAMPLE).out.splitlines()
-    assert lines[0].split()[:1] == ['engine.frequency']
-    assert ' +- ' in lines[0]
-    assert lines[0].endswith(' Hz')
-    assert lines[4] == 'layer.thickness       12 mm, taken as known'
-    (alpha,) = [line for line in lines if line.startswith('energy transfer alpha')]
-    assert alpha.count('+-') == 2
-    (head,) = [line for line in lines if 'running averages' in line]
-    assert len(head) == len(alpha)
-
-
 def test_more_can_be_fitted_and_less(capsys):
     found = run_json(
         capsys, SAMPLE, '--unit', 'mm', '--heights', 'absolute', '--fit', 'layer.thickness',
@@ -178,14 +141,6 @@ def test_more_can_be_fitted_and_less(capsys):
     assert thickness == pytest.approx(12e-3, abs=4.0 * error)
     assert error < 2e-5
     assert found['held']['engine.damping_ratio'] == 0.05
-
-
-def test_what_is_not_told_apart_is_said(capsys, tmp_path):
-    output = tmp_path / 'rig.yaml'
-    tracks = SAMPLE.with_name('reference_tracks.csv')
-    result = run(capsys, tracks, '--gravity', 0, '--fit', 'layer.thickness', '--output', output)
-    assert 'layer.wave_speed and layer.thickness can hardly be told apart' in result.err
-    assert 'Doubtful: layer.wave_speed and layer.thickness' in output.read_text()
 
 
 @pytest.mark.parametrize('suffix', ['.png', '.pdf'])
@@ -416,26 +371,6 @@ def test_projectile_that_is_not_seen_is_left_out(capsys, tmp_path):
     assert speed == pytest.approx(6.9, abs=4.0 * error)
 
 
-def test_bag_is_read_in_spite_of_others_that_cannot_be(capsys, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2,))
-    bag = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile)
-    for names in (('arm', 'hand'), ('Arm', 'Hand')):  # of equal lengths, and not the same
-        bag.add('/arm', time, plate, projectile, names=names)
-    folder = bag.close()
-    found = run_json(capsys, folder, '--thickness', 12e-3)
-    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.01)
-    message = refused(capsys, folder, '--topic', '/arm')
-    assert message.startswith(f'{folder}: /arm: messages JointState of one topic are not all of')
-
-
-def test_bag_with_two_that_are_measured_is_asked_for_one(capsys, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2,))
-    bag = Bag(tmp_path / 'bag').add('/twin/joint_states', time, plate, projectile)
-    for rig in ('/a', '/b'):
-        bag.add(f'{rig}/measured_joint_states', time, plate, projectile)
-    assert 'no topic of its own has positions' in refused(capsys, bag.close())
-
-
 def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     bag = Bag(tmp_path / 'bag')
@@ -500,16 +435,5 @@ def test_wrong_unit_without_a_header_is_noticed(capsys, write):
     assert message.endswith('is the unit of heights right (--unit)?')
 
 
-def test_file_that_is_no_text_is_refused(capsys, write):
-    path = write(b'\xff\xfe\x00\x01')
-    assert refused(capsys, path) == f'{path}: is no UTF-8 text'
-
-
 def test_folder_that_is_no_bag_is_refused(capsys, tmp_path):
     assert str(tmp_path) in refused(capsys, tmp_path)
-
-
-def test_output_that_cannot_be_written_is_one_line(capsys, tmp_path):
-    (tmp_path / 'rig.yaml').mkdir()
-    message = refused(capsys, *OF_SAMPLE, '--output', tmp_path / 'rig.yaml')
-    assert message == f'{tmp_path}/rig.yaml: Is a directory'

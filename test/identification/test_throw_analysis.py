@@ -9,12 +9,11 @@ from soft_throw_ros.core.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.least_squares import Fit, FitError
-from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
+from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
 
 RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
@@ -55,12 +54,6 @@ def test_running_averages_err_by_what_they_say(make_throw, thickness, gravity, n
     # bias is part of the error, and so is not averaged away
     assert np.abs(np.mean(pulls, axis=0)).max() < 1.3
     assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.6
-
-
-def test_running_averages_take_a_plate_that_was_fitted(make_throw):
-    throw = make_throw(Rig(), duration=0.06)
-    plate = fit_plate(throw.plate)
-    assert analyse_throw(throw, gravity=9.81, plate=plate) == analyse_throw(throw, gravity=9.81)
 
 
 def test_running_averages_pass_over_the_landing(make_throw):
