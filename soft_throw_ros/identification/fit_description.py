@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 import re
-from typing import cast, Literal
+from typing import cast, Literal, NamedTuple
 
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.least_squares import Estimate, FitError
@@ -48,74 +48,56 @@ _TEXT = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class Treatment:
-    """
-    How a fit treats a parameter.
+class Treatment(NamedTuple):
+    """How a fit treats a parameter."""
 
-    Parameters
-    ----------
-    text : str
-        `free`; `held`; a value at which it is held; or a value with the error with which it is
-        known, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of the
-        rig. What is not held may be followed by `per throw`: then each throw has its own.
+    is_varied: bool
+    """Whether the fit changes it."""
+    is_per_throw: bool
+    """Whether each throw has its own."""
+    value: float | None
+    """What it is, or is known to be; None if that is for the rig to say."""
+    error: float | None
+    """With what error it is known; None if it is free or held."""
+    is_relative: bool
+    """Whether the error is relative to the value."""
 
-    Attributes
-    ----------
-    is_varied : bool
-        Whether the fit changes it.
-    is_per_throw : bool
-        Whether each throw has its own.
+    @classmethod
+    def parse(cls, text: str) -> Treatment:
+        """
+        Read a treatment.
 
-    Raises
-    ------
-    ValueError
-        If the text is none of these.
+        Parameters
+        ----------
+        text : str
+            `free`; `held`; a value at which it is held; or a value with the error with which it
+            is known, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of
+            the rig. What is not held may be followed by `per throw`: then each throw has its own.
 
-    """
+        Raises
+        ------
+        ValueError
+            If the text is none of these.
 
-    text: str
-    is_varied: bool = field(init=False)
-    is_per_throw: bool = field(init=False)
-    _value: float | None = field(init=False)
-    _error: tuple[float, float] | None = field(init=False)  # absolute, relative
-
-    def __post_init__(self) -> None:
-        match = _TEXT.fullmatch(self.text.strip())
+        """
+        match = _TEXT.fullmatch(text.strip())
         given = match.groupdict() if match else {}
         word, value, error = (given.get(name) for name in ('word', 'value', 'error'))
         if (word is None) == (value is None and error is None):
-            raise ValueError(f'must be {TREATMENTS}, got {self.text!r}')
-        is_varied = word == 'free' or error is not None
+            raise ValueError(f'must be {TREATMENTS}, got {text!r}')
         if error is not None and not 0.0 < float(error) < math.inf:
-            raise ValueError(f'must have an error that is finite and positive, got {self.text!r}')
-        if given['own'] and not is_varied:
-            raise ValueError(f"must be free or have an error to be 'per throw', got {self.text!r}")
-        object.__setattr__(self, 'is_varied', is_varied)
-        object.__setattr__(self, 'is_per_throw', given['own'] is not None)
-        object.__setattr__(self, '_value', None if value is None else float(value))
-        if error is None:
-            pair = None
-        else:
-            pair = (0.0, 0.01 * float(error)) if given['percent'] else (float(error), 0.0)
-        object.__setattr__(self, '_error', pair)
-
-    @property
-    def is_free(self) -> bool:
-        """Whether nothing is known of it."""
-        return self.is_varied and self._error is None
-
-    def value(self, of_rig: float) -> float:
-        """Return what it is, or is known to be, given what the rig says."""
-        return of_rig if self._value is None else self._value
-
-    def known(self, of_rig: float) -> Estimate | None:
-        """Return what is known of it with an error, if anything, given what the rig says."""
-        if self._error is None:
-            return None
-        absolute, relative = self._error
-        value = self.value(of_rig)
-        return Estimate(value, absolute + relative * abs(value))
+            raise ValueError(f'must have an error that is finite and positive, got {text!r}')
+        is_varied, is_per_throw = word == 'free' or error is not None, given['own'] is not None
+        if is_per_throw and not is_varied:
+            raise ValueError(f"must be free or have an error to be 'per throw', got {text!r}")
+        is_relative = given['percent'] is not None
+        return cls(
+            is_varied=is_varied,
+            is_per_throw=is_per_throw,
+            value=None if value is None else float(value),
+            error=None if error is None else float(error) * (0.01 if is_relative else 1.0),
+            is_relative=is_relative,
+        )
 
 
 @dataclass(frozen=True)
@@ -126,8 +108,8 @@ class FitDescription:
     Parameters
     ----------
     parameters : mapping of str to str
-        How to treat some of `PARAMETERS`, see `Treatment`. Of the others those of `USUAL` are
-        free, and the rest is held as the rig says.
+        How to treat some of `PARAMETERS`, see `Treatment.parse`. Of the others those of `USUAL`
+        are free, and the rest is held as the rig says.
     heights : {'own', 'common', 'absolute'}
         From where heights count, see `Heights`.
     reference : {'face', 'centre'}
@@ -173,7 +155,7 @@ class FitDescription:
         for name in PARAMETERS:
             text = self.parameters.get(name, 'free' if name in USUAL else 'held')
             try:
-                treatments[name] = Treatment(text)
+                treatments[name] = Treatment.parse(text)
             except ValueError as error:
                 raise ValueError(f'{name} {error}') from None
         object.__setattr__(self, 'treatments', treatments)
@@ -249,13 +231,20 @@ class FitDescription:
 
     def is_free(self, name: str) -> bool:
         """Whether the fit finds a parameter of which nothing is known."""
-        return self.treatments[name].is_free
+        treatment = self.treatments[name]
+        return treatment.is_varied and treatment.error is None
 
     def known(self, rig: Rig) -> dict[str, Estimate]:
         """Return what is known with an error; the rig has what is not said here."""
-        values = values_of(rig, PARAMETERS)
-        known = {name: each.known(values[name]) for name, each in self.treatments.items()}
-        return {name: estimate for name, estimate in known.items() if estimate is not None}
+        values = values_of(self.prepare(rig), PARAMETERS)
+        return {
+            name: Estimate(
+                values[name],
+                each.error * (abs(values[name]) if each.is_relative else 1.0),
+            )
+            for name, each in self.treatments.items()
+            if each.error is not None
+        }
 
     def prepare(self, rig: Rig) -> Rig:
         """
@@ -267,8 +256,7 @@ class FitDescription:
             If the rig does not take one.
 
         """
-        values = values_of(rig, PARAMETERS)
-        said = {name: each.value(values[name]) for name, each in self.treatments.items()}
+        said = {n: each.value for n, each in self.treatments.items() if each.value is not None}
         try:
             return changed_rig(rig, said)
         except ValueError as error:

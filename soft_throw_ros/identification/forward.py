@@ -24,11 +24,11 @@ from soft_throw_ros.identification.least_squares import FitError
 
 Floats = NDArray[np.float64]
 
-MAX_UPDATES = 6e8
+MAX_UPDATES = 4e8
 """Updates of a cell that following one throw with all its trial rigs takes at most, some 10 s."""
 
 # What costs as much time as an update of a cell, times so many:
-_UPDATES_PER_WAVE_STEP = 3.0
+_UPDATES_PER_WAVE_STEP = 2.0
 _UPDATES_PER_SAMPLE = 100.0
 
 _SHARE_OF_PATH = 0.02  # of all updates, that following a single rig takes at most
@@ -116,17 +116,7 @@ class ThrowSimulator:
         return float('inf')
 
     def _make_stepper(self, rig: Rig, until: float, samples: int, by_cells: bool) -> ThrowStepper:
-        """
-        Make a stepper, and charge what it will take.
-
-        Raises
-        ------
-        FitError
-            If that is too much, with this rig or in all.
-        ValueError
-            If the model refuses the rig.
-
-        """
+        """Make a stepper, and charge what it will take."""
         crossings = until / rig.crossing_time
         stepper: ThrowStepper
         if by_cells or rig.layer.loss_tangent > 0.0:

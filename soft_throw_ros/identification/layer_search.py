@@ -215,15 +215,7 @@ def _mismatch(model: RigModel, plates: Sequence[PlateFit], rig: Rig) -> float:
 
 
 def _thicknesses(model: RigModel, plates: Sequence[PlateFit], free: set[str]) -> list[float]:
-    """
-    Choose thicknesses to look at.
-
-    Raises
-    ------
-    FitError
-        If heights from one zero say that the layer has none.
-
-    """
+    """Choose thicknesses to look at."""
     if 'layer.thickness' not in free:
         return [model.rig.layer.thickness]
     if model.description.heights == 'own':

@@ -366,9 +366,7 @@ class _LeastSquares:
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
         for left in np.split(residuals, self._ends):
-            low, high = (
-                rank_filter(left, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS
-            )
+            low, high = (rank_filter(left, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS)
             apart = np.maximum(left - high, low - left).clip(0.0)
             scale = max(1.0, 1.4826 * float(np.median(np.abs(left - 0.5 * (low + high)))))
             flagged = apart > OUTLIER_LIMIT * scale

@@ -180,15 +180,7 @@ def _differentiate(function: Callable[[Floats], Floats], values: Floats) -> list
 
 
 def _starts(track: Track) -> list[Floats]:
-    """
-    Find where to start from.
-
-    Raises
-    ------
-    FitError
-        If the plate goes down.
-
-    """
+    """Find where to start from."""
     count = min(_MAX_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
     time = np.linspace(track.time[0], track.time[-1], count)
     height = np.interp(time, track.time, track.position)

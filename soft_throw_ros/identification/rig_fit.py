@@ -237,15 +237,7 @@ def _sizes(model: RigModel) -> list[int]:
 
 
 def _before_landing(model: RigModel, rig: Rig, plates: Sequence[PlateFit]) -> RigModel:
-    """
-    Leave out what comes after the landing, were it this rig.
-
-    Raises
-    ------
-    FitError
-        If nothing is left.
-
-    """
+    """Leave out what comes after the landing, were it this rig."""
     seen = replace(model, rig=rig)
     if not model.projectiles:
         return seen

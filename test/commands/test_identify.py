@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `identify`."""
 
-from dataclasses import replace
 import json
 from pathlib import Path
 import re
-import signal
-import subprocess
 import sys
-import threading
-from time import sleep
 
 import numpy as np
 import pytest

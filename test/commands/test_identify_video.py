@@ -216,7 +216,10 @@ def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, m
         ),
         (('a.csv', '--rate', '1'), 'argument --rate: is for videos'),
         (('a.csv', '--space-time', 'a.png'), 'argument --space-time: is for videos'),
-        (('--watch', 'a', '--video', 'VIDEO'), 'either FILE or --video, or --watch, or --free'),
+        (
+            ('--free-layer', '0.01', 'a.csv', '--video', 'VIDEO'),
+            'either FILE or --video, or --free-layer',
+        ),
         (
             ('--video', 'VIDEO', '--video', 'VIDEO', *AS_TAKEN, '--tracks', 'a.csv'),
             'argument --tracks: is for one video at a time, got 2',
