@@ -156,8 +156,8 @@ def tracks_of(
     for spot, body in zip(spots, bodies, strict=True):
         if spot.row.size < FEWEST and body != 'none':
             raise TrackError(
-                f'the spot at {_describe_place(spot)}, on the {body}, is seen in {spot.row.size} pictures '
-                f'from the first one on, where at least {FEWEST} are needed'
+                f'the spot at {_describe_place(spot)}, on the {body}, is seen in {spot.row.size} '
+                f'pictures from the first one on, where at least {FEWEST} are needed'
             )
     numbered = [
         f'layer {1 + bodies[:place].count("layer")}' if body == 'layer' else body

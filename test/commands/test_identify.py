@@ -105,6 +105,42 @@ def test_readme_shows_what_is_printed_of_the_sample(capsys, tmp_path, monkeypatc
     assert files.read(tmp_path / 'my_rig.yaml')['layer.thickness'] == 12e-3
 
 
+@pytest.mark.parametrize(('body', 'row'), [('plate', 40), ('projectile', 0), ('projectile', 80)])
+def test_sample_that_is_3_mm_off_is_listed_and_left_out(capsys, write, body, row):
+    clean = run_json(capsys, *OF_SAMPLE)
+    lines = SAMPLE.read_text().splitlines()
+    cells = lines[4 + row].split(',')
+    column = 1 + ('plate', 'projectile').index(body)
+    cells[column] = str(float(cells[column]) + 3.0)
+    lines[4 + row] = ','.join(cells)
+    path = write(lines)
+    found = run_json(capsys, path, *OF_SAMPLE[1:])
+    (residual,) = (each for each in found['fit']['residuals'] if each['outliers'])
+    (outlier,) = residual['outliers']
+    assert (residual['track'], outlier['time']) == (body, float(cells[0]))
+    assert outlier['deviation'] == pytest.approx(3e-3, abs=1e-4)
+    for name in USUAL:
+        best, error = value(clean, name)
+        assert value(found, name)[0] == pytest.approx(best, abs=error)
+    assert found['warnings'] == []
+    printed = run(capsys, path, *OF_SAMPLE[1:]).out
+    assert f'left out as outliers of {body}: {float(cells[0]):g} s' in printed
+
+
+def test_fit_is_described_alike_by_options_and_file(capsys, write):
+    path = write('parameters: {projectile.mass: 0.0012 +- 1 %}\nheights: absolute', 'fit.yaml')
+    by_file = run_json(capsys, *OF_SAMPLE, '--fit-file', path)
+    by_option = run_json(
+        capsys, *OF_SAMPLE, '--heights', 'absolute', '--fit', 'projectile.mass=0.0012 +- 1 %'
+    )
+    assert by_file == by_option
+    mass, error = value(by_file, 'projectile.mass')
+    assert mass == pytest.approx(1.2e-3, rel=0.02)
+    assert error <= 1.2e-5
+    path.write_text('heights: [')
+    assert refused(capsys, *OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
+
+
 def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
     path = tmp_path / 'rig.yaml'
     printed = run(capsys, *OF_SAMPLE, '--mass', 1.3e-3, '--output', path).out
