@@ -127,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         '--fit', metavar='NAME[=HOW]', action='append', default=[],
         help=f'fit this too: one of {", ".join(PARAMETERS)} (default: to fit '
-        f'{", ".join(USUAL)}). HOW is {TREATMENTS.replace("%", "%%")} in percent, as in '
+        f'{", ".join(USUAL)}). HOW is {TREATMENTS.replace("%", "%%")}, as in '
         "'projectile.mass=0.0012 +- 1 %%'; what is not held may be followed by 'per throw'. May "
         'be repeated',
     )  # fmt: skip

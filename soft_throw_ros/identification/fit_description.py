@@ -38,7 +38,7 @@ Reference = Literal['face', 'centre']
 HEIGHTS: tuple[Heights, ...] = ('own', 'common', 'absolute')
 REFERENCES: tuple[Reference, ...] = ('face', 'centre')
 
-TREATMENTS = "'free', 'held', VALUE, or VALUE +- ERROR, of which either may be left out"
+TREATMENTS = "'free', 'held', VALUE, VALUE +- ERROR, or +- ERROR, which may be in %"
 """How a parameter can be treated, for messages."""
 
 _NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'

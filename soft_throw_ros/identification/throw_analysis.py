@@ -19,7 +19,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, PARAMETERS
 from soft_throw_ros.identification.forward import first_releases
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
+from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -64,9 +64,7 @@ class Ejection:
     is_near_jump: bool = False
 
 
-def analyse_throw(
-    tracks: ThrowTracks, *, gravity: float, plate: PlateFit | None = None
-) -> Ejection:
+def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     r"""
     Find how the projectile left from running averages and centred differences.
 
@@ -77,8 +75,6 @@ def analyse_throw(
         vary a little.
     gravity : float
         [m/s2]
-    plate : PlateFit, optional
-        Of this throw, if there is one already.
 
     Raises
     ------
@@ -105,7 +101,7 @@ def analyse_throw(
     """
     if tracks.projectile is None:
         raise FitError(f'{tracks.name}: there is no track of the projectile')
-    plate = plate or fit_plate(tracks.plate)
+    plate = fit_plate(tracks.plate)
     bodies = tracks.plate.without_spikes(), tracks.projectile.without_spikes()
     period, interval = 1.0 / plate.motion.frequency, tracks.plate.interval
     if interval * _SAMPLES_PER_PERIOD > period:

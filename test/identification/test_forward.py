@@ -25,14 +25,6 @@ def test_path_is_that_of_the_exact_model(rig):
     assert [event.kind for event in path.events] == [event.kind for event in exact.events]
 
 
-def test_path_by_grid_is_near_the_exact_one():
-    time = np.linspace(0.0, 0.06, 300)
-    exact = ThrowSimulator().follow(Rig(), time)
-    assert ThrowSimulator().follow(Rig(), time, by_cells=True).position == pytest.approx(
-        exact.position, abs=5e-6
-    )
-
-
 @pytest.mark.parametrize('loss_tangent', [0.02, 0.2])
 def test_path_with_loss_leaves_as_the_sum_over_modes_says(loss_tangent):
     rig = Rig(layer=Layer(loss_tangent=loss_tangent))

@@ -107,22 +107,3 @@ def test_wave_speed_knows_how_exact_it_is():
     assert abs(np.mean(pulls)) < 0.15
     assert 0.75 < np.std(pulls) < 1.05  # not above, since a large scatter makes errors larger
     assert np.mean(agreements) == pytest.approx(0.5, abs=0.06)
-
-
-@pytest.mark.parametrize(
-    ('change', 'message'),
-    [
-        ({'thicknesses': [0.01]}, 'a period for each thickness, got 2 for 1'),
-        ({'thicknesses': [0.01, -0.02]}, 'thicknesses must be above 0 and finite, got -0.02'),
-        ({'periods': [Estimate(1e-3, 1e-6)] * 3}, 'got 3 for 2'),
-        ({'thickness_error': -1.0}, 'thickness_error must be finite and not negative, got -1'),
-    ],
-)
-def test_wave_speed_refuses_what_does_not_fit(change, message):
-    given = {
-        'thicknesses': [0.01, 0.02],
-        'periods': [Estimate(2e-3, 1e-5), Estimate(4e-3, 1e-5)],
-        'thickness_error': 0.0,
-    }
-    with pytest.raises(ValueError, match=message):
-        fit_wave_speed(**{**given, **change})
