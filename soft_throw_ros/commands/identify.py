@@ -8,17 +8,22 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-import json
+from collections.abc import Callable, Sequence
 import math
 from pathlib import Path
 import sys
-from typing import Any, get_args
 
 from soft_throw_ros.commands import identify_figure
-from soft_throw_ros.commands.identify_input import Source
+from soft_throw_ros.commands.identify_input import TrackReader
+from soft_throw_ros.commands.identify_report import (
+    ejection_data,
+    ejection_lines,
+    fit_data,
+    fit_lines,
+    IdentificationReport,
+    unit_of,
+    with_unit,
+)
 from soft_throw_ros.commands.identify_video import (
     add_video_options,
     check_video_options,
@@ -26,83 +31,33 @@ from soft_throw_ros.commands.identify_video import (
     read_layer,
     read_throw,
 )
-from soft_throw_ros.commands.identify_watch import watch
 from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
-from soft_throw_ros.configuration import files, ParameterError, rig_of, Settings, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit import Fit, FitError, Value
-from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.problem import (
+from soft_throw_ros.configuration import rig_of, Settings, TWIN
+from soft_throw_ros.identification.fit_description import (
     ENGINE,
-    Heights,
+    FitDescription,
+    HEIGHTS,
     PARAMETERS,
-    Reference,
+    REFERENCES,
+    TREATMENTS,
     USUAL,
 )
-from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.throw_analysis import analyse_throw, Ejection, ejection_of
-from soft_throw_ros.identification.tracks import ThrowTracks, UNITS
-from soft_throw_ros.identification.wave_speed import (
+from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.plate_fit import fit_plate
+from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.ringing import (
     change_of_length,
     fit_ringing,
     fit_wave_speed,
     Ringing,
 )
+from soft_throw_ros.identification.throw_analysis import analyse_throw, Ejection, ejection_of
+from soft_throw_ros.identification.track_csv import UNITS
+from soft_throw_ros.identification.tracks import ThrowTracks
 
 _FIGURES = ('.png', '.pdf', '.svg')
-
-_SHOWN = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
-"""Units that tables have in another size."""
-
-_LAST = 10
-"""Throws that are fitted at once while a bag is watched: those before may be of an older layer."""
-
-_DOUBT = 1e-4
-"""Probability below which chance is no explanation."""
-
-_MOST_COLUMNS = 4
-"""Throws that have a column of their own."""
-
-_MOST_ROWS = 6
-"""Tracks that have a row of their own if there are more throws than that."""
-
-_EJECTION = (
-    ('time', 'ejection time t_e', 's'),
-    ('speed', 'ejection speed V_e', 'm/s'),
-    ('peak_plate_speed', 'plate speed V_p*', 'm/s'),
-    ('energy_transfer', 'energy transfer alpha', ''),
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Report:
-    """
-    What was found.
-
-    Parameters
-    ----------
-    sources : tuple of str
-        The throws, or files, it was found in.
-    found : mapping of str to Value
-        Parameters of the twin.
-    held : mapping of str to float
-        Those that were taken to be known.
-    lines : tuple of str
-        More for people.
-    data : mapping
-        The same for programs.
-    warnings : tuple of str
-        What there is to doubt.
-
-    """
-
-    sources: tuple[str, ...]
-    found: Mapping[str, Value]
-    held: Mapping[str, float]
-    lines: tuple[str, ...]
-    data: Mapping[str, Any]
-    warnings: tuple[str, ...]
+_SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
+_MAX_COLUMNS = 4  # of running averages in the table
 
 
 def main(args: list[str] | None = None) -> int:
@@ -130,45 +85,19 @@ def main(args: list[str] | None = None) -> int:
     try:
         settings = read_settings(arguments)
         _check(arguments)
-        if arguments.watch:
-            _watch(arguments, settings)
-            return 0
-        report = (
-            _identify_layers(arguments, settings)
-            if arguments.free_layer
-            else _identify_throws(_read_throws(arguments), arguments, settings)
-        )
-        _keep(report, arguments, settings)
+        if arguments.free_layer:
+            report = _identify_layers(arguments, settings)
+        else:
+            report = _identify_throws(arguments, settings)
+        identified = report.put_into(settings)
+        if arguments.output:
+            _into(arguments.output, lambda path: report.write(identified, path))
     except ValueError as error:  # what is refused, and what tracks do not give
         parser.error(str(error))
-    print(_json(report) if arguments.json else table(report), end='')
+    print(report.json() if arguments.json else report.table(), end='')
     for warning in report.warnings:
         print(f'identify: {warning}', file=sys.stderr)
     return 0
-
-
-def _watch(arguments: argparse.Namespace, settings: Settings) -> None:
-    """Say in a line what is found after every throw."""
-    start: Rig | None = None
-
-    def refresh(throws: Sequence[ThrowTracks]) -> None:
-        nonlocal start
-        report = _identify_throws(throws, arguments, settings, start)
-        start = rig_of(_keep(report, arguments, settings))
-        print(_json(report, indent=None) if arguments.json else _line(report), end='', flush=True)
-        for warning in report.warnings:
-            print(f'identify: {warning}', file=sys.stderr)
-
-    last = arguments.last or _LAST
-    watch(arguments.watch, _source(arguments), refresh, last=last)
-
-
-def _keep(report: Report, arguments: argparse.Namespace, settings: Settings) -> dict[str, Any]:
-    """Write the parameter file, if one is asked for; refuse in any case what is none."""
-    identified = with_found(settings, report)
-    if arguments.output:
-        _write(identified, report, arguments.output)
-    return identified
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -177,88 +106,59 @@ def _parser() -> argparse.ArgumentParser:
         usage='%(prog)s [-h] FILE ... [--fit NAME] [--hold NAME] [--output FILE] [--figure FILE] '
         '[--json] [--config FILE] [--thickness M ...]\n'
         '       %(prog)s [-h] --video FILE --rate HZ --scale M PIXELS ...\n'
-        '       %(prog)s [-h] --watch BAG ...\n'
         '       %(prog)s [-h] --free-layer M FILE [--free-layer M FILE ...] ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile (of bottom and top, if it is a free layer) in the next ones; a first line '
         'may name them. Without a projectile only the engine is found.',
         allow_abbrev=False,
     )
-    parser.add_argument(
-        'files', metavar='FILE', nargs='*', help='tracks of throws: CSV files, or bags'
-    )
-    parser.add_argument(
-        '--watch',
-        metavar='BAG',
-        help='identify again after every throw in a bag that is being recorded, until it is '
-        'complete or Ctrl-C is pressed',
-    )
-    parser.add_argument(
-        '--last',
-        metavar='NUMBER',
-        type=int,
-        help=f'fit the last throws only (default: all, and {_LAST} with --watch)',
-    )
-    parser.add_argument(
-        '--free-layer',
-        metavar=('M', 'FILE'),
-        nargs=2,
-        action='append',
-        default=[],
+    add = parser.add_argument
+    add('files', metavar='FILE', nargs='*', help='tracks of throws: CSV files, or bags')
+    add('--last', metavar='NUMBER', type=int, help='fit the last throws only (default: all)')
+    add(
+        '--free-layer', metavar=('M', 'FILE'), nargs=2, action='append', default=[],
         help='thickness of a layer that rings freely, and a CSV file with tracks of its ends, '
         'or a video; once for each layer',
-    )
-    parser.add_argument(
-        '--thickness-error',
-        metavar='M',
-        type=float,
-        default=1e-4,
+    )  # fmt: skip
+    add(
+        '--thickness-error', metavar='M', type=float, default=1e-4,
         help='standard error of those thicknesses (default %(default)g)',
-    )
-    for option, verb in (('--fit', 'fit this too'), ('--hold', 'do not fit this, it is known')):
-        parser.add_argument(
-            option,
-            metavar='NAME',
-            action='append',
-            choices=PARAMETERS,
-            default=[],
-            help=f'{verb}: one of {", ".join(PARAMETERS)} (default: to fit '
-            f'{", ".join(USUAL)}); may be repeated',
-        )
-    parser.add_argument(
-        '--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)'
-    )
-    parser.add_argument(
-        '--heights',
-        choices=get_args(Heights),
-        default='own',
+    )  # fmt: skip
+    add(
+        '--fit', metavar='NAME[=HOW]', action='append', default=[],
+        help=f'fit this too: one of {", ".join(PARAMETERS)} (default: to fit '
+        f'{", ".join(USUAL)}). HOW is {TREATMENTS.replace("%", "%%")}, as in '
+        "'projectile.mass=0.0012 +- 1 %%'; what is not held may be followed by 'per throw'. May "
+        'be repeated',
+    )  # fmt: skip
+    add(
+        '--hold', metavar='NAME', action='append', default=[],
+        help='do not fit this, it is known; may be repeated',
+    )  # fmt: skip
+    add(
+        '--fit-file', metavar='FILE',
+        help='YAML file that says the same: `parameters` (NAME: HOW), `heights`, `reference`',
+    )  # fmt: skip
+    add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
+    add(
+        '--heights', choices=HEIGHTS,
         help='from where heights count: each track from a zero of its own, both from a common '
-        "one, or from the plate's position at rest (default %(default)s)",
-    )
-    parser.add_argument(
-        '--reference',
-        choices=get_args(Reference),
-        default='face',
+        "one, or from the plate's position at rest (default own)",
+    )  # fmt: skip
+    add(
+        '--reference', choices=REFERENCES,
         help='point of the projectile whose heights they are; matters unless each track has a '
-        'zero of its own (default %(default)s, the lower one)',
-    )
-    parser.add_argument(
-        '--noise', metavar='M', type=float, help='standard deviation of heights, if it is known'
-    )
-    parser.add_argument(
+        'zero of its own (default face, the lower one)',
+    )  # fmt: skip
+    add('--noise', metavar='M', type=float, help='standard deviation of heights, if it is known')
+    add(
         '--from', dest='start', metavar='S', type=float, default=-math.inf, help='leave out before'
     )
-    parser.add_argument(
-        '--to', dest='end', metavar='S', type=float, default=math.inf, help='leave out after'
-    )
-    parser.add_argument('--topic', help='to read from bags, if several have a plate')
-    parser.add_argument(
-        '--output', metavar='FILE', type=Path, help='parameter file of the twin to write'
-    )
-    parser.add_argument(
-        '--figure', metavar='FILE', type=Path, help='picture of data, fit and residuals to draw'
-    )
-    parser.add_argument('--json', action='store_true', help='print one object: SI units')
+    add('--to', dest='end', metavar='S', type=float, default=math.inf, help='leave out after')
+    add('--topic', help='to read from bags, if several have a plate')
+    add('--output', metavar='FILE', type=Path, help='parameter file of the twin to write')
+    add('--figure', metavar='FILE', type=Path, help='picture of data, fit and residuals to draw')
+    add('--json', action='store_true', help='print one object: SI units')
     add_video_options(parser)
     add_rig_options(parser)
     return parser
@@ -266,11 +166,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse before the work what would be no use after it."""
-    kinds = (arguments.files or arguments.video, arguments.watch, arguments.free_layer)
-    if sum(map(bool, kinds)) != 1:
-        raise ValueError(
-            'either FILE or --video, or --watch, or --free-layer must be given, and no two'
-        )
+    if bool(arguments.files or arguments.video) == bool(arguments.free_layer):
+        raise ValueError('either FILE or --video, or --free-layer must be given, and not both')
     if arguments.last is not None and arguments.last < 1:
         raise ValueError(f'argument --last: must be at least 1, got {arguments.last}')
     if arguments.noise is not None and not 0.0 < arguments.noise < math.inf:
@@ -280,24 +177,45 @@ def _check(arguments: argparse.Namespace) -> None:
             'argument --thickness-error: must be finite and not negative, '
             f'got {arguments.thickness_error:g}'
         )
-    both = sorted(set(arguments.fit) & set(arguments.hold))
-    if both:
-        raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
+    _describe_fit(arguments)
     check_video_options(arguments)
     for name in ('output', 'figure', 'tracks', 'space_time'):
         path = getattr(arguments, name)
+        option = name.replace('_', '-')
         if path is not None and not path.parent.is_dir():
-            option = name.replace('_', '-')
             raise ValueError(f'argument --{option}: there is no folder {path.parent}')
-    for option, path in (('figure', arguments.figure), ('space-time', arguments.space_time)):
-        if path is not None and path.suffix not in _FIGURES:
+        is_figure = name in ('figure', 'space_time')
+        if path is not None and is_figure and path.suffix not in _FIGURES:
             raise ValueError(
                 f'argument --{option}: must end on {", ".join(_FIGURES)}, got {str(path)!r}'
             )
 
 
-def _source(arguments: argparse.Namespace) -> Source:
-    return Source(
+def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
+    """Read what is fitted from file and options."""
+    description = FitDescription()
+    if arguments.fit_file:
+        description = FitDescription.from_file(arguments.fit_file)
+    for name in ('heights', 'reference'):
+        if getattr(arguments, name):
+            description = description.change({name: getattr(arguments, name)})
+    fitted = {}
+    for text in arguments.fit:
+        name, _, treatment = text.partition('=')
+        fitted[name.strip()] = treatment or 'free'
+    both = sorted(set(fitted) & set(arguments.hold))
+    if both:
+        raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
+    for option, changes in (('fit', fitted), ('hold', dict.fromkeys(arguments.hold, 'held'))):
+        try:
+            description = description.change(changes)
+        except ValueError as error:
+            raise ValueError(f'argument --{option}: {error}') from None
+    return description
+
+
+def _reader(arguments: argparse.Namespace) -> TrackReader:
+    return TrackReader(
         unit=arguments.unit,
         topic=arguments.topic,
         noise=arguments.noise,
@@ -308,13 +226,11 @@ def _source(arguments: argparse.Namespace) -> Source:
 
 def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
     """Read all throws, but for those of a record of several that are none."""
-    source = _source(arguments)
+    reader = _reader(arguments)
     throws: list[ThrowTracks] = []
-    read = [
-        *(source.throws(path) for path in arguments.files),
-        *(source.cut(read_throw(path, arguments), path) for path in arguments.video),
-    ]
-    for found in read:
+    records = [reader.throws(path) for path in arguments.files]
+    records += [reader.split(read_throw(path, arguments), path) for path in arguments.video]
+    for found in records:
         good = []
         for throw in found if len(found) > 1 else ():
             try:
@@ -327,114 +243,120 @@ def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
     return throws[-arguments.last :] if arguments.last else throws
 
 
-def _identify_throws(
-    throws: Sequence[ThrowTracks],
-    arguments: argparse.Namespace,
-    settings: Settings,
-    start: Rig | None = None,
-) -> Report:
+def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
+    """Fit a rig to throws."""
+    throws = _read_throws(arguments)
     has_projectile = any(throw.projectile is not None for throw in throws)
-    usual = USUAL if has_projectile else ENGINE
-    free = {*usual, *arguments.fit} - set(arguments.hold)
+    description = _describe_fit(arguments)
+    if not has_projectile and 'layer.wave_speed' not in description.parameters:
+        description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
-    fit = partial(
-        fit_rig, throws, rig, free=free, heights=arguments.heights, reference=arguments.reference
-    )
-    found = fit(start=start)
-    if start is not None and found.fit.is_misfit:  # it may be another layer
-        found = fit()
-    ejection = ejection_of(found) if has_projectile else None
+    found = fit_rig(throws, rig, description)
     warnings = found.fit.warnings()
-    if ejection is not None and ejection.is_near_jump:
-        warnings.append(
-            'within the errors the projectile may leave one echo of the wave earlier or later: '
-            'ejection time and energy transfer jump there'
-        )
-    averaged: dict[int, Ejection] = {}
-    refused: list[str] = []
-    for number, throw in enumerate(found.throws):
-        if throw.projectile is not None and (arguments.json or not arguments.watch):
-            try:
-                averaged[number] = analyse_throw(throw, gravity=rig.gravity)
-            except FitError as error:
-                refused.append(str(error))
+    lines = list(fit_lines(found.fit))
+    ejection, averages = None, dict[int, Ejection]()
+    if has_projectile:
+        ejection = ejection_of(found)
+        if ejection.is_near_jump:
+            warnings.append(
+                'within the errors the projectile may leave one echo of the wave earlier or '
+                'later: ejection time and energy transfer jump there'
+            )
+        averages, more = _running_averages(found.throws, rig.gravity)
+        several = len(averages) > 1
+        columns = {'model': ejection} | {
+            f'averages, throw {number + 1}' if several else 'running averages': each
+            for number, each in list(averages.items())[:_MAX_COLUMNS]
+        }
+        lines += [*ejection_lines(columns), *more]
     relevant = PARAMETERS if has_projectile else ENGINE
-    values = {name: found.fit[name] for name in relevant if name in found.fit}
+    values = {name: value for name, value in found.estimates().items() if name in relevant}
     if arguments.figure:
-        summary = [_shown(name, value) for name, value in values.items()]
-        _draw(arguments.figure, identify_figure.draw_throws, found, ejection, summary)
-    return Report(
+        summary = [
+            f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
+            for name, value in values.items()
+        ]
+        _into(
+            arguments.figure,
+            lambda path: identify_figure.draw_throws(found, ejection, summary, path),
+        )
+    return IdentificationReport(
         sources=tuple(throw.name for throw in found.throws),
         found=values,
-        held={name: _held(settings, name) for name in relevant if name not in values},
-        lines=(*_throw_lines(found), *_ejection_lines(ejection, averaged, refused)),
+        held={name: value for name, value in found.held_values().items() if name in relevant},
+        lines=tuple(lines),
         data={
-            'fit': _fit_data(found.fit),
+            'fit': fit_data(found.fit),
             'throws': [
                 {
                     'name': throw.name,
                     'start_time': found.start_time(number),
-                    'running_averages': _ejection_data(averaged.get(number)),
+                    'running_averages': ejection_data(averages.get(number)),
                 }
                 for number, throw in enumerate(found.throws)
             ],
-            'ejection': _ejection_data(ejection),
+            'ejection': ejection_data(ejection),
         },
         warnings=tuple(warnings),
     )
 
 
-def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Report:
-    source = _source(arguments)
+def _running_averages(
+    throws: Sequence[ThrowTracks], gravity: float
+) -> tuple[dict[int, Ejection], list[str]]:
+    """Analyse throws without a model of the layer, and say of which that cannot be done."""
+    averages: dict[int, Ejection] = {}
+    refused: list[str] = []
+    for number, throw in enumerate(throws):
+        if throw.projectile is not None:
+            try:
+                averages[number] = analyse_throw(throw, gravity=gravity)
+            except FitError as error:
+                refused.append(str(error))
+    if not refused:
+        return averages, []
+    more = f'; nor of {len(refused) - 1} more throws' if len(refused) > 1 else ''
+    return averages, [f'no running averages: {refused[0]}{more}']
+
+
+def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
+    """Fit wave speed and loss to layers that ring."""
     layers: list[tuple[float, Ringing]] = []
     warnings: list[str] = []
     for text, path in arguments.free_layer:
-        thickness = _thickness(text)
-        line = None
-        if is_video(path):
-            read, line = read_layer(path, arguments)
-            ends = source.cut_layer(read, path)
-        else:
-            ends = source.free_layer(path)
-        try:
-            ringing = fit_ringing(change_of_length(*ends))
-        except FitError as error:
-            raise FitError(f'{path}: {error}') from None
-        layers.append((thickness, ringing))
-        if line is not None and arguments.space_time:
-            _draw(arguments.space_time, identify_figure.draw_space_time, line, ends, ringing)
-        warnings += [f'{path}: {warning}' for warning in ringing.fit.warnings()]
+        layers.append((_thickness(text), _ringing(path, arguments)))
+        warnings += [f'{path}: {warning}' for warning in layers[-1][1].fit.warnings()]
     speed = fit_wave_speed(
         [thickness for thickness, _ in layers],
         [ringing.period for _, ringing in layers],
         thickness_error=arguments.thickness_error,
     )
-    if speed.agreement < _DOUBT:
+    if speed.agreement < _SIGNIFICANCE:
         warnings.append(
             f'the periods are not proportional to the thicknesses (chi squared {speed.chi2:.3g} '
             f'for {speed.dof} degrees of freedom): is it one material?'
         )
     frequency = settings['engine.frequency']
-    losses = [ringing.loss_tangent_at(frequency) for _, ringing in layers]
-    loss = _mean(losses)
+    loss = _mean([ringing.loss_tangent_at(frequency) for _, ringing in layers])
     found = {'layer.wave_speed': speed.value}
-    if 'layer.loss_tangent' in arguments.fit:
+    if _describe_fit(arguments).is_free('layer.loss_tangent'):
         found['layer.loss_tangent'] = loss
     if arguments.figure:
-        _draw(
-            arguments.figure, identify_figure.draw_layers, layers, speed, arguments.thickness_error
+        error = arguments.thickness_error
+        _into(
+            arguments.figure, lambda path: identify_figure.draw_layers(layers, speed, error, path)
         )
     lines = [f'{"thickness":>12} {"period T_0":>22} {"loss tangent there":>22}']
     lines += [
-        f'{1e3 * thickness:9.4g} mm {_scaled(ringing.period, "s"):>22} '
+        f'{1e3 * thickness:9.4g} mm {with_unit(ringing.period, "s"):>22} '
         f'{ringing.loss_tangent!s:>22}'
         for thickness, ringing in layers
     ]
     lines.append(f'loss tangent at {frequency:g} Hz: {loss}')
-    return Report(
+    lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
+    return IdentificationReport(
         sources=tuple(path for _, path in arguments.free_layer),
         found=found,
-        held={},
         lines=tuple(lines),
         data={
             'layers': [
@@ -442,17 +364,39 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Repor
                     'thickness': thickness,
                     'period': ringing.period._asdict(),
                     'loss_tangent': ringing.loss_tangent._asdict(),
-                    'fit': _fit_data(ringing.fit),
+                    'fit': fit_data(ringing.fit),
                 }
                 for thickness, ringing in layers
             ],
             'wave_speed': {
-                **speed.value._asdict(), 'chi2': speed.chi2, 'degrees_of_freedom': speed.dof
+                **speed.value._asdict(),
+                'chi2': speed.chi2,
+                'degrees_of_freedom': speed.dof,
             },
             'loss_tangent_at_engine_frequency': loss._asdict(),
         },
         warnings=tuple(warnings),
-    )  # fmt: skip
+    )
+
+
+def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
+    """Read how a free layer rings, and draw it if that is asked for."""
+    reader, line = _reader(arguments), None
+    if is_video(path):
+        ends, line = read_layer(path, arguments)
+        ends = reader.cut_layer(ends, path)
+    else:
+        ends = reader.free_layer(path)
+    try:
+        ringing = fit_ringing(change_of_length(*ends))
+    except FitError as error:
+        raise FitError(f'{path}: {error}') from None
+    if line is not None and arguments.space_time:
+        _into(
+            arguments.space_time,
+            lambda path: identify_figure.draw_space_time(line, ends, ringing, path),
+        )
+    return ringing
 
 
 def _thickness(text: str) -> float:
@@ -466,195 +410,16 @@ def _thickness(text: str) -> float:
     return thickness
 
 
-def _mean(values: Sequence[Value]) -> Value:
+def _mean(values: Sequence[Estimate]) -> Estimate:
     """Weighted mean."""
     weights = [1.0 / max(value.error, 1e-12) ** 2 for value in values]
     mean = sum(weight * value.value for weight, value in zip(weights, values, strict=True))
-    return Value(mean / sum(weights), 1.0 / math.sqrt(sum(weights)))
+    return Estimate(mean / sum(weights), 1.0 / math.sqrt(sum(weights)))
 
 
-def with_found(settings: Settings, report: Report) -> dict[str, Any]:
-    """
-    Put what was found into settings of the twin.
-
-    Raises
-    ------
-    ParameterError
-        If the twin does not take it.
-
-    """
-    request = {name: float(f'{value.value:.8g}') for name, value in report.found.items()}
+def _into(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file, and refuse in words what cannot be written."""
     try:
-        return {**settings, **TWIN.change(settings, request)}
-    except ParameterError as error:
-        hint = ''
-        if error.names and error.names[0] in ('engine.amplitude', 'layer.thickness'):
-            hint = '; is the unit of heights right (--unit)?'
-        raise ParameterError(f'found, but not for the twin: {error}{hint}', *error.names) from None
-
-
-def _write(settings: Settings, report: Report, path: Path) -> None:
-    """Write what describes the rig, and whatever else is not as it is by default."""
-    kept = {
-        entry.name: settings[entry.name]
-        for entry in TWIN.entries
-        if entry.name in settings and (entry.is_of_rig or settings[entry.name] != entry.default)
-    }
-    names = [Path(source).name for source in report.sources]
-    if len(names) > _MOST_COLUMNS:
-        names = [names[0], '...', names[-1]]
-    title = [f'Identified from {", ".join(names)}:']
-    title += [f'{name} {_scaled(value, _unit(name))}' for name, value in report.found.items()]
-    title += [f'Doubtful: {warning}' for warning in report.warnings]
-    try:
-        with atomic_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
-            files.write(unfinished, kept, title='\n'.join(title))
+        write(path)
     except OSError as error:
         raise ValueError(f'{path}: {error.strerror}') from None
-
-
-def _draw(path: Path, draw: Callable[..., None], *what: Any) -> None:
-    try:
-        draw(*what, path)
-    except OSError as error:
-        raise ValueError(f'{path}: {error.strerror}') from None
-
-
-def _held(settings: Settings, name: str) -> float:
-    return float(settings[name])
-
-
-def table(report: Report) -> str:
-    """Write a report for people to read."""
-    width = max(map(len, PARAMETERS))
-    lines = [f'{name:{width}}  {_scaled(value, _unit(name))}' for name, value in
-             report.found.items()]  # fmt: skip
-    lines += [
-        f'{name:{width}}  {_scaled_number(value, _unit(name))}, taken as known'
-        for name, value in report.held.items()
-    ]
-    return '\n'.join([*lines, '', *report.lines]) + '\n'
-
-
-def _line(report: Report) -> str:
-    """Write the most important of a report in a line."""
-    values = [_shown(name, value) for name, value in report.found.items()]
-    if report.data['ejection']:
-        alpha = Value(**report.data['ejection']['energy_transfer'])
-        values.append(f'alpha {alpha}')
-    return f'{report.sources[-1]}: {", ".join(values)}\n'
-
-
-def _throw_lines(found: RigFit) -> Iterator[str]:
-    fit = found.fit
-    yield (
-        f'chi squared {fit.chi2:.1f} for {fit.dof} degrees of freedom '
-        f'({fit.reduced_chi2:.3f} each)'
-    )
-    yield f'{"":24} {"samples":>8} {"noise":>10} {"residual":>10} {"neighbours":>11}'
-    shown = fit.residuals
-    if len(found.throws) > _MOST_COLUMNS:
-        shown = tuple(sorted(shown, key=lambda residual: residual.reduced_chi2)[-_MOST_ROWS:])
-    for residual in shown:
-        track = residual.track
-        yield (
-            f'{_short(residual.name):24} {track.time.size:8} {1e6 * track.noise:7.3g} um '
-            f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
-        )
-    if len(shown) < len(fit.residuals):
-        yield f'and {len(fit.residuals) - len(shown)} tracks that are fitted better'
-
-
-def _short(name: str) -> str:
-    """Keep the end of a long name."""
-    return name if len(name) <= 24 else f'...{name[-21:]}'
-
-
-def _ejection_lines(
-    ejection: Ejection | None, averaged: Mapping[int, Ejection], refused: Sequence[str]
-) -> Iterator[str]:
-    if ejection is None:
-        return
-    columns = {'model': ejection}
-    several = len(averaged) > 1
-    columns |= {
-        f'averages, throw {number + 1}' if several else 'running averages': each
-        for number, each in list(averaged.items())[:_MOST_COLUMNS]
-    }
-    yield ''
-    yield ' ' * 22 + ''.join(f'{name:>26}' for name in columns)
-    for key, label, unit in _EJECTION:
-        cells = (_scaled(getattr(each, key), unit) for each in columns.values())
-        yield f'{label:22}' + ''.join(f'{cell:>26}' for cell in cells)
-    if refused:
-        more = f'; nor of {len(refused) - 1} more throws' if len(refused) > 1 else ''
-        yield f'no running averages: {refused[0]}{more}'
-
-
-def _unit(name: str) -> str:
-    return TWIN.by_name[name].unit
-
-
-def _scaled(value: Value, unit: str) -> str:
-    """Write a value with its error, in a unit of handy size."""
-    shown, factor = _SHOWN.get(unit, (unit, 1.0))
-    return f'{Value(factor * value.value, factor * value.error)} {shown}'.rstrip()
-
-
-def _scaled_number(value: float, unit: str) -> str:
-    shown, factor = _SHOWN.get(unit, (unit, 1.0))
-    return f'{factor * value:.6g} {shown}'.rstrip()
-
-
-def _shown(name: str, value: Value) -> str:
-    """Write a parameter for the title of a picture."""
-    return f'{name.rpartition(".")[2].replace("_", " ")} {_scaled(value, _unit(name))}'
-
-
-def _json(report: Report, *, indent: int | None = 2) -> str:
-    data = {
-        'sources': report.sources,
-        'found': {
-            name: {**value._asdict(), 'unit': _unit(name)} for name, value in report.found.items()
-        },
-        'held': report.held,
-        **report.data,
-        'warnings': report.warnings,
-    }
-    return json.dumps(_finite(data), indent=indent, allow_nan=False) + '\n'
-
-
-def _finite(data: Any) -> Any:
-    """Replace what JSON has no number for."""
-    if isinstance(data, Mapping):
-        return {name: _finite(value) for name, value in data.items()}
-    if isinstance(data, (list, tuple)):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
-
-
-def _fit_data(fit: Fit) -> dict[str, Any]:
-    return {
-        'names': fit.names,
-        'values': fit.values.tolist(),
-        'covariance': fit.covariance.tolist(),
-        'chi2': fit.chi2,
-        'degrees_of_freedom': fit.dof,
-        'residuals': [
-            {
-                'track': residual.name,
-                'samples': residual.track.time.size,
-                'noise': residual.track.noise,
-                'rms': residual.rms,
-                'autocorrelation': residual.autocorrelation,
-                'whiteness': residual.whiteness,
-            }
-            for residual in fit.residuals
-        ],
-    }
-
-
-def _ejection_data(ejection: Ejection | None) -> dict[str, Any] | None:
-    if ejection is None:
-        return None
-    return {key: getattr(ejection, key)._asdict() for key, _, _ in _EJECTION}

@@ -9,13 +9,13 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.identification.fit import FitError, Value
+from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.ringing import Ringing, WaveSpeed
 from soft_throw_ros.identification.space_time import SpaceTime
 from soft_throw_ros.identification.throw_analysis import Ejection
 from soft_throw_ros.identification.tracks import Track
-from soft_throw_ros.identification.wave_speed import Ringing, WaveSpeed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -214,7 +214,7 @@ def draw_space_time(
         xytext=(start + period, height),
         arrowprops={'arrowstyle': '<->', 'color': colour, 'shrinkA': 0, 'shrinkB': 0},
     )
-    shown = Value(period, _MILLI * ringing.period.error)
+    shown = Estimate(period, _MILLI * ringing.period.error)
     panel.annotate(
         f' $T_0$ = {shown} ms'.replace('+-', '±'),
         xy=(start + period, height),
@@ -236,5 +236,5 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with atomic_file(path) as unfinished:
+    with whole_file(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

@@ -12,13 +12,14 @@ from pathlib import Path
 import re
 
 from soft_throw_ros.commands.rig_options import number_or_text
-from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.identification.fit import FitError
+from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.space_time import space_time, SpaceTime
 from soft_throw_ros.identification.spots import BODIES, follow_spots, Picture, tracks_of
-from soft_throw_ros.identification.tracks import csv_lines, Track, TrackError
+from soft_throw_ros.identification.track_csv import csv_lines
+from soft_throw_ros.identification.tracks import Track, TrackError
 
-_CHANNELS = 4  # of a picture at most; a stack has more
+_MAX_CHANNELS = 4  # of a picture at most; a stack has more
 
 
 def add_video_options(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +115,7 @@ def read_throw(path: str, arguments: argparse.Namespace) -> dict[str, Track]:
         If it is no video, or shows none; or if what is needed for it is not installed.
 
     """
-    with _saying_where(path):
+    with _naming_file(path):
         bodies = arguments.spots and [body.strip() for body in arguments.spots.split(',')]
         spots = follow_spots(pictures(path))
         tracks = tracks_of(spots, bodies, rate=arguments.rate, scale=_scale(arguments))
@@ -141,7 +142,7 @@ def read_layer(
     """
     line = None
     known = {'rate': arguments.rate, 'scale': _scale(arguments)}
-    with _saying_where(path):
+    with _naming_file(path):
         if arguments.line:
             column, first, last = arguments.line
             line = space_time(pictures(path), column=column, first=first, last=last, **known)
@@ -191,7 +192,7 @@ def pictures(path: str) -> Iterator[Picture]:
 
 
 @contextlib.contextmanager
-def _saying_where(path: str) -> Iterator[None]:
+def _naming_file(path: str) -> Iterator[None]:
     """Have all that may go wrong with a file said in a sentence that names it."""
     try:
         yield
@@ -218,7 +219,7 @@ def _save(tracks: dict[str, Track], path: str, arguments: argparse.Namespace) ->
     )
     noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
     try:
-        with atomic_file(arguments.tracks) as unfinished:
+        with whole_file(arguments.tracks) as unfinished:
             text = '\n'.join([origin, f'# Noise: {noises}', *csv_lines(tracks)])
             unfinished.write_text(f'{text}\n', encoding='utf-8')
     except OSError as error:
@@ -238,7 +239,7 @@ def _grey(levels: Picture) -> Iterator[Picture]:
     """Yield the pictures of a stack, or the only one, without colours."""
     if levels.ndim == 2:
         yield levels
-    elif levels.ndim == 3 and levels.shape[-1] <= _CHANNELS:
+    elif levels.ndim == 3 and levels.shape[-1] <= _MAX_CHANNELS:
         yield levels[..., :3].mean(axis=-1)
     else:
         for each in levels:

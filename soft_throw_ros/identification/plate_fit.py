@@ -14,13 +14,21 @@ needed from anybody.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.fit import Fit, fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.least_squares import (
+    central_difference,
+    Estimate,
+    Fit,
+    fit_tracks,
+    FitError,
+    FitModel,
+)
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -28,16 +36,17 @@ Floats = NDArray[np.float64]
 NAMES = ('frequency', 'damping_ratio', 'amplitude', 'start_time', 'offset')
 """Parameters of the fit; the last is the height of the plate at rest."""
 
-MOST_DAMPED = 0.99
+MAX_DAMPING_RATIO = 0.99
 """Largest damping ratio."""
 
-_DAMPINGS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # of the table
-_MOST_SAMPLES = 4096  # for which the table is made
+_DAMPING_RATIOS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # of the table
+_MAX_SAMPLES = 4096  # for which the table is made
 _SAMPLES_PER_PERIOD = 5.0  # at least, of the highest frequency
 _PERIODS_SEEN = 0.25  # at least, of the lowest one
-_MISFIT = 0.08  # of the amplitude that may be left
+_MAX_MISMATCH = 0.08  # of the amplitude that may be left
 _BLOCK = 2**18  # numbers at once
 _REFINED = 3  # of the table's best
+_STEPS = (1e-5, 1e-6, 1e-5)  # for derivatives: relative in frequency and amplitude, not damping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +78,12 @@ class PlateFit:
         return self.fit['start_time'].value
 
     @property
-    def peak_velocity(self) -> Value:
+    def peak_velocity(self) -> Estimate:
         """:math:`V_p^*` (D4), with its standard error. [m/s]"""
         gradient = np.zeros(len(self.fit.names))
-        gradient[:3] = peak_velocity_slopes(self.motion)
+        gradient[:3] = _peak_velocity_slopes(self.fit.values[:3])
         error = math.sqrt(float(gradient @ self.fit.covariance @ gradient))
-        return Value(self.motion.peak_velocity, error)
+        return Estimate(self.motion.peak_velocity, error)
 
 
 def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
@@ -105,16 +114,16 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     """
     free = len(NAMES) if offset is None else len(NAMES) - 1
     fixed = () if offset is None else (offset,)
-    model = Model(
+    model = FitModel(
         names=NAMES[:free],
         predict=lambda values: _position(np.append(values, fixed), track.time),
-        slopes=lambda values: _slopes(np.append(values, fixed), track.time)[:, :free],
+        jacobian=lambda values: _slopes(np.append(values, fixed), track.time)[:, :free],
         low=np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
-        high=np.array([np.inf, MOST_DAMPED, np.inf, track.time[-1], np.inf])[:free],
+        high=np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free],
     )
     tried = [
-        fit_tracks(model, start[:free], [('plate', track)], max_steps=200)
-        for start in _starts(track)
+        fit_tracks(model, start[:free], [('plate', track)], max_evaluations=200)
+        for start in _starts(track.without_spikes())
     ]
     best = min(tried, key=lambda found: found.chi2)
     if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
@@ -123,50 +132,12 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
     left = best.residuals[0].rms
-    if left > max(_MISFIT * best.values[2], 5.0 * track.noise):
+    if left > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
         raise FitError(
             f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '
             f'{left:.2g} m; its track must begin before it moves'
         )
     return PlateFit(fit=best, offset=best['offset'].value if offset is None else offset)
-
-
-def motion_slopes(motion: Underdamped, time: Floats) -> tuple[Floats, Floats, Floats]:
-    r"""
-    Differentiate the height of a plate by frequency, damping ratio and amplitude.
-
-    Parameters
-    ----------
-    motion : Underdamped
-    time : ndarray
-        Since its start. [s]
-
-    Returns
-    -------
-    tuple of ndarray
-        [m/Hz], [m], [-]
-
-    Notes
-    -----
-    Of Eq. (D2); by the damping ratio it is :math:`A e^{-\zeta \theta} (\theta \cos s \theta -
-    \sin (s \theta) / s) / s^2` with :math:`\theta = \omega t, s = \sqrt{1 - \zeta^2}`.
-
-    """
-    time = np.maximum(time, 0.0)
-    root = math.sqrt(1.0 - motion.damping_ratio**2)
-    angle = 2.0 * math.pi * motion.frequency * time
-    swing = angle * np.cos(root * angle) - np.sin(root * angle) / root
-    by_damping = motion.amplitude * np.exp(-motion.damping_ratio * angle) * swing / root**2
-    by_frequency = time * motion.velocity(time) / motion.frequency
-    return by_frequency, by_damping, motion.position(time) / motion.amplitude
-
-
-def peak_velocity_slopes(motion: Underdamped) -> Floats:
-    """Differentiate the largest velocity by frequency, damping ratio and amplitude."""
-    zeta, peak = motion.damping_ratio, motion.peak_velocity
-    square = 1.0 - zeta**2
-    by_damping = peak * (zeta / square - math.acos(zeta) / square**1.5)
-    return np.array([peak / motion.frequency, by_damping, peak / motion.amplitude])
 
 
 def _motion(values: Floats) -> Underdamped:
@@ -179,30 +150,43 @@ def _motion(values: Floats) -> Underdamped:
 
 
 def _position(values: Floats, time: Floats) -> Floats:
+    """Compute heights for values of `NAMES`."""
     return np.asarray(values[4] + _motion(values).position(time - values[3]))
 
 
 def _slopes(values: Floats, time: Floats) -> Floats:
-    motion, since = _motion(values), time - values[3]
-    return np.stack(
-        [*motion_slopes(motion, since), -motion.velocity(since), np.ones_like(time)], axis=1
-    )
+    """Differentiate the height by all of `NAMES`."""
+    velocity = _motion(values).velocity(time - values[3])
+    shape = _differentiate(lambda changed: _position(changed, time), values)
+    return np.stack([*shape, -velocity, np.ones_like(time)], axis=1)
+
+
+def _peak_velocity_slopes(values: Floats) -> list[Floats]:
+    """Differentiate the largest velocity by frequency, damping ratio and amplitude."""
+    return _differentiate(lambda changed: np.array(_motion(changed).peak_velocity), values)
+
+
+def _differentiate(function: Callable[[Floats], Floats], values: Floats) -> list[Floats]:
+    """Differentiate a property of the motion by frequency, damping ratio and amplitude."""
+    slopes = []
+    for place, step in enumerate(_STEPS):
+        size = 1.0 if place == 1 else max(abs(float(values[place])), 1e-9)
+        high = MAX_DAMPING_RATIO if place == 1 else math.inf
+        change, width = central_difference(
+            function, values, [place], step=step * size, low=0.0, high=high
+        )
+        slopes.append(change / width[0])
+    return slopes
 
 
 def _starts(track: Track) -> list[Floats]:
-    """
-    Find where to start from.
-
-    Raises
-    ------
-    FitError
-        If the plate goes down.
-
-    """
-    count = min(_MOST_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
+    """Find where to start from."""
+    count = min(_MAX_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
     time = np.linspace(track.time[0], track.time[-1], count)
     height = np.interp(time, track.time, track.position)
-    table = [_best_of(_frequencies(time, damping), damping, time, height) for damping in _DAMPINGS]
+    table = [
+        _best_of(_frequencies(time, damping), damping, time, height) for damping in _DAMPING_RATIOS
+    ]
     table.sort(key=lambda entry: entry[0], reverse=True)
     if table[0][1][2] < 0.0:
         raise FitError(
@@ -213,7 +197,7 @@ def _starts(track: Track) -> list[Floats]:
 
 
 def _frequencies(time: Floats, damping: float) -> Floats:
-    """Choose frequencies as dense as a swing of that damping and so long a track need them."""
+    """Choose frequencies as dense as an oscillation of that damping and so long a track need."""
     duration = float(time[-1] - time[0])
     lowest = _PERIODS_SEEN / duration
     highest = 1.0 / (_SAMPLES_PER_PERIOD * (time[1] - time[0]))

@@ -35,17 +35,17 @@ BODIES = ('plate', 'layer', 'projectile', 'none')
 """What spots may be on."""
 
 _SMOOTHING = 1.0  # of pictures, to find out what is dark [px]
-_WIDEST = 3  # the shorter side of the picture over the width of the largest spot
-_SMALLEST = 9  # pixels of a spot
-_FAINTEST = 0.3  # darkness of a spot over that of the darkest, and ...
-_CLEAREST = 6.0  # over the noise
-_ECCENTRICITY = 0.8  # of a spot at most, as an ellipse
-_SOLIDITY = 0.85  # of its convex hull that it fills at least
+_MAX_WIDTH = 3  # the shorter side of the picture over the width of the largest spot
+_MIN_AREA = 9  # pixels of a spot
+_MIN_DARKNESS = 0.3  # darkness of a spot over that of the darkest, and ...
+_MIN_CONTRAST = 6.0  # over the noise
+_MAX_ECCENTRICITY = 0.8  # of a spot at most, as an ellipse
+_MIN_SOLIDITY = 0.85  # of its convex hull that it fills at least
 _BLUR = 2.0  # how far a spot reaches beyond where it is half as dark, and ...
 _RING = 2.0  # half the width of what is looked at around that [px]
 _MARGIN = 4  # beyond its diameter that it is looked for [px]
 _ROUNDS = 3  # of finding the centre of a circle around it
-_CHANGE = 2.0  # of the area of a spot since the first picture
+_MAX_CHANGE = 2.0  # of the area of a spot since the first picture
 _LEVELS = 63.0  # grey levels to find spots with
 
 
@@ -91,19 +91,19 @@ def follow_spots(pictures: Iterable[Picture]) -> list[Spot]:
         If there are none, or pictures differ in size.
 
     """
-    followed: list[_Followed] = []
+    trackers: list[_SpotTracker] = []
     shape = None
     for picture in pictures:
         if shape is None:
             shape, noise = picture.shape, _noise(picture)
-            followed = [_Followed(found, noise) for found in find_spots(picture)]
+            trackers = [_SpotTracker(found, noise) for found in find_spots(picture)]
         if picture.shape != shape:
             raise TrackError(f'pictures must be of one size, got {picture.shape} after {shape}')
-        for spot in followed:
-            spot.look(picture)
-    if not followed:
+        for spot in trackers:
+            spot.update(picture)
+    if not trackers:
         raise TrackError('the first picture shows no dark round spot')
-    return [spot.result() for spot in followed]
+    return [spot.result() for spot in trackers]
 
 
 def tracks_of(
@@ -148,7 +148,7 @@ def tracks_of(
         if body not in BODIES:
             raise ValueError(f'a spot is on one of {", ".join(BODIES)}, got {body!r}')
     if len(bodies) != len(spots):
-        there = ', '.join(map(_place, spots))
+        there = ', '.join(map(_describe_place, spots))
         raise TrackError(
             f'{len(spots)} dark round spots are seen, at {there}, and not {len(bodies)}, '
             f'{", ".join(bodies)}'
@@ -156,8 +156,8 @@ def tracks_of(
     for spot, body in zip(spots, bodies, strict=True):
         if spot.row.size < FEWEST and body != 'none':
             raise TrackError(
-                f'the spot at {_place(spot)}, on the {body}, is seen in {spot.row.size} pictures '
-                f'from the first one on, where at least {FEWEST} are needed'
+                f'the spot at {_describe_place(spot)}, on the {body}, is seen in {spot.row.size} '
+                f'pictures from the first one on, where at least {FEWEST} are needed'
             )
     numbered = [
         f'layer {1 + bodies[:place].count("layer")}' if body == 'layer' else body
@@ -177,12 +177,12 @@ def tracks_of(
     return tracks
 
 
-def _place(spot: Spot) -> str:
+def _describe_place(spot: Spot) -> str:
     """Say where a spot is at first, for messages."""
     return f'column {spot.column[0]:.0f} row {spot.row[0]:.0f}' if spot.row.size else 'the edge'
 
 
-class Found(NamedTuple):
+class DetectedSpot(NamedTuple):
     """A spot in a picture: its centre and diameter [px], and the grey level of its edge."""
 
     row: float
@@ -191,7 +191,7 @@ class Found(NamedTuple):
     level: float
 
 
-def find_spots(picture: Picture) -> list[Found]:
+def find_spots(picture: Picture) -> list[DetectedSpot]:
     """Find the dark round spots of a picture, the lowest one first."""
     from skimage.measure import label, regionprops
     from skimage.morphology import area_closing
@@ -200,27 +200,27 @@ def find_spots(picture: Picture) -> list[Found]:
     # The fewer levels there are, the faster it is closed
     scale = max(float(np.ptp(smooth)), 1e-12) / _LEVELS
     levels = np.round((smooth - smooth.min()) / scale).astype(np.uint8)
-    closed = area_closing(levels, max((min(picture.shape) // _WIDEST) ** 2, _SMALLEST))
+    closed = area_closing(levels, max((min(picture.shape) // _MAX_WIDTH) ** 2, _MIN_AREA))
     darkness = scale * (closed.astype(np.float64) - levels)
-    faintest = max(_FAINTEST * float(darkness.max()), _CLEAREST * _noise(picture))
+    faintest = max(_MIN_DARKNESS * float(darkness.max()), _MIN_CONTRAST * _noise(picture))
     found = []
     for region in regionprops(label(darkness > faintest), intensity_image=darkness):
         half = 0.5 * region.intensity_max
         core = np.where(region.image, region.image_intensity, 0.0) > half
         (spot,) = regionprops(core.astype(np.uint8))
-        if spot.area < _SMALLEST or spot.eccentricity > _ECCENTRICITY:
+        if spot.area < _MIN_AREA or spot.eccentricity > _MAX_ECCENTRICITY:
             continue
-        if spot.solidity > _SOLIDITY:
+        if spot.solidity > _MIN_SOLIDITY:
             row, column = np.add(spot.centroid, region.bbox[:2])
             around = float(smooth.min()) + scale * float(closed[region.slice][core].mean())
-            found.append(Found(row, column, spot.equivalent_diameter_area, around - half))
+            found.append(DetectedSpot(row, column, spot.equivalent_diameter_area, around - half))
     return sorted(found, reverse=True)
 
 
-class _Followed:
+class _SpotTracker:
     """A spot, and where it was seen so far."""
 
-    def __init__(self, found: Found, noise: float) -> None:
+    def __init__(self, found: DetectedSpot, noise: float) -> None:
         self._places: list[Floats] = []
         self._errors: list[float] = []
         self._expected = np.array([found.row, found.column])
@@ -229,7 +229,7 @@ class _Followed:
         self._noise = noise
         self._is_lost = False
 
-    def look(self, picture: Picture) -> None:
+    def update(self, picture: Picture) -> None:
         """Find it in the next picture, where its last step leads."""
         found = None if self._is_lost else self._find(picture)
         if found is None:
@@ -260,7 +260,7 @@ class _Followed:
         regions = regionprops(label(smooth < self._level))
         usual = 0.25 * math.pi * self._diameter**2
         near = min(
-            (each for each in regions if usual / _CHANGE < each.area < usual * _CHANGE),
+            (each for each in regions if usual / _MAX_CHANGE < each.area < usual * _MAX_CHANGE),
             key=lambda region: math.dist(region.centroid, self._expected - corner),
             default=None,
         )
@@ -282,7 +282,7 @@ class _Followed:
                 return None
             place = darkness @ pixels / total
         depth = around - float(smooth[near.slice][near.image].min())
-        if depth < _CLEAREST * self._noise:
+        if depth < _MIN_CONTRAST * self._noise:
             return None
         self._level = around - 0.5 * depth
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total

@@ -11,33 +11,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import normal_modes, travelling_wave
-from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit import FitError, Value
-from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.problem import changed_rig, PARAMETERS
+from soft_throw_ros.identification.fit_description import changed_rig, PARAMETERS
+from soft_throw_ros.identification.forward import first_releases
+from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 
 _WINDOW = 1.0 / 16.0  # of the running average, in plate periods
-_RATE = 20  # samples per plate period at least
+_SAMPLES_PER_PERIOD = 20  # of the plate at least
 _PEAK = 0.1  # plate periods beside its fastest moment that are fitted by a parabola
-_FULL = 0.97  # of the largest speed, at which the projectile leaves about now
-_APPROACH = (
-    0.16  # of the ejection speed: how much of the end of its rise is fitted by another, ...
-)
-_APPROACHES = (0.12, 0.24)  # and what else one could have taken
+_FULL_SPEED = 0.97  # of the largest speed, at which the projectile leaves about now
+_APPROACH = 0.16  # of the ejection speed: how much of the end of its rise is fitted, ...
+_OTHER_APPROACHES = (0.12, 0.24)  # and what else one could have taken
 _REPEATS = 100  # with other noise, for the errors
-_FEWEST = 8  # samples of the flight
+_MIN_FLIGHT_SAMPLES = 8
 _DRAWS = 400  # of rigs that may be as well as the one that was fitted
-_LEAST_LOSS = 1e-4  # for the sum over modes, to have an end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,13 +43,13 @@ class Ejection:
 
     Parameters
     ----------
-    time : Value
+    time : Estimate
         :math:`t_e`, since the plate began to move. [s]
-    speed : Value
+    speed : Estimate
         :math:`V_e`. [m/s]
-    peak_plate_speed : Value
+    peak_plate_speed : Estimate
         :math:`V_p^*`. [m/s]
-    energy_transfer : Value
+    energy_transfer : Estimate
         :math:`\alpha = (V_e / V_p^*)^2`. [-]
     is_near_jump : bool
         Whether the ejection may be another within the errors, since it jumps where it passes odd
@@ -61,16 +57,14 @@ class Ejection:
 
     """
 
-    time: Value
-    speed: Value
-    peak_plate_speed: Value
-    energy_transfer: Value
+    time: Estimate
+    speed: Estimate
+    peak_plate_speed: Estimate
+    energy_transfer: Estimate
     is_near_jump: bool = False
 
 
-def analyse_throw(
-    tracks: ThrowTracks, *, gravity: float, plate: PlateFit | None = None
-) -> Ejection:
+def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     r"""
     Find how the projectile left from running averages and centred differences.
 
@@ -81,8 +75,6 @@ def analyse_throw(
         vary a little.
     gravity : float
         [m/s2]
-    plate : PlateFit, optional
-        Of this throw, if there is one already.
 
     Raises
     ------
@@ -109,108 +101,127 @@ def analyse_throw(
     """
     if tracks.projectile is None:
         raise FitError(f'{tracks.name}: there is no track of the projectile')
-    plate = plate or fit_plate(tracks.plate)
-    period = 1.0 / plate.motion.frequency
-    width = max(3, 2 * round(0.5 * _WINDOW * period / tracks.plate.interval) + 1)
-    if tracks.plate.interval * _RATE > period:
+    plate = fit_plate(tracks.plate)
+    bodies = tracks.plate.without_spikes(), tracks.projectile.without_spikes()
+    period, interval = 1.0 / plate.motion.frequency, tracks.plate.interval
+    if interval * _SAMPLES_PER_PERIOD > period:
         raise FitError(
-            f'{tracks.name}: running averages need at least {_RATE} samples per plate period '
-            f'({period:.3g} s), got one every {tracks.plate.interval:.3g} s'
+            f'{tracks.name}: running averages need at least {_SAMPLES_PER_PERIOD} samples per '
+            f'plate period ({period:.3g} s), got one every {interval:.3g} s'
         )
+    width = max(3, 2 * round(0.5 * _WINDOW * period / interval) + 1)
+    averages = _RunningAverages(width, period, gravity)
     try:
-        found, given_back = _twice(tracks.plate, tracks.projectile, width, period, gravity)
-        others = [
-            _measure(tracks.plate, tracks.projectile, width, period, gravity, approach)[0]
-            for approach in _APPROACHES
-        ]
+        found, given_back = averages.measure_twice(*bodies)
+        others = [averages.measure(*bodies, approach)[0] for approach in _OTHER_APPROACHES]
     except FitError as error:
         raise FitError(f'{tracks.name}: {error}') from None
-    spread = _spread(tracks.plate, tracks.projectile, width, period, gravity)
+    spread = averages.spread(*bodies)
     errors = np.hypot(spread, 0.5 * given_back)
     doubt = others[1] - others[0]
     errors[0] = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
     errors[1] = math.hypot(errors[1], gravity * doubt)
     found[0] -= plate.start_time
-    time, speed, plate_speed = (Value(*pair) for pair in zip(found, errors, strict=True))
+    time, speed, plate_speed = (Estimate(*pair) for pair in zip(found, errors, strict=True))
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
     return Ejection(
         time=time,
         speed=speed,
         peak_plate_speed=plate_speed,
-        energy_transfer=Value(alpha, 2.0 * alpha * relative),
+        energy_transfer=Estimate(alpha, 2.0 * alpha * relative),
     )
 
 
-def _twice(
-    plate: Track, projectile: Track, width: int, period: float, gravity: float
-) -> tuple[Floats, Floats]:
-    """Measure after smoothing once, less what smoothing once more does; and that alone."""
-    once = _measure(plate, projectile, width, period, gravity, _APPROACH)
-    again = _measure(
-        _smooth(plate, width), _smooth(projectile, width), width, period, gravity, _APPROACH
-    )
-    return 2.0 * once - again, once - again
+class _RunningAverages(NamedTuple):
+    """Averages over `width` samples at a time, of a throw with such a plate period."""
 
+    width: int
+    period: float
+    gravity: float
 
-def _spread(plate: Track, projectile: Track, width: int, period: float, gravity: float) -> Floats:
-    """Measure how results vary with noise, by giving the smoothed tracks another one."""
-    rng = np.random.default_rng(0)
-    results = []
-    smooth = _smooth(plate, width), _smooth(projectile, width)
+    def measure_twice(self, plate: Track, projectile: Track) -> tuple[Floats, Floats]:
+        """Measure after smoothing once, less what smoothing once more does; and that alone."""
+        once = self.measure(plate, projectile, _APPROACH)
+        again = self.measure(self.smooth(plate), self.smooth(projectile), _APPROACH)
+        return 2.0 * once - again, once - again
 
-    def noisy(track: Track) -> Track:
-        noise = rng.normal(0.0, track.noise, track.time.size)
-        return replace(track, position=track.position + noise)
+    def spread(self, plate: Track, projectile: Track) -> Floats:
+        """Measure how results vary with noise, by giving the smoothed tracks another one."""
+        rng = np.random.default_rng(0)
+        results = []
+        smooth = self.smooth(plate), self.smooth(projectile)
 
-    for _ in range(_REPEATS):
-        try:
-            results.append(_twice(noisy(smooth[0]), noisy(smooth[1]), width, period, gravity)[0])
-        except FitError:
-            continue  # with this noise the ejection is not to be seen
-    if len(results) < 0.5 * _REPEATS:
-        return np.full(3, math.inf)
-    return np.asarray(np.std(results, axis=0, ddof=1))
+        def noisy(track: Track) -> Track:
+            noise = rng.normal(0.0, track.noise, track.time.size)
+            return replace(track, position=track.position + noise)
 
+        for _ in range(_REPEATS):
+            try:
+                results.append(self.measure_twice(noisy(smooth[0]), noisy(smooth[1]))[0])
+            except FitError:
+                continue  # with this noise the ejection is not to be seen
+        if len(results) < 0.5 * _REPEATS:
+            return np.full(3, math.inf)
+        return np.asarray(np.std(results, axis=0, ddof=1))
 
-def _measure(
-    plate: Track, projectile: Track, width: int, period: float, gravity: float, approach: float
-) -> Floats:
-    """Measure ejection time on the clock of the track, ejection speed and plate speed."""
-    time, speed = _speeds(_smooth(plate, width))
-    fastest = time[np.argmax(speed)]
-    near = np.abs(time - fastest) <= _PEAK * period
-    if near.sum() < 4:
-        raise FitError('the plate is not seen where it is fastest')
-    bend, slope, level = np.polyfit(time[near] - fastest, speed[near], 2)
-    if bend >= 0.0:
-        raise FitError('the speed of the plate is lost in noise')
-    plate_speed = level - 0.25 * slope**2 / bend
+    def measure(self, plate: Track, projectile: Track, approach: float) -> Floats:
+        """Measure ejection time on the clock of the track, ejection speed and plate speed."""
+        ejection_time, speed = self._ejection(projectile, approach)
+        return np.array([ejection_time, speed, self._peak_plate_speed(plate)])
 
-    smooth = _smooth(projectile, width)
-    time, speed = _speeds(smooth)
-    height = smooth.position[1:-1]
-    fastest = int(np.argmax(speed >= _FULL * speed.max()))
-    is_flight = time > time[fastest] + period / 8.0
-    fallen = np.flatnonzero(is_flight & (height < height[fastest]))
-    is_flight[fallen[0] if fallen.size else time.size :] = False
-    if is_flight.sum() < _FEWEST:
-        raise FitError(
-            f'the projectile is seen flying at {is_flight.sum()} moments, where at least '
-            f'{_FEWEST} are needed'
+    def smooth(self, track: Track) -> Track:
+        """Average."""
+        if track.time.size < 4 * self.width:
+            raise FitError(
+                f'{track.time.size} samples are too few to average over {self.width} at a time'
+            )
+        kernel = np.full(self.width, 1.0 / self.width)
+        return Track(
+            time=np.convolve(track.time, kernel, 'valid'),
+            position=np.convolve(track.position, kernel, 'valid'),
+            known_noise=track.noise,
         )
-    level = float(np.mean((speed + gravity * time)[is_flight]))
-    short = level - gravity * time - speed  # of the speed of the flight
-    slow = np.flatnonzero(
-        (short > approach * (level - gravity * time[fastest])) & (time < time[is_flight][0])
-    )
-    if not slow.size:
-        raise FitError('the projectile is not seen gathering speed')
-    part = (time > time[slow[-1]]) & (time < time[slow[-1]] + 0.25 * period)
-    if part.sum() < 4:
-        raise FitError('the projectile is not seen as it leaves')
-    ejection = _hinge(time[part], short[part])
-    return np.array([ejection, level - gravity * ejection, plate_speed])
+
+    def _peak_plate_speed(self, plate: Track) -> float:
+        """Find the top of a parabola through the plate's speeds beside the largest."""
+        time, speed = _speeds(self.smooth(plate))
+        fastest = time[np.argmax(speed)]
+        near = np.abs(time - fastest) <= _PEAK * self.period
+        if near.sum() < 4:
+            raise FitError('the plate is not seen where it is fastest')
+        bend, slope, level = np.polyfit(time[near] - fastest, speed[near], 2)
+        if bend >= 0.0:
+            raise FitError('the speed of the plate is lost in noise')
+        return float(level - 0.25 * slope**2 / bend)
+
+    def _ejection(self, projectile: Track, approach: float) -> tuple[float, float]:
+        """Find when and how fast the projectile leaves."""
+        smooth = self.smooth(projectile)
+        time, speed = _speeds(smooth)
+        height = smooth.position[1:-1]
+        fastest = int(np.argmax(speed >= _FULL_SPEED * speed.max()))
+        is_flight = time > time[fastest] + self.period / 8.0
+        fallen = np.flatnonzero(is_flight & (height < height[fastest]))
+        is_flight[fallen[0] if fallen.size else time.size :] = False
+        if is_flight.sum() < _MIN_FLIGHT_SAMPLES:
+            raise FitError(
+                f'the projectile is seen flying at {is_flight.sum()} moments, where at least '
+                f'{_MIN_FLIGHT_SAMPLES} are needed'
+            )
+        level = float(np.mean((speed + self.gravity * time)[is_flight]))
+        short = level - self.gravity * time - speed  # of the speed of the flight
+        slow = np.flatnonzero(
+            (short > approach * (level - self.gravity * time[fastest]))
+            & (time < time[is_flight][0])
+        )
+        if not slow.size:
+            raise FitError('the projectile is not seen gathering speed')
+        part = (time > time[slow[-1]]) & (time < time[slow[-1]] + 0.25 * self.period)
+        if part.sum() < 4:
+            raise FitError('the projectile is not seen as it leaves')
+        ejection_time = _hinge(time[part], short[part])
+        return ejection_time, level - self.gravity * ejection_time
 
 
 def _hinge(time: Floats, values: Floats) -> float:
@@ -220,18 +231,6 @@ def _hinge(time: Floats, values: Floats) -> float:
     weights = np.maximum(shapes @ values, 0.0)
     gains = weights**2 / np.maximum(np.sum(shapes**2, axis=1), 1e-300)
     return float(times[np.argmax(gains)])
-
-
-def _smooth(track: Track, width: int) -> Track:
-    """Average over so many samples at a time."""
-    kernel = np.full(width, 1.0 / width)
-    if track.time.size < 4 * width:
-        raise FitError(f'{track.time.size} samples are too few to average over {width} at a time')
-    return Track(
-        time=np.convolve(track.time, kernel, 'valid'),
-        position=np.convolve(track.position, kernel, 'valid'),
-        known_noise=track.noise,
-    )
 
 
 def _speeds(track: Track) -> tuple[Floats, Floats]:
@@ -255,26 +254,29 @@ def ejection_of(found: RigFit) -> Ejection:
     :math:`t_e` and :math:`\alpha` jump and have no derivative there.
 
     """
-    rigs = [found.rig, *_rigs_like(found)]
-    results, intervals = _releases(rigs)
-    if np.isnan(results[0, 0]):
+    releases = first_releases([found.rig, *_rigs_like(found)])
+    if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
-    seen = ~np.isnan(results[:, 0])
-    errors = np.std(results[seen], axis=0, ddof=1) if seen.sum() > 1 else np.zeros(4)
-    values = (Value(*pair) for pair in zip(results[0].tolist(), errors.tolist(), strict=True))
-    time, speed, plate_speed, energy_transfer = values
+    seen = ~np.isnan(releases.time)
+
+    def estimate(values: Floats) -> Estimate:
+        error = float(np.std(values[seen], ddof=1)) if seen.sum() > 1 else 0.0
+        return Estimate(float(values[0]), error)
+
     return Ejection(
-        time=time,
-        speed=speed,
-        peak_plate_speed=plate_speed,
-        energy_transfer=energy_transfer,
-        is_near_jump=bool(np.ptp(intervals[seen]) > 0),
+        time=estimate(releases.time),
+        speed=estimate(releases.speed),
+        peak_plate_speed=estimate(releases.peak_plate_speed),
+        energy_transfer=estimate(releases.energy_transfer),
+        is_near_jump=bool(np.ptp(releases.echoes[seen]) > 0),
     )
 
 
 def _rigs_like(found: RigFit) -> Iterator[Rig]:
     """Draw rigs that may be as well as the one that was fitted."""
     names = [name for name in PARAMETERS if name in found.fit]
+    if not names:
+        return
     places = [found.fit.names.index(name) for name in names]
     values, errors = found.fit.values[places], found.fit.errors[places]
     powers, axes = np.linalg.eigh(found.fit.correlation[np.ix_(places, places)])
@@ -286,29 +288,3 @@ def _rigs_like(found: RigFit) -> Iterator[Rig]:
             )
         except ValueError:
             continue  # beyond what is physical
-
-
-def _releases(rigs: list[Rig]) -> tuple[Floats, NDArray[np.int64]]:
-    """Compute time, speed, plate speed and energy transfer, and the wave interval, of each."""
-    ratios: dict[str, Any] = {
-        'mass_ratio': np.array([rig.mass_ratio for rig in rigs]),
-        'speed_ratio': np.array([rig.speed_ratio for rig in rigs]),
-        'damping_ratio': np.array([rig.engine.damping_ratio for rig in rigs]),
-        'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
-    }
-    loss = np.array([rig.layer.loss_tangent for rig in rigs])
-    if loss.any():
-        release = normal_modes.first_releases(
-            **ratios, loss_tangent=np.maximum(loss, _LEAST_LOSS), unresolved='nan'
-        )
-    else:
-        release = travelling_wave.first_releases(**ratios, unresolved='nan')
-    phase = np.asarray(release.ejection_phase)
-    scale = np.array([rig.engine.speed_scale for rig in rigs])
-    plate_speed = scale * [peak_velocity_ratio(rig.engine.damping_ratio) for rig in rigs]
-    period = np.array([1.0 / rig.engine.frequency for rig in rigs])
-    results = np.stack(
-        [phase * period, release.speed * scale, plate_speed, release.energy_transfer], axis=1
-    )
-    crossings = np.nan_to_num(phase * ratios['speed_ratio'])
-    return results, ((crossings - 1.0) // 2.0).astype(np.int64)

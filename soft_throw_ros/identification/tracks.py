@@ -1,45 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks: heights of bodies over time, read from text, cut into throws, and how noisy they are."""
+"""Tracks: heights of bodies over time, how noisy they are, and which samples jump."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
-import re
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
-from scipy.signal import spectrogram
+from scipy.ndimage import maximum_filter1d
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
-
-UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
-"""Units of height. [m]"""
+Flags = NDArray[np.bool_]
+Places = NDArray[np.intp]
 
 FEWEST = 12
 """Samples of a track at least."""
 
-NAMES = {
-    'plate': ('plate', 'z_plate', 'zp', 'z_p'),
-    'projectile': ('projectile', 'z_projectile', 'zm', 'z_m'),
-    'bottom': ('bottom', 'z_bottom', 'lower', 'z_lower'),
-    'top': ('top', 'z_top', 'upper', 'z_upper'),
-}
-"""Bodies, and what their columns may be called."""
-
-_TIME = ('t', 'time')
-_MISSING = ('', 'nan')
-_SWINGS = 6.0  # plate periods that are kept of a throw among others
-_SEEN = 2.0  # plate periods of the last one of several throws that must be seen
-_QUIET = 0.5  # plate periods that it rests between two throws at least, and ...
-_BEFORE = 0.25  # that are kept of it
-_SMOOTH = 0.125  # plate periods that are averaged over to see where it rests
-_ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, a swing is at least
-_SEGMENT = 2**15  # samples of one spectrum
-_DIFFERENCES = 4  # order of the differences that noise is taken from
+_DIFFERENCE_ORDER = 4  # of the differences that noise is taken from
+_SPIKE_LIMIT = 8.0  # times what is usual that a sample is away from the cubic through neighbours
+_SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # samples that say what is usual
+_SPIKE_SHARE = 1e-4  # of the whole way is usual at least: motions without noise have kinks
+_SPIKE_ROUNDS = 4  # of leaving them out, since there may be some in a row
+_MAX_SPIKE_SHARE = 0.1  # of the samples; where there are more it is the motion
 
 
 class TrackError(ValueError):
@@ -114,6 +98,23 @@ class Track:
         """Time from the first sample to the last. [s]"""
         return float(self.time[-1] - self.time[0])
 
+    def where(self, kept: Flags | Places) -> Track:
+        """
+        Return some of the samples, by flags or places, as noisy as all of them.
+
+        Raises
+        ------
+        TrackError
+            If they are too few.
+
+        """
+        return replace(
+            self,
+            time=self.time[kept],
+            position=self.position[kept],
+            least_noise=self.noise,
+        )
+
     def between(self, start: float, end: float) -> Track:
         """
         Return the part from `start` to `end` [s], both included.
@@ -132,6 +133,35 @@ class Track:
                 f'to {self.time[-1]:g} s'
             )
         return replace(self, time=self.time[inside], position=self.position[inside])
+
+    def without_spikes(self) -> Track:
+        """
+        Leave out single samples that jump away from their neighbours.
+
+        This is for where no model of the motion is at hand yet, to start from. A sample is a
+        spike if it is away from the cubic through the two samples on either side much farther
+        than is usual before it, after it, and than the noise. So neither kinks of the motion nor
+        what moves like that all the time are left out.
+        """
+        least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
+        kept = np.arange(self.time.size)
+        for _ in range(_SPIKE_ROUNDS):
+            apart = np.abs(_beside_neighbours(self.time[kept], self.position[kept]))
+            largest = maximum_filter1d(apart, 5)
+            places = np.flatnonzero((apart > _SPIKE_LIMIT * least) & (apart >= largest))
+            sides = np.clip(places[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
+            usual = np.median(apart[sides], axis=-1).max(axis=0)
+            spikes = places[apart[places] > _SPIKE_LIMIT * usual]
+            if not spikes.size:
+                break
+            if spikes[0] == 2:  # which one of the first it is cannot be told
+                spikes = np.append([0, 1], spikes)
+            if spikes[-1] == kept.size - 3:
+                spikes = np.append(spikes, [kept.size - 2, kept.size - 1])
+            kept = np.delete(kept, spikes)
+        if kept.size < max(FEWEST, (1.0 - _MAX_SPIKE_SHARE) * self.time.size):
+            return self
+        return self if kept.size == self.time.size else self.where(kept)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,31 +201,13 @@ class ThrowTracks:
             name=self.name, plate=self.plate.between(start, end), projectile=projectile
         )
 
-    def throws(self) -> list[ThrowTracks]:
-        """
-        Cut a long record into its throws.
-
-        Notes
-        -----
-        A throw begins where the plate leaves its lowest place of rest. If it comes back there,
-        what is kept is `_BEFORE` periods before and at most `_SWINGS` periods after that, so that
-        the plate must not be put back earlier. If there are several, the last one is left out if
-        the record ends `_SEEN` periods after its start or sooner. A record in which the plate
-        rests there only once, or never, is one throw and stays whole.
-
-        """
-        spans = find_throws(self.plate)
-        if not spans:
-            return [self]
-        cut = [self.between(*span) for span in spans]
-        if len(cut) == 1:
-            return cut
-        return [
-            ThrowTracks(
-                name=f'{self.name}, throw {number}', plate=part.plate, projectile=part.projectile
-            )
-            for number, part in enumerate(cut, 1)
-        ]
+    def without_spikes(self) -> ThrowTracks:
+        """Leave out samples that jump, see `Track.without_spikes`."""
+        return replace(
+            self,
+            plate=self.plate.without_spikes(),
+            projectile=self.projectile and self.projectile.without_spikes(),
+        )
 
 
 def noise_of(position: Floats) -> float:
@@ -205,238 +217,30 @@ def noise_of(position: Floats) -> float:
     Notes
     -----
     From differences of fourth order, which a motion of n samples per period passes on by
-    :math:`(2 \pi / n)^4 / \sqrt{70}`; those beyond five median deviations, at kinks and slips,
+    :math:`(2 \pi / n)^4 / \sqrt{70}`; those beyond five median deviations, at kinks and jumps,
     are left out. Never 0, so that one can divide by it.
 
     """
-    steps = np.diff(position, _DIFFERENCES) / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES))
+    order = _DIFFERENCE_ORDER
+    steps = np.diff(position, order) / math.sqrt(math.comb(2 * order, order))
     usual = 1.4826 * float(np.median(np.abs(steps)))
     kept = steps[np.abs(steps) <= 5.0 * usual]
     noise = float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
     return max(noise, 1e-9 * float(np.ptp(position)), 1e-15)
 
 
-def find_throws(plate: Track) -> list[tuple[float, float]]:
-    """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
-    time = plate.time
-    period = _dominant_period(plate)
-    size = max(3, round(_QUIET * period / plate.interval))
-    if size >= time.size:
-        return []
-    width = max(1, round(_SMOOTH * period / plate.interval))
-    position = uniform_filter1d(plate.position, width)
-    low = minimum_filter1d(position, size)
-    high = maximum_filter1d(position, size)
-    tolerance = 6.0 * plate.noise / math.sqrt(width) + 0.005 * float(np.ptp(position))
-    quiet = high - low < 2.0 * tolerance
-    if not quiet.any():
-        return []
-    rest = float(np.min(0.5 * (low + high)[quiet]))
-    at_rest = quiet & (np.abs(position - rest) < tolerance)
-    edges = np.diff(at_rest.astype(np.int8))
-    begins = np.flatnonzero(edges == 1) + 1
-    ends = np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1)
-    lift = rest + 0.3 * (float(position.max()) - rest)
-    starts = []
-    for end in ends.tolist():
-        soon = (time >= time[end - size // 2]) & (time <= time[end] + period)
-        if (position[soon] > lift).any():
-            starts.append(float(time[end]))
-    returns = [float(time[begin]) for begin in begins]
-    if len(starts) < 2 and not any(back > start for start in starts for back in returns):
-        return []
-    if len(starts) > 1 and time[-1] < starts[-1] + _SEEN * period:
-        starts.pop()
-    limits = [*starts[1:], math.inf]
-    return [
-        (start - _BEFORE * period, min(start + _SWINGS * period, limit - _BEFORE * period))
-        for start, limit in zip(starts, limits, strict=True)
-    ]
-
-
-def _dominant_period(plate: Track) -> float:
-    """Find the period of the strongest swing of the plate's velocity."""
-    count = max(16, round(plate.duration / plate.interval) + 1)
-    even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
-    velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
-    frequency, _, powers = spectrogram(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
-    noise = 8.0 / step * (plate.noise * np.sin(np.pi * step * frequency)) ** 2
-    strength = powers.max(axis=1) - _ABOVE_NOISE * noise
-    return 1.0 / float(frequency[max(1, int(np.argmax(strength)))])
-
-
-def read_csv(
-    lines: Iterable[str], name: str, bodies: Sequence[str], *, unit: str = 'm'
-) -> dict[str, Track]:
-    """
-    Read tracks from lines of text.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        A time [s] and the heights of bodies in each, separated by commas, semicolons, tabs or
-        blanks. A first line may name the columns (`t` or `time`, and `NAMES`, a unit in brackets
-        may follow); others are then passed over. Without one they are time and `bodies` in this
-        order. Lines that begin with # are comments; a height that is empty or nan was not seen.
-        Unless commas separate, one may also be the decimal sign.
-    name : str
-        What to call the text if something is wrong.
-    bodies : sequence of str
-        Bodies to read. The first must be there, the others may be missing altogether.
-    unit : str
-        Of the heights, one of `UNITS`.
-
-    Returns
-    -------
-    dict of str to Track
-
-    Raises
-    ------
-    TrackError
-        With the number of the line, if something is wrong.
-
-    Examples
-    --------
-    >>> lines = ['t [s]; plate [mm]'] + [f'{t}; {t * t}' for t in range(20)]
-    >>> track = read_csv(lines, 'example', ('plate',), unit='mm')['plate']
-    >>> round(float(track.position[3]), 6)
-    0.009
-
-    """
-    scale = UNITS[unit]
-    numbered = _Rows(lines)
-    columns: dict[str, int] = {}
-    values: dict[str, list[float]] = {}
-    times: list[float] = []
-    width = 0
-    for number, cells in numbered:
-        where = f'{name}:{number}'
-        if not columns:
-            is_header = not any(map(_is_number, cells))
-            columns = _header(cells, bodies, unit, where) if is_header else _order(cells, bodies)
-            values = {body: [] for body in columns if body != 'time'}
-            width = len(cells)
-            if not values:
-                raise TrackError(
-                    f'{where}: must have a time and the height of the {bodies[0]}, '
-                    f'got {cells[0]!r} alone'
-                )
-            if is_header:
-                continue
-        if len(cells) != width:
-            raise TrackError(f'{where}: must have {width} values as above, got {len(cells)}')
-        time = _number(cells[columns['time']], 'time', where)
-        if math.isnan(time):
-            raise TrackError(f'{where}: time must be a finite number, got {"nan"!r}')
-        if times and time <= times[-1]:
-            raise TrackError(f'{where}: time must increase, got {time:g} after {times[-1]:g}')
-        times.append(time)
-        for body, series in values.items():
-            series.append(scale * _number(cells[columns[body]], body, where))
-    if not columns:
-        raise TrackError(f'{name}: is empty; a time and the height of the {bodies[0]} are needed')
-    return dict(_tracks(times, values, bodies[0], name))
-
-
-def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:
-    """
-    Write tracks as lines of text that `read_csv` reads.
-
-    Examples
-    --------
-    >>> track = Track(time=0.5 * np.arange(20.0), position=1e-3 * np.arange(20.0))
-    >>> list(csv_lines({'plate': track}))[:3]
-    ['t [s],plate [m]', '0,0', '0.5,0.001']
-
-    """
-    yield ','.join(['t [s]', *(f'{body} [m]' for body in tracks)])
-    heights = [
-        dict(zip(track.time.tolist(), track.position.tolist(), strict=True))
-        for track in tracks.values()
-    ]
-    for time in sorted(set().union(*heights)):
-        cells = [f'{each[time]:.9g}' if time in each else '' for each in heights]
-        yield ','.join([f'{time:.9g}', *cells])
-
-
-class _Rows:
-    """The cells of lines that are no comments, with the lines' numbers."""
-
-    def __init__(self, lines: Iterable[str]) -> None:
-        self._lines = enumerate(lines, 1)
-        self._separator: str | None = ''
-
-    def __iter__(self) -> Iterator[tuple[int, list[str]]]:
-        for number, line in self._lines:
-            text = line.strip(' \r\n\ufeff')
-            if text.strip() and not text.startswith('#'):
-                yield number, self._split(text)
-
-    def _split(self, text: str) -> list[str]:
-        if self._separator == '':
-            found = (separator for separator in (';', '\t', ',') if separator in text)
-            self._separator = next(found, None)
-        cells = text.split(self._separator)
-        if self._separator != ',':
-            cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
-        return [cell.strip().strip('"\'') for cell in cells]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _number(text: str, what: str, where: str) -> float:
-    if text.lower() in _MISSING:
-        return math.nan
-    if not _is_number(text) or math.isinf(float(text)):
-        raise TrackError(f'{where}: {what} must be a finite number, got {text!r}')
-    return float(text)
-
-
-def _order(cells: Sequence[str], bodies: Sequence[str]) -> dict[str, int]:
-    """Take columns without names as they come."""
-    return {body: place for place, body in enumerate(('time', *bodies)) if place < len(cells)}
-
-
-def _header(cells: Sequence[str], bodies: Sequence[str], unit: str, where: str) -> dict[str, int]:
-    """Find columns by their names."""
-    known = {'time': (_TIME, 's'), **{body: (NAMES[body], unit) for body in bodies}}
-    columns: dict[str, int] = {}
-    for place, cell in enumerate(cells):
-        label, _, bracket = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
-        for body, (names, expected) in known.items():
-            if label.strip().lower() in names:
-                given = bracket.rstrip(' )]').replace('\N{MICRO SIGN}', 'u')
-                if bracket and given != expected:
-                    hint = '' if body == 'time' or given not in UNITS else f'; see --unit {given}'
-                    raise TrackError(f'{where}: {body} is read in {expected}, got {cell!r}{hint}')
-                if body in columns:
-                    raise TrackError(f'{where}: {body} must be there once, got {cell!r} too')
-                columns[body] = place
-    for body in ('time', bodies[0]):
-        if body not in columns:
-            raise TrackError(
-                f'{where}: no column is named {known[body][0][0]!r}, got {", ".join(cells)}'
-            )
-    return columns
-
-
-def _tracks(
-    times: list[float], values: dict[str, list[float]], first: str, name: str
-) -> Iterator[tuple[str, Track]]:
-    """Leave out what was not seen."""
-    time = np.array(times)
-    for body, series in values.items():
-        position = np.array(series)
-        seen = np.isfinite(position)
-        if seen.sum() >= FEWEST:
-            yield body, Track(time=time[seen], position=position[seen])
-        elif body == first or seen.any():
-            raise TrackError(
-                f'{name}: {seen.sum()} heights of the {body}, where at least {FEWEST} are needed'
-            )
+def _beside_neighbours(time: Floats, position: Floats) -> Floats:
+    """Subtract the cubic through two samples on either side from each; 0 at the ends."""
+    apart = np.zeros_like(position)
+    inner = np.arange(2, time.size - 2)
+    predicted = np.zeros(inner.size)
+    offsets = (-2, -1, 1, 2)
+    for offset in offsets:
+        weight = np.ones(inner.size)
+        for other in offsets:
+            if other != offset:
+                span = time[inner + offset] - time[inner + other]
+                weight *= (time[inner] - time[inner + other]) / span
+        predicted += weight * position[inner + offset]
+    apart[inner] = position[inner] - predicted
+    return apart

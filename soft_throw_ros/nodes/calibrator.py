@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.time import Time
 from soft_throw_ros.configuration.rig import CALIBRATOR, check_calibrator, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.problem import USUAL
+from soft_throw_ros.identification.fit_description import USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes import topics
@@ -182,7 +182,7 @@ class Calibrator(Program):
         """Give the twin what was found, and the rig the layer that it then recommends."""
         for warning in found.fit.warnings():
             self.get_logger().warning(warning)
-        if found.fit.is_misfit:
+        if found.fit.is_mismatch:
             raise ValueError('no parameters of the model make it do what the projectile does')
         values = {name: found.fit[name] for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})

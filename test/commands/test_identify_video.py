@@ -149,12 +149,6 @@ def test_folder_of_pictures_is_read_by_their_numbers(capsys, throw_pictures, tmp
     assert_is_the_rig(run(capsys, '--video', folder, *AS_TAKEN, '--thickness', 12e-3))
 
 
-def test_file_of_pictures_may_have_more_grey_levels(capsys, throw_pictures, tmp_path):
-    path = tmp_path / 'stack.tif'
-    imageio.imwrite(path, np.array(throw_pictures).astype(np.uint16) * 257)
-    assert_is_the_rig(run(capsys, '--video', path, *AS_TAKEN, '--thickness', 12e-3))
-
-
 def test_spots_are_on_what_is_said(capsys, throw_video):
     found = run(
         capsys, '--video', throw_video, *AS_TAKEN, '--spots', 'plate, none, none', '--to', 0.04
@@ -222,7 +216,10 @@ def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, m
         ),
         (('a.csv', '--rate', '1'), 'argument --rate: is for videos'),
         (('a.csv', '--space-time', 'a.png'), 'argument --space-time: is for videos'),
-        (('--watch', 'a', '--video', 'VIDEO'), 'either FILE or --video, or --watch, or --free'),
+        (
+            ('--free-layer', '0.01', 'a.csv', '--video', 'VIDEO'),
+            'either FILE or --video, or --free-layer',
+        ),
         (
             ('--video', 'VIDEO', '--video', 'VIDEO', *AS_TAKEN, '--tracks', 'a.csv'),
             'argument --tracks: is for one video at a time, got 2',
@@ -259,12 +256,3 @@ def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, m
 def test_what_is_wrong_with_a_video_is_said_in_one_line(capsys, throw_video, args, message):
     args = [throw_video if arg == 'VIDEO' else arg for arg in args]
     assert refused(capsys, *args).startswith(message.replace('VIDEO', str(throw_video)))
-
-
-def test_video_that_is_none_is_said_in_one_line(capsys, tmp_path):
-    path = tmp_path / 'none.avi'
-    path.write_bytes(b'nothing of the kind' * 100)
-    assert refused(capsys, '--video', path, *AS_TAKEN).startswith(f'{path}: ')
-    assert refused(capsys, '--video', tmp_path, *AS_TAKEN) == (
-        f'{tmp_path}: there is no picture in this folder'
-    )

@@ -11,7 +11,8 @@ import pytest
 from soft_throw_ros.core.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.tracks import read_csv, ThrowTracks, Track
+from soft_throw_ros.identification.track_csv import read_csv
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 DATA = Path(__file__).parents[1] / 'data'
 

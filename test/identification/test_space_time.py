@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.identification.space_time import space_time, SpaceTime
 from soft_throw_ros.identification.tracks import TrackError
-from soft_throw_ros.identification.wave_speed import change_of_length, fit_ringing
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
@@ -41,14 +40,6 @@ def line(video, column=30, first=5, last=115):
     return space_time(video, column=column, first=first, last=last, rate=RATE, scale=SCALE)
 
 
-def test_line_is_what_the_pictures_show(video):
-    found = line(video)
-    assert found.levels.shape == (140, 111)
-    assert found.time == pytest.approx(TIME)
-    expected = video[7][5:116, 29:32].mean(axis=1)[::-1]
-    assert found.levels[7] == pytest.approx(expected)
-
-
 @pytest.mark.parametrize('column', [30, 12], ids=['beside the spot', 'through the spot'])
 def test_edges_are_followed_within_a_tenth_of_a_pixel(video, column):
     bottom, top = line(video, column).edges()
@@ -56,14 +47,6 @@ def test_edges_are_followed_within_a_tenth_of_a_pixel(video, column):
         left = edge.position / SCALE - (115.5 - truth)
         assert left.std() < 0.08
         assert abs(left.mean()) < 0.4  # one level for edges of different depth
-
-
-def test_period_is_read_off_the_line(video):
-    # A mode that loses as much is slowed down by it; what is reported is without
-    without_loss = PERIOD * np.sqrt(1.0 - (50.0 * PERIOD / (2.0 * np.pi)) ** 2)
-    ringing = fit_ringing(change_of_length(*line(video).edges()))
-    assert ringing.period.value == pytest.approx(without_loss, abs=4.0 * ringing.period.error)
-    assert ringing.period.error < 2e-3 * PERIOD
 
 
 def test_line_without_two_edges_is_refused():
@@ -85,10 +68,3 @@ def test_line_without_two_edges_is_refused():
 def test_line_that_is_not_there_is_refused(video, options, message):
     with pytest.raises(TrackError, match=re.escape(message)):
         line(video, **options)
-
-
-def test_line_through_nothing_is_refused():
-    with pytest.raises(TrackError, match='there is no picture'):
-        line([])
-    with pytest.raises(ValueError, match='rate must be finite and positive, got -1'):
-        space_time([], column=1, first=0, last=2, rate=-1.0, scale=1.0)

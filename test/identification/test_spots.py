@@ -8,7 +8,7 @@ import runpy
 import numpy as np
 import pytest
 from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
-from soft_throw_ros.identification.tracks import csv_lines, read_csv, TrackError
+from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
@@ -62,13 +62,6 @@ def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
         assert np.sqrt(np.mean(left**2, axis=0)).max() < most
 
 
-def test_error_of_spots_is_what_is_said():
-    spots = follow_spots(video())
-    for spot, left in zip(spots, errors_of(spots), strict=True):
-        assert left.std() == pytest.approx(spot.error, rel=0.25)
-        assert np.abs(left.mean(axis=0)).max() < 5.0 * spot.error / np.sqrt(len(left))
-
-
 def test_spot_that_leaves_the_picture_is_followed_until_then():
     spots = follow_spots(video())
     seen = spots[2].row.size
@@ -77,13 +70,6 @@ def test_spot_that_leaves_the_picture_is_followed_until_then():
     assert places_of(seen - 1)[2][0] > 0.5 * CAMERA['DIAMETER']
     assert places_of(seen + 1)[2][0] < 0.5 * CAMERA['DIAMETER'] + 4.0
     assert np.abs(errors_of(spots)[2][-3:]).max() < 0.08
-
-
-def test_spot_that_is_covered_is_followed_until_then():
-    pictures = video(count=30)
-    for each in pictures[20:]:
-        each[:, 20:30] = 200
-    assert [spot.row.size for spot in follow_spots(pictures)] == [20, 20, 20]
 
 
 def test_spots_are_told_from_all_else_that_is_dark():
@@ -98,15 +84,6 @@ def test_spots_are_told_from_all_else_that_is_dark():
     spots = find_spots(picture((200, 160), truth, rng, around=levels))
     assert [spot[:2] for spot in spots] == [pytest.approx(place, abs=0.3) for place in truth]
     assert [spot.diameter for spot in spots] == pytest.approx([7.0] * 3, abs=0.7)
-
-
-@pytest.mark.parametrize('kind', [np.uint16, np.float32])
-def test_grey_levels_may_be_of_any_kind(kind):
-    eight = video(count=12)
-    other = [(each.astype(float) * 200.0 + 7.0).astype(kind) for each in eight]
-    for first, second in zip(follow_spots(eight), follow_spots(other), strict=True):
-        assert second.row == pytest.approx(first.row, abs=1e-3)
-        assert second.error == pytest.approx(first.error, rel=1e-3)
 
 
 def test_pictures_without_spots_are_refused():
@@ -142,14 +119,6 @@ def test_spots_of_one_body_are_averaged():
     assert tracks['plate'].position == pytest.approx(1.0 - np.arange(13) ** 2 / 100.0)
     assert tracks['plate'].noise == pytest.approx(0.02 / np.sqrt(2.0))
     assert list(tracks_of([spot(9.0)], rate=1.0, scale=1.0)) == ['plate']
-
-
-def test_tracks_of_spots_are_read_from_what_they_are_written_as():
-    tracks = tracks_of([spot(90.0), spot(60.0), spot(20.0, 15)], rate=7e3, scale=1.3e-4)
-    found = read_csv(csv_lines(tracks), 'written', ('plate', 'projectile'))
-    for body in ('plate', 'projectile'):
-        assert found[body].time == pytest.approx(tracks[body].time, abs=1e-11)
-        assert found[body].position == pytest.approx(tracks[body].position, abs=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,11 @@ from soft_throw_ros.core.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit import Fit, FitError
-from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.problem import Problem, USUAL
+from soft_throw_ros.identification.fit_description import FitDescription, USUAL
+from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
+from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
 
 RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
@@ -55,12 +56,6 @@ def test_running_averages_err_by_what_they_say(make_throw, thickness, gravity, n
     assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.6
 
 
-def test_running_averages_take_a_plate_that_was_fitted(make_throw):
-    throw = make_throw(Rig(), duration=0.06)
-    plate = fit_plate(throw.plate)
-    assert analyse_throw(throw, gravity=9.81, plate=plate) == analyse_throw(throw, gravity=9.81)
-
-
 def test_running_averages_pass_over_the_landing(make_throw):
     throw = make_throw(Rig(), duration=0.4)
     assert np.abs(pulls_of(analyse_throw(throw, gravity=9.81), truth_of(Rig()))).max() < 3.0
@@ -101,8 +96,8 @@ def fitted(rig, *, error):
         ]
     )
     fit = Fit(names=USUAL, values=values, covariance=covariance, chi2=1.0, dof=1, residuals=())
-    problem = Problem((), rig, USUAL, 'own', 'face')
-    return RigFit(fit=fit, rig=rig, throws=(), _problem=problem)
+    model = RigModel((), rig, FitDescription(), {}, ThrowSimulator())
+    return RigFit(fit=fit, rig=rig, throws=(), _model=model)
 
 
 def test_ejection_that_jumps_within_the_errors_is_told():

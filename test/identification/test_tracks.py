@@ -6,10 +6,11 @@ import re
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.segmentation import split_into_throws
+from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     noise_of,
-    read_csv,
     ThrowTracks,
     Track,
     TrackError,
@@ -62,11 +63,6 @@ def test_csv_leaves_out_what_was_not_seen():
     assert 0.5 in tracks['plate'].position
 
 
-def test_csv_may_be_of_the_plate_alone():
-    assert set(read_csv(rows('{:.4f},{:.6f}'), 'file', BODIES)) == {'plate'}
-    assert set(read_csv(['t,plate,frame', *rows()], 'file', BODIES)) == {'plate'}
-
-
 def with_line(number, text):
     lines = ['t,plate,projectile', *rows()]
     lines[number - 1] = text
@@ -99,12 +95,6 @@ def test_csv_that_is_wrong_is_refused_with_its_line(lines, message):
         read_csv(lines, 'file', BODIES)
 
 
-def test_csv_with_a_projectile_hardly_seen_is_refused():
-    lines = [row if n < 3 else row.rpartition(',')[0] + ',' for n, row in enumerate(rows())]
-    with pytest.raises(TrackError, match='3 heights of the projectile'):
-        read_csv(lines, 'file', BODIES)
-
-
 @pytest.mark.parametrize(
     ('time', 'position', 'message'),
     [
@@ -119,13 +109,6 @@ def test_track_refuses_what_is_none(time, position, message):
         Track(time=time, position=position)
 
 
-def test_track_that_is_cut_too_short_says_what_there_is():
-    track = Track(time=TIME, position=TIME)
-    assert track.between(0.001, 1.0).time[0] == pytest.approx(0.001)
-    with pytest.raises(TrackError, match=r'only 0 samples from 1 s to 2 s.*0 s to 0.0038 s'):
-        track.between(1.0, 2.0)
-
-
 @pytest.mark.parametrize('rate', [2000.0, 10000.0])
 def test_noise_is_told_from_the_motion_even_with_slips(rate):
     plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
@@ -135,13 +118,6 @@ def test_noise_is_told_from_the_motion_even_with_slips(rate):
     position[[50, 700]] += 5e-3
     assert noise_of(position) == pytest.approx(2e-5, rel=0.05)
     assert noise_of(np.zeros(50)) > 0.0
-
-
-def test_noise_that_is_estimated_is_as_large_as_is_asked_for():
-    smooth = Track(time=TIME, position=TIME**2, least_noise=1e-6)
-    assert smooth.noise == 1e-6
-    assert smooth.between(0.0, 0.003).noise == 1e-6
-    assert Track(time=TIME, position=TIME**2, least_noise=1e-6, known_noise=1e-7).noise == 1e-7
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
@@ -161,7 +137,7 @@ def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
 @pytest.mark.parametrize('noise', [0.0, 1e-5, 2e-4])  # up to a tenth of the amplitude
 def test_record_is_cut_into_its_throws(noise):
     starts = [0.2, 0.7, 1.3, 1.8]
-    throws = record(starts=starts, noise=noise).throws()
+    throws = split_into_throws(record(starts=starts, noise=noise))
     assert [throw.name for throw in throws] == [f'bag, throw {n}' for n in range(1, 5)]
     for start, throw in zip(starts, throws, strict=True):
         assert start - 0.01 < throw.plate.time[0] < start
@@ -172,21 +148,15 @@ def test_record_is_cut_into_its_throws(noise):
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
 def test_throw_that_has_only_begun_when_the_record_ends_is_none(seen, count):
     starts = [0.2, 0.7, 1.3]
-    throws = record(starts=starts, period=0.5).between(0.0, starts[-1] + seen).throws()
+    throws = split_into_throws(record(starts=starts, period=0.5).between(0.0, starts[-1] + seen))
     assert len(throws) == count
 
 
 def test_record_of_an_hour_is_cut_too():
     # Far more samples than swings: at 400 Hz the plate has ten in a period
     starts = [5.0, 1800.0, 3590.0]
-    throws = record(starts=starts, rate=400.0).throws()
+    throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
-
-
-def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
-    (throw,) = record(starts=[0.2], period=1.0).throws()
-    assert throw.name == 'bag'
-    assert 0.34 < throw.plate.time[-1] < 0.36
 
 
 @pytest.mark.parametrize(
@@ -198,11 +168,4 @@ def test_record_of_one_throw_is_cut_before_the_plate_is_put_back():
     ],
 )
 def test_record_of_a_throw_that_settles_stays_whole(whole):
-    assert whole.throws() == [whole]
-
-
-def test_harmonic_plate_that_touches_its_rest_is_one_throw():
-    time = np.arange(0.0, 0.3, 1e-4)
-    position = Underdamped(frequency=30.0, amplitude=2e-3).position(time - 0.05)
-    whole = ThrowTracks(name='harmonic', plate=Track(time=time, position=position))
-    assert whole.throws() == [whole]
+    assert split_into_throws(whole) == [whole]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core import method_of_steps, normal_modes
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.identification.path import follow, landing_time
+from soft_throw_ros.identification.forward import ThrowSimulator
 
 RIGS = {
     'usual': Rig(),
@@ -19,22 +19,16 @@ RIGS = {
 def test_path_is_that_of_the_exact_model(rig):
     time = np.linspace(-0.01, 0.06, 300)
     exact = method_of_steps.follow(rig, until=0.06)
-    path = follow(rig, time[::-1])
+    path = ThrowSimulator().follow(rig, time[::-1])
     assert path.position[::-1] == pytest.approx(exact.projectile_position(time), abs=2e-9)
     assert path.velocity[::-1] == pytest.approx(exact.projectile_velocity(time), abs=2e-6)
     assert [event.kind for event in path.events] == [event.kind for event in exact.events]
 
 
-def test_path_by_grid_is_near_the_exact_one():
-    time = np.linspace(0.0, 0.06, 300)
-    exact = follow(Rig(), time)
-    assert follow(Rig(), time, by_grid=True).position == pytest.approx(exact.position, abs=5e-6)
-
-
 @pytest.mark.parametrize('loss_tangent', [0.02, 0.2])
 def test_path_with_loss_leaves_as_the_sum_over_modes_says(loss_tangent):
     rig = Rig(layer=Layer(loss_tangent=loss_tangent))
-    event = follow(rig, np.array([0.02])).events[0]
+    event = ThrowSimulator().follow(rig, np.array([0.02])).events[0]
     exact = normal_modes.first_release(
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
@@ -48,6 +42,10 @@ def test_path_with_loss_leaves_as_the_sum_over_modes_says(loss_tangent):
 
 def test_landing_is_the_first_one_on_the_way_down():
     exact = method_of_steps.follow(Rig())
-    assert landing_time(Rig(), 0.5) == pytest.approx(exact.events[-1].time, abs=1e-7)
-    assert landing_time(Rig(), 0.1) == np.inf
-    assert landing_time(RIGS['recontact'], 0.5) == np.inf  # caught up, but it never falls
+    assert ThrowSimulator().landing_time(Rig(), 0.5) == pytest.approx(
+        exact.events[-1].time, abs=1e-7
+    )
+    assert ThrowSimulator().landing_time(Rig(), 0.1) == np.inf
+    assert (
+        ThrowSimulator().landing_time(RIGS['recontact'], 0.5) == np.inf
+    )  # caught up, but it never falls

@@ -25,16 +25,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from soft_throw_ros.core import checks
-from soft_throw_ros.identification.fit import Fit, fit_tracks, FitError, Model, Value
+from soft_throw_ros.identification.least_squares import (
+    central_difference,
+    Estimate,
+    Fit,
+    fit_tracks,
+    FitError,
+    FitModel,
+)
 from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
 
 Floats = NDArray[np.float64]
 
 _MODES = (1.0, 3.0)  # their frequencies, over that of the first
 _LOSSES = (0.01, 0.1, 0.4)  # loss tangents to start from
-_MOST_LOSS = 1.9  # beyond 2 nothing rings
-_MOST_SAMPLES = 1024  # at which many frequencies are tried
-_SWINGS = 1.5  # that are seen at least
+_MAX_LOSS = 1.9  # beyond 2 nothing rings
+_MAX_SAMPLES = 1024  # at which many frequencies are tried
+_MIN_CYCLES = 1.5  # that are seen
 _ONSET = 0.7  # of the largest change of length, below which the layer is taken to be free
 _STEP = 1e-5  # relative, for derivatives
 _REFINED = 3  # of the best frequencies
@@ -59,19 +66,19 @@ class Ringing:
     start_time: float
 
     @property
-    def period(self) -> Value:
+    def period(self) -> Estimate:
         """Eigenperiod :math:`T_0`. [s]"""
         return self.fit['period']
 
     @property
-    def loss_tangent(self) -> Value:
+    def loss_tangent(self) -> Estimate:
         """Loss tangent at the eigenperiod; with this kind of loss it grows with frequency. [-]"""
         return self.fit['loss_tangent']
 
-    def loss_tangent_at(self, frequency: float) -> Value:
+    def loss_tangent_at(self, frequency: float) -> Estimate:
         """Loss tangent at another frequency. [-]"""
         factor = frequency * self.period.value
-        return Value(factor * self.loss_tangent.value, factor * self.loss_tangent.error)
+        return Estimate(factor * self.loss_tangent.value, factor * self.loss_tangent.error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +88,7 @@ class WaveSpeed:
 
     Parameters
     ----------
-    value : Value
+    value : Estimate
         :math:`c_s`. [m/s]
     chi2 : float
         Sum over the layers of squared differences over errors.
@@ -90,7 +97,7 @@ class WaveSpeed:
 
     """
 
-    value: Value
+    value: Estimate
     chi2: float
     dof: int
 
@@ -147,17 +154,18 @@ def fit_ringing(length: Track) -> Ringing:
     232.1
 
     """
-    late = length.position[length.position.size // 2 :]
-    change = np.abs(length.position - np.median(late))
+    smooth = length.without_spikes()
+    late = smooth.position[smooth.position.size // 2 :]
+    change = np.abs(smooth.position - np.median(late))
     large = change >= _ONSET * change.max()
     first = int(np.argmax(large))
     held = int(np.argmin(np.append(large[first:], False)))  # it may have been squeezed for long
-    onset = float(length.time[min(first + held, length.time.size - 1)])
+    onset = float(smooth.time[min(first + held, smooth.time.size - 1)])
     try:
         free = length.between(onset, math.inf)
     except TrackError as error:
         raise FitError(f'the layer is not seen ringing: {error}') from None
-    tried = [_fit_from(free, *start) for start in _starts(free)]
+    tried = [_fit_from(free, *start) for start in _starts(free.without_spikes())]
     best = min(tried, key=lambda found: found.chi2)
     size = math.hypot(*best.values[3:5])
     if size < 5.0 * math.hypot(*best.errors[3:5]):
@@ -170,7 +178,7 @@ def fit_ringing(length: Track) -> Ringing:
 
 def fit_wave_speed(
     thicknesses: Sequence[float],
-    periods: Sequence[Value],
+    periods: Sequence[Estimate],
     *,
     thickness_error: float,
 ) -> WaveSpeed:
@@ -181,7 +189,7 @@ def fit_wave_speed(
     ----------
     thicknesses : sequence of float
         [m]
-    periods : sequence of Value
+    periods : sequence of Estimate
         Eigenperiods :math:`T_0` of the free layers, with errors. [s]
     thickness_error : float
         Standard error of each thickness. [m]
@@ -198,7 +206,7 @@ def fit_wave_speed(
 
     Examples
     --------
-    >>> speed = fit_wave_speed([0.01, 0.02], [Value(2e-3, 1e-5), Value(4e-3, 1e-5)],
+    >>> speed = fit_wave_speed([0.01, 0.02], [Estimate(2e-3, 1e-5), Estimate(4e-3, 1e-5)],
     ...                        thickness_error=1e-4)
     >>> str(speed.value)
     '10.000 +- 0.050'
@@ -222,7 +230,7 @@ def fit_wave_speed(
     scatter = max(1.0, chi2 / dof) if dof else 1.0
     speed = 2.0 / slowness
     relative = math.sqrt(scatter / information) / slowness
-    return WaveSpeed(value=Value(speed, speed * relative), chi2=chi2, dof=dof)
+    return WaveSpeed(value=Estimate(speed, speed * relative), chi2=chi2, dof=dof)
 
 
 def _fit_from(length: Track, period: float, loss_tangent: float) -> Fit:
@@ -238,12 +246,12 @@ def _fit_from(length: Track, period: float, loss_tangent: float) -> Fit:
     def predict(values: Floats) -> Floats:
         return np.asarray(_modes(time, values[0], values[1], count) @ values[2:])
 
-    def slopes(values: Floats) -> Floats:
+    def jacobian(values: Floats) -> Floats:
         columns = []
         for place, step in enumerate((_STEP * values[0], max(_STEP, _STEP * values[1]))):
-            change = np.zeros_like(values)
-            change[place] = step
-            columns.append((predict(values + change) - predict(values - change)) / (2.0 * step))
+            low = 0.0 if place else -math.inf
+            change, width = central_difference(predict, values, [place], step=step, low=low)
+            columns.append(change / width[0])
         return np.column_stack([*columns, _modes(time, values[0], values[1], count)])
 
     linear, *_ = np.linalg.lstsq(
@@ -251,16 +259,16 @@ def _fit_from(length: Track, period: float, loss_tangent: float) -> Fit:
     )
     low, high = np.full((2, len(names)), np.array([[-np.inf], [np.inf]]))
     low[:2] = 2.0 * length.interval, 0.0
-    high[:2] = 2.0 * length.duration, _MOST_LOSS
+    high[:2] = 2.0 * length.duration, _MAX_LOSS
     return fit_tracks(
-        Model(tuple(names), predict, slopes, low, high),
+        FitModel(names=tuple(names), predict=predict, jacobian=jacobian, low=low, high=high),
         np.array([period, loss_tangent, *linear]),
         [('length', length)],
     )
 
 
 def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floats:
-    """Give the columns of 1 and of the modes; negative loss appears in derivatives only."""
+    """Give the columns of 1 and of the modes."""
     columns = [np.ones_like(time)]
     for multiple in _MODES[:count]:
         omega = multiple * 2.0 * math.pi / period
@@ -277,17 +285,17 @@ def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floa
 
 def _starts(length: Track) -> list[tuple[float, float]]:
     """Find periods and losses to start from, by trying all."""
-    every = -(-length.time.size // _MOST_SAMPLES)
+    every = -(-length.time.size // _MAX_SAMPLES)
     time = length.time[::every] - length.time[0]
     position = length.position[::every]
     found = []
     for loss_tangent in _LOSSES:
-        frequency = _SWINGS / length.duration
+        frequency = _MIN_CYCLES / length.duration
         while frequency < 0.4 / length.interval:
             columns = _modes(time, 1.0 / frequency, loss_tangent, 1)
             linear, *_ = np.linalg.lstsq(columns, position, rcond=None)
-            misfit = float(np.sum((position - columns @ linear) ** 2))
-            found.append((misfit, 1.0 / frequency, loss_tangent))
+            mismatch = float(np.sum((position - columns @ linear) ** 2))
+            found.append((mismatch, 1.0 / frequency, loss_tangent))
             frequency += max(0.25 / length.duration, 0.1 * loss_tangent * frequency)
     if not found:
         raise FitError(

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an identification found: as a table, as JSON, and as a parameter file of the twin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
+from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.identification.fit_description import PARAMETERS
+from soft_throw_ros.identification.least_squares import Estimate, Fit
+from soft_throw_ros.identification.throw_analysis import Ejection
+
+_UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
+_MAX_NAMES = 4  # of sources in a parameter file
+_MAX_OUTLIERS = 4  # of a track that are listed one by one
+_MAX_TRACKS = 8  # that have a row of their own; if there are more, the worst of them
+_NAME_WIDTH = 24
+
+EJECTION_ROWS = (
+    ('time', 'ejection time t_e', 's'),
+    ('speed', 'ejection speed V_e', 'm/s'),
+    ('peak_plate_speed', 'plate speed V_p*', 'm/s'),
+    ('energy_transfer', 'energy transfer alpha', ''),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationReport:
+    """
+    What was found.
+
+    Parameters
+    ----------
+    sources : tuple of str
+        The throws, or files, it was found in.
+    found : mapping of str to Estimate
+        Parameters of the twin.
+    held : mapping of str to float
+        Those that were taken to be known.
+    lines : tuple of str
+        More for people.
+    data : mapping
+        The same for programs.
+    warnings : tuple of str
+        What there is to doubt.
+
+    """
+
+    sources: tuple[str, ...]
+    found: Mapping[str, Estimate]
+    held: Mapping[str, float] = field(default_factory=dict)
+    lines: tuple[str, ...]
+    data: Mapping[str, Any]  # whatever JSON has a form for
+    warnings: tuple[str, ...]
+
+    def table(self) -> str:
+        """Write it for people to read."""
+        width = max(map(len, PARAMETERS))
+        lines = [
+            f'{name:{width}}  {with_unit(value, unit_of(name))}'
+            for name, value in self.found.items()
+        ]
+        for name, value in self.held.items():
+            unit, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+            lines.append(
+                f'{name:{width}}  {f"{factor * value:.6g} {unit}".rstrip()}, taken as known'
+            )
+        return '\n'.join([*lines, '', *self.lines]) + '\n'
+
+    def json(self) -> str:
+        """Write it for programs to read, in SI units."""
+        found = {
+            name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
+        }
+        data = {
+            'sources': self.sources,
+            'found': found,
+            'held': self.held,
+            **self.data,
+            'warnings': self.warnings,
+        }
+        return json.dumps(_finite(data), indent=2, allow_nan=False) + '\n'
+
+    def put_into(self, settings: Settings) -> dict[str, Any]:
+        """
+        Put what was found into settings of the twin.
+
+        Raises
+        ------
+        ParameterError
+            If the twin does not take it.
+
+        """
+        request = {name: float(f'{value.value:.8g}') for name, value in self.found.items()}
+        try:
+            return {**settings, **TWIN.change(settings, request)}
+        except ParameterError as error:
+            hint = ''
+            if error.names and error.names[0] in ('engine.amplitude', 'layer.thickness'):
+                hint = '; is the unit of heights right (--unit)?'
+            raise ParameterError(
+                f'found, but not for the twin: {error}{hint}', *error.names
+            ) from None
+
+    def write(self, settings: Settings, path: Path) -> None:
+        """Write what describes the rig, and whatever else is not as it is by default."""
+        kept = {
+            entry.name: settings[entry.name]
+            for entry in TWIN.entries
+            if entry.name in settings
+            and (entry.is_of_rig or settings[entry.name] != entry.default)
+        }
+        names = [Path(source).name for source in self.sources]
+        if len(names) > _MAX_NAMES:
+            names = [names[0], '...', names[-1]]
+        title = [f'Identified from {", ".join(names)}:']
+        title += [f'{name} {with_unit(each, unit_of(name))}' for name, each in self.found.items()]
+        title += [f'Doubtful: {warning}' for warning in self.warnings]
+        with whole_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
+            files.write(unfinished, kept, title='\n'.join(title))
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter of the twin."""
+    return TWIN.by_name[name].unit
+
+
+def with_unit(value: Estimate, unit: str) -> str:
+    """Write a value with its error, in a unit of handy size."""
+    shown, factor = _UNITS_IN_TABLES.get(unit, (unit, 1.0))
+    return f'{Estimate(factor * value.value, factor * value.error)} {shown}'.rstrip()
+
+
+def fit_lines(fit: Fit) -> Iterator[str]:
+    """Say how well tracks are fitted, and what was left out."""
+    yield (
+        f'chi squared {fit.chi2:.1f} for {fit.dof} degrees of freedom '
+        f'({fit.reduced_chi2:.3f} each)'
+    )
+    yield f'{"":{_NAME_WIDTH}} {"samples":>8} {"noise":>10} {"residual":>10} {"neighbours":>11}'
+    shown = list(fit.residuals)
+    if len(shown) > _MAX_TRACKS:
+        shown = sorted(shown, key=lambda residual: residual.reduced_chi2)[-_MAX_TRACKS:]
+    for residual in shown:
+        name, track = residual.name, residual.track
+        short = name if len(name) <= _NAME_WIDTH else f'...{name[3 - _NAME_WIDTH :]}'
+        yield (
+            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
+            f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
+        )
+    if len(shown) < len(fit.residuals):
+        yield f'and {len(fit.residuals) - len(shown)} tracks that are fitted better'
+    for residual in fit.residuals:
+        if residual.outliers:
+            listed = [
+                f'{each.time:.6g} s ({1e3 * each.deviation:+.3g} mm)'
+                for each in residual.outliers[:_MAX_OUTLIERS]
+            ]
+            more = len(residual.outliers) - len(listed)
+            yield (
+                f'left out as outliers of {residual.name}: {", ".join(listed)}'
+                + (f' and {more} more' if more else '')
+            )
+
+
+def fit_data(fit: Fit) -> dict[str, Any]:
+    """Put a fit in a form that JSON has."""
+    return {
+        'names': fit.names,
+        'values': fit.values.tolist(),
+        'covariance': fit.covariance.tolist(),
+        'chi2': fit.chi2,
+        'degrees_of_freedom': fit.dof,
+        'residuals': [
+            {
+                'track': residual.name,
+                'samples': residual.track.time.size,
+                'noise': residual.track.noise,
+                'rms': residual.rms,
+                'autocorrelation': residual.autocorrelation,
+                'whiteness': residual.whiteness,
+                'outliers': [outlier._asdict() for outlier in residual.outliers],
+            }
+            for residual in fit.residuals
+        ],
+    }
+
+
+def ejection_lines(columns: Mapping[str, Ejection]) -> Iterator[str]:
+    """Write ejections side by side."""
+    yield ''
+    yield ' ' * 22 + ''.join(f'{name:>26}' for name in columns)
+    for key, label, unit in EJECTION_ROWS:
+        cells = (with_unit(getattr(each, key), unit) for each in columns.values())
+        yield f'{label:22}' + ''.join(f'{cell:>26}' for cell in cells)
+
+
+def ejection_data(ejection: Ejection | None) -> dict[str, Any] | None:
+    """Put an ejection in a form that JSON has."""
+    if ejection is None:
+        return None
+    return {key: getattr(ejection, key)._asdict() for key, _, _ in EJECTION_ROWS}
+
+
+def _finite(data: Any) -> Any:
+    """Replace what JSON has no number for."""
+    if isinstance(data, Mapping):
+        return {name: _finite(value) for name, value in data.items()}
+    if isinstance(data, Sequence) and not isinstance(data, str):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The forward model: what a rig's projectile does, by the steppers that the twin runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core import normal_modes, travelling_wave
+from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
+from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Stepper, steps_per_crossing
+from soft_throw_ros.core.stepping import (
+    Event,
+    EventLimitError,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    ThrowStepper,
+)
+from soft_throw_ros.identification.least_squares import FitError
+
+Floats = NDArray[np.float64]
+
+MAX_UPDATES = 4e8
+"""Updates of a cell that following one throw with all its trial rigs takes at most, some 10 s."""
+
+# What costs as much time as an update of a cell, times so many:
+_UPDATES_PER_WAVE_STEP = 2.0
+_UPDATES_PER_SAMPLE = 100.0
+
+_SHARE_OF_PATH = 0.02  # of all updates, that following a single rig takes at most
+_LEAST_LOSS = 1e-4  # for the sum over modes, to have an end
+
+
+class EffortError(FitError):
+    """A fit would take far too long."""
+
+
+class ProjectilePath(NamedTuple):
+    """Height of the projectile's lower face [m], its velocity [m/s], and what happened."""
+
+    position: Floats
+    velocity: Floats
+    events: tuple[Event, ...]
+
+
+class ThrowSimulator:
+    """
+    Follows throws, and refuses to go on when that takes too long.
+
+    Parameters
+    ----------
+    throws : int
+        How many throws there are that have to be followed one by one.
+
+    """
+
+    def __init__(self, *, throws: int = 1) -> None:
+        self._limit = MAX_UPDATES * throws
+        self._updates = 0.0
+
+    def follow(self, rig: Rig, time: Floats, *, by_cells: bool = False) -> ProjectilePath:
+        """
+        Follow a throw.
+
+        Parameters
+        ----------
+        rig : Rig
+        time : ndarray, shape (n,)
+            Since the plate began to move, in any order; before that all is at rest. [s]
+        by_cells : bool
+            Whether to take cells though there is no internal loss: where the loss is fitted, all
+            that is compared has to be of one model.
+
+        Returns
+        -------
+        ProjectilePath
+            Heights count from the plate's position at rest.
+
+        Raises
+        ------
+        FitError
+            If the model refuses the rig, or would take too long.
+
+        """
+        moments, places = np.unique(np.maximum(time, 0.0), return_inverse=True)
+        try:
+            stepper = self._make_stepper(rig, float(moments[-1]), moments.size, by_cells)
+            states = np.empty((moments.size, stepper.state.size))
+            for row, moment in zip(states, moments.tolist(), strict=True):
+                stepper.advance_to(moment)
+                row[:] = stepper.state
+        except FitError:
+            raise
+        except (ValueError, EventLimitError) as error:
+            raise FitError(f'the throw cannot be followed: {error}') from None
+        return ProjectilePath(
+            states[places, PROJECTILE_POSITION],
+            states[places, PROJECTILE_VELOCITY],
+            tuple(stepper.events()),
+        )
+
+    def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
+        """
+        Find when the projectile comes down on the layer again.
+
+        Returns infinity if not before `until` [s]; being caught up on the way up is no landing.
+        """
+        if rig.gravity > 0.0:
+            for event in self.follow(rig, np.array([until]), by_cells=by_cells).events:
+                if event.kind == 'landing' and event.velocity <= 0.0:
+                    return event.time
+        return float('inf')
+
+    def _make_stepper(self, rig: Rig, until: float, samples: int, by_cells: bool) -> ThrowStepper:
+        """Make a stepper, and charge what it will take."""
+        crossings = until / rig.crossing_time
+        stepper: ThrowStepper
+        if by_cells or rig.layer.loss_tangent > 0.0:
+            stepper = GridStepper(rig, field_points=2)
+            updates = crossings * float(cells_per_layer(rig)) ** 2
+        else:
+            stepper = Stepper(rig, field_points=2)
+            updates = crossings * steps_per_crossing(rig) * _UPDATES_PER_WAVE_STEP
+        updates += _UPDATES_PER_SAMPLE * samples
+        self._updates += updates
+        limit = _SHARE_OF_PATH * MAX_UPDATES
+        if updates > limit:
+            raise FitError(
+                f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
+                f'{updates:.2g} updates, the limit is {limit:.2g}; leave out what comes late'
+            )
+        if self._updates > self._limit:
+            raise EffortError(
+                f'the fit takes more than {self._limit:.2g} updates of the model; leave out what '
+                'comes late in the tracks, or fit less'
+            )
+        return stepper
+
+
+class FirstReleases(NamedTuple):
+    """How projectiles leave, arrays over rigs; NaN where one does not."""
+
+    time: Floats
+    """Since the plate began to move. [s]"""
+    speed: Floats
+    """[m/s]"""
+    energy_transfer: Floats
+    """[-]"""
+    peak_plate_speed: Floats
+    """[m/s]"""
+    echoes: NDArray[np.int64]
+    """How many echoes of the wave came back before: time and energy jump where they change."""
+
+
+def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
+    """Compute the first releases of rigs of which either all or none have a loss."""
+    ratios: dict[str, Any] = {  # keyword arguments
+        'mass_ratio': np.array([rig.mass_ratio for rig in rigs]),
+        'speed_ratio': np.array([rig.speed_ratio for rig in rigs]),
+        'damping_ratio': np.array([rig.engine.damping_ratio for rig in rigs]),
+        'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
+    }
+    loss = np.array([rig.layer.loss_tangent for rig in rigs])
+    if loss.any():
+        release = normal_modes.first_releases(
+            **ratios, loss_tangent=np.maximum(loss, _LEAST_LOSS), unresolved='nan'
+        )
+    else:
+        release = travelling_wave.first_releases(**ratios, unresolved='nan')
+    phase = np.asarray(release.ejection_phase)
+    scale = np.array([rig.engine.speed_scale for rig in rigs])
+    crossings = np.nan_to_num(phase * ratios['speed_ratio'])
+    return FirstReleases(
+        time=phase / [rig.engine.frequency for rig in rigs],
+        speed=release.speed * scale,
+        energy_transfer=np.asarray(release.energy_transfer),
+        peak_plate_speed=scale * [peak_velocity_ratio(rig.engine.damping_ratio) for rig in rigs],
+        echoes=((crossings - 1.0) // 2.0).astype(np.int64),
+    )
