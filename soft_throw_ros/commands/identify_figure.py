@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.ringing import Ringing, WaveSpeed
@@ -236,5 +236,5 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

@@ -15,7 +15,7 @@ from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.segmentation import find_throws, split_into_throws
 from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track, TrackError
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 
 Floats = NDArray[np.float64]

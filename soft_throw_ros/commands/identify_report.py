@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
-from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.throw_analysis import Ejection
@@ -122,7 +122,7 @@ class IdentificationReport:
         title = [f'Identified from {", ".join(names)}:']
         title += [f'{name} {with_unit(each, unit_of(name))}' for name, each in self.found.items()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
-        with whole_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
+        with atomic_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
             files.write(unfinished, kept, title='\n'.join(title))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import re
 
 from soft_throw_ros.commands.rig_options import number_or_text
-from soft_throw_ros.design.sweep import whole_file
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.space_time import space_time, SpaceTime
 from soft_throw_ros.identification.spots import BODIES, follow_spots, Picture, tracks_of
@@ -219,7 +219,7 @@ def _save(tracks: dict[str, Track], path: str, arguments: argparse.Namespace) ->
     )
     noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
     try:
-        with whole_file(arguments.tracks) as unfinished:
+        with atomic_file(arguments.tracks) as unfinished:
             text = '\n'.join([origin, f'# Noise: {noises}', *csv_lines(tracks)])
             unfinished.write_text(f'{text}\n', encoding='utf-8')
     except OSError as error:

@@ -8,31 +8,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import normal_modes, travelling_wave
-from soft_throw_ros.core.grid_stepper import cells_per_layer, GridStepper
+from soft_throw_ros.core import cell_stepper, closed_form
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Stepper, steps_per_crossing
-from soft_throw_ros.core.stepping import (
+from soft_throw_ros.core.stepper import (
     Event,
     EventLimitError,
+    FirstThrows,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
-    ThrowStepper,
+    Stepper,
 )
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.least_squares import FitError
 
 Floats = NDArray[np.float64]
 
-MAX_UPDATES = 4e8
-"""Updates of a cell that following one throw with all its trial rigs takes at most, some 10 s."""
+MAX_COST = 4.0
+"""Longest that following one throw with all its trial rigs takes of a processor. [s]"""
 
-# What costs as much time as an update of a cell, times so many:
-_UPDATES_PER_WAVE_STEP = 2.0
-_UPDATES_PER_SAMPLE = 100.0
-
-_SHARE_OF_PATH = 0.02  # of all updates, that following a single rig takes at most
-_LEAST_LOSS = 1e-4  # for the sum over modes, to have an end
+_COST_PER_SAMPLE = 1e-6  # of being asked for a state [s]
+_SHARE_OF_PATH = 0.02  # of all that, which following a single rig takes at most
 
 
 class EffortError(FitError):
@@ -59,8 +55,8 @@ class ThrowSimulator:
     """
 
     def __init__(self, *, throws: int = 1) -> None:
-        self._limit = MAX_UPDATES * throws
-        self._updates = 0.0
+        self._limit = MAX_COST * throws
+        self._cost = 0.0
 
     def follow(self, rig: Rig, time: Floats, *, by_cells: bool = False) -> ProjectilePath:
         """
@@ -111,32 +107,27 @@ class ThrowSimulator:
         """
         if rig.gravity > 0.0:
             for event in self.follow(rig, np.array([until]), by_cells=by_cells).events:
-                if event.kind == 'landing' and event.velocity <= 0.0:
+                if event.kind == 'landing':
                     return event.time
         return float('inf')
 
-    def _make_stepper(self, rig: Rig, until: float, samples: int, by_cells: bool) -> ThrowStepper:
-        """Make a stepper, and charge what it will take."""
-        crossings = until / rig.crossing_time
-        stepper: ThrowStepper
-        if by_cells or rig.layer.loss_tangent > 0.0:
-            stepper = GridStepper(rig, field_points=2)
-            updates = crossings * float(cells_per_layer(rig)) ** 2
-        else:
-            stepper = Stepper(rig, field_points=2)
-            updates = crossings * steps_per_crossing(rig) * _UPDATES_PER_WAVE_STEP
-        updates += _UPDATES_PER_SAMPLE * samples
-        self._updates += updates
-        limit = _SHARE_OF_PATH * MAX_UPDATES
-        if updates > limit:
+    def _make_stepper(self, rig: Rig, until: float, samples: int, by_cells: bool) -> Stepper:
+        """Make a stepper, and charge what it will cost."""
+        has_cells = by_cells or rig.layer.loss_tangent > 0.0
+        model = 'finite_difference' if has_cells else 'travelling_wave'
+        stepper = make_stepper(rig, model=model, field_points=2)
+        cost = stepper.cost * until + _COST_PER_SAMPLE * samples
+        self._cost += cost
+        limit = _SHARE_OF_PATH * MAX_COST
+        if cost > limit:
             raise FitError(
                 f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
-                f'{updates:.2g} updates, the limit is {limit:.2g}; leave out what comes late'
+                f'{cost:.2g} s to follow, the limit is {limit:.2g} s; leave out what comes late'
             )
-        if self._updates > self._limit:
+        if self._cost > self._limit:
             raise EffortError(
-                f'the fit takes more than {self._limit:.2g} updates of the model; leave out what '
-                'comes late in the tracks, or fit less'
+                f'the fit takes more than {self._limit:.2g} s of following the model; leave out '
+                'what comes late in the tracks, or fit less'
             )
         return stepper
 
@@ -165,12 +156,11 @@ def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
         'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
     }
     loss = np.array([rig.layer.loss_tangent for rig in rigs])
+    release: closed_form.FirstRelease | FirstThrows
     if loss.any():
-        release = normal_modes.first_releases(
-            **ratios, loss_tangent=np.maximum(loss, _LEAST_LOSS), unresolved='nan'
-        )
+        release = cell_stepper.first_throws(**ratios, loss_tangent=loss, unresolved='nan')
     else:
-        release = travelling_wave.first_releases(**ratios, unresolved='nan')
+        release = closed_form.first_releases(**ratios, unresolved='nan')
     phase = np.asarray(release.ejection_phase)
     scale = np.array([rig.engine.speed_scale for rig in rigs])
     crossings = np.nan_to_num(phase * ratios['speed_ratio'])

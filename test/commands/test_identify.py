@@ -11,11 +11,11 @@ import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.configuration import files, rig_of
-from soft_throw_ros.core.method_of_steps import follow
+from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import USUAL
-from soft_throw_ros.recording.bag import BagWriter
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.twin.results import State

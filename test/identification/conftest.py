@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.method_of_steps import follow
+from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.track_csv import read_csv

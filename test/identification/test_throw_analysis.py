@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.method_of_steps import follow
+from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
