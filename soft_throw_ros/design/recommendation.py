@@ -298,7 +298,7 @@ class Sensitivity:
         Between these at most `WITHIN` of the score is lost; looked for from half to twice `value`.
     tolerance : float
         What it may be off, up or down, for at most `TOLERATED` to be lost.
-    edge : {'', 'less', 'more'}
+    edge : {'', 'less', 'more', 'less or more'}
         On which side, if any, the energy falls off at once.
 
     """
@@ -753,7 +753,11 @@ def _sensitivities(
                 low=value * math.exp(down[1]),
                 high=value * math.exp(up[1]),
                 tolerance=value * min(1.0 - math.exp(down[0]), math.exp(up[0]) - 1.0),
-                edge='less' if less < 1.0 - _AT_EDGE else 'more' if more < 1.0 - _AT_EDGE else '',
+                edge=' or '.join(
+                    side
+                    for side, part in (('less', less), ('more', more))
+                    if part < 1.0 - _AT_EDGE
+                ),
             )
 
 

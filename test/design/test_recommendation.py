@@ -299,8 +299,8 @@ def test_edge_is_told_with_its_side():
     assert any(item.edge for item in best.sensitivities)
     for item in best.sensitivities:
         less, more = score_after(best.rig, item.name, item.value * np.array([0.999, 1.001]))
-        assert (item.edge == 'less') == (less < 0.99 * best.score)
-        assert (item.edge == 'more') == (more < 0.99 * best.score)
+        assert ('less' in item.edge) == (less < 0.99 * best.score)
+        assert ('more' in item.edge) == (more < 0.99 * best.score)
 
 
 # what is said
