@@ -73,6 +73,7 @@ from soft_throw_ros.core.cells import (
     VISCOSITY,
 )
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
 from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
 from soft_throw_ros.core.rig import Rig
@@ -99,14 +100,6 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
-
-MODELS = (
-    'finite_difference',
-    'finite_difference_elastic',
-    'finite_difference_glued',
-    'spring_mass',
-)
-"""Models of a throw that are cells: see `CellStepper`."""
 
 MAX_CELLS = 4096
 """Most cells of a layer."""
@@ -233,7 +226,7 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     rig : Rig
         The rig.
     model : str
-        One of `MODELS`.
+        One of `CELL_MODELS`.
 
     Returns
     -------
@@ -311,8 +304,8 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
 
 def _require_model(model: str) -> None:
     """Raise ValueError for a model that is unknown."""
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    if model not in CELL_MODELS:
+        raise ValueError(f'model must be one of {", ".join(CELL_MODELS)}, got {model!r}')
 
 
 def _spring_step(rig: Rig) -> float:
@@ -999,7 +992,7 @@ class CellStepper(Stepper):
         How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
         `append_plate_states`. A sampled motion must not begin before time 0.
     model : str
-        One of `MODELS`: with a rigid projectile (default), with an elastic one, with the layer
+        One of `CELL_MODELS`: with a rigid projectile (default), with an elastic one, with the layer
         glued to the (rigid) projectile, or without mass in the layer.
     cells : int, optional
         Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the models of a throw are called."""
+"""What the models of a throw are called; apart, so that to know them compiles nothing."""
 
-ON_GRIDS = (
+CELL_MODELS = (
     'finite_difference',
     'finite_difference_elastic',
     'finite_difference_glued',
     'spring_mass',
 )
-"""Finite differences: of the layer, of the projectile too, of a layer on it, of neither."""
+"""Cells of the layer; of the projectile, too; of a layer on the projectile; a massless layer."""
 
-MODELS = ('travelling_wave', *ON_GRIDS)
+MODELS = ('travelling_wave', *CELL_MODELS)
 """All that `throw.simulate` knows, and that the twin can follow in real time."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -26,15 +27,6 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 Floats = NDArray[np.float64]
-
-MODELS = (
-    'travelling_wave',
-    'finite_difference',
-    'finite_difference_elastic',
-    'finite_difference_glued',
-    'spring_mass',
-)
-"""Travelling waves; cells of the layer, of the projectile too, of a layer on it; a spring."""
 
 MAX_DURATION = 60.0
 """Longest that a throw is followed if nothing else ends it. [s]"""
@@ -130,7 +122,7 @@ def make_stepper(
     motion : Underdamped, SampledMotion, 'measured' or None
         How the plate moves; None is that of the rig's engine.
     model : str
-        One of `MODELS`.
+        One of `models.MODELS`.
     cells : int, optional
         Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
     field_points : int
@@ -349,7 +341,7 @@ def simulate(
     motion : PlateMotion, optional
         How the plate moves; that of the rig's engine if not given.
     model : str
-        One of `MODELS`, see below.
+        One of `models.MODELS`, see below.
     cells : int, optional
         Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
     until : float, optional

@@ -20,9 +20,9 @@ from soft_throw_ros.core.cell_stepper import (
     CellStepper,
     first_throws,
     MAX_CELLS,
-    MODELS,
     warm_up,
 )
+from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
@@ -450,7 +450,7 @@ def test_little_loss_is_a_small_perturbation_of_none(mass_ratio, speed_ratio):
     assert (none - more) / (none - less) == pytest.approx(10.0, rel=0.1)
 
 
-@pytest.mark.parametrize('model', MODELS[:3])
+@pytest.mark.parametrize('model', CELL_MODELS[:3])
 @pytest.mark.parametrize('gravity', [0.0, 9.81])
 def test_release_agrees_with_that_of_many_throws_at_once(model, gravity):
     rig = make_rig(0.5, 7.0, 0.064, gravity, loss_tangent=0.05)
@@ -762,7 +762,7 @@ def test_fork_goes_ahead_by_one_crossing_and_leaves_its_origin_alone():
     mass=st.floats(math.log(1e-5), 0.0).map(math.exp),
     youngs_modulus=st.floats(math.log(1e6), math.log(1e12)).map(math.exp),
     gravity=st.sampled_from([0.0, 9.81, 30.0]),
-    model=st.sampled_from(MODELS),
+    model=st.sampled_from(CELL_MODELS),
 )
 def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
     frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
@@ -855,15 +855,15 @@ def test_bad_arguments_are_quoted(arguments, complaint):
 @pytest.mark.parametrize(
     ('make', 'value', 'model', 'number'),
     [
-        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)), 0.5e-3, MODELS[0], '0.0005 m'),
-        (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6, MODELS[0], '1e-06 kg'),
+        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)), 0.5e-3, CELL_MODELS[0], '0.0005 m'),
+        (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6, CELL_MODELS[0], '1e-06 kg'),
         (
             lambda x: Rig(
                 engine=Engine(frequency=x),
                 layer=Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3),
             ),
             1000.0,
-            MODELS[0],
+            CELL_MODELS[0],
             '1000 Hz',
         ),
         (

@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import (
     apex_height,
     ejections,
-    MODELS,
     simulate,
     ThrowUnfinishedError,
 )
