@@ -13,7 +13,7 @@ import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import AHEAD, smooth
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.measurement import (
+from soft_throw_ros.twin.plate_estimator import (
     Departure,
     first_states,
     FUTURE,

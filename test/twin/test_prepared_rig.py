@@ -216,7 +216,7 @@ def test_session_by_any_model_is_repeated_to_the_bit(request_):
 
 
 def bits(outputs: Outputs) -> list[bytes]:
-    fields = [field for field in (outputs.field, outputs.throw_field) if field is not None]
+    fields = [field for field in (outputs.layer, outputs.throw_field) if field is not None]
     return [array.tobytes() for field in fields for array in field]
 
 

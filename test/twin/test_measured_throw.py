@@ -20,11 +20,12 @@ from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.stepping import PROJECTILE_POSITION, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.measurement import Sample, SECOND
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.plate_estimator import Sample, SECOND
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 from soft_throw_ros.twin.plan import check
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
-from soft_throw_ros.twin.session import Refused, replay, Session
+from soft_throw_ros.twin.replay import apply_input, replay
+from soft_throw_ros.twin.session import RequestRejected, Session
 
 rigs: Any = runpy.run_path(str(Path(__file__).with_name('rigs.py')))
 aged, measured_throw, plate_of = (rigs[name] for name in ('aged', 'measured_throw', 'plate_of'))
@@ -44,7 +45,9 @@ class Run:
         self.settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
         self.rig = rig_of(self.settings)
         self.session = Session(self.settings, on_entry=self.journal.append)
-        self.session.keep_pace(Pace(step=0, time_ns=BEGIN, rate=self.settings['rate.state']))
+        self.session.set_tick_schedule(
+            TickSchedule(step=0, time_ns=BEGIN, rate=self.settings['rate.state'])
+        )
         self._waiting: list[tuple[int, Sample]] = []
 
     def send(self, samples: Iterable[Sample], delays: Sequence[int] = ()) -> None:
@@ -101,7 +104,7 @@ def follow(rig: Any, times: Sequence[float]) -> np.ndarray:
 
 def bits(outputs: Outputs) -> list[Any]:
     """Return what can be compared, bit for bit."""
-    fields = [outputs.field, outputs.throw_field]
+    fields = [outputs.layer, outputs.throw_field]
     return [
         repr(outputs[:6]),
         *([array.tobytes() for array in field or ()] for field in fields),
@@ -192,7 +195,7 @@ def test_residual_without_noise_is_none(quiet) -> None:
 def test_throw_field_is_that_of_the_throw(quiet) -> None:
     (field,) = (outputs.throw_field for outputs in quiet.outputs if outputs.throw_field)
     exact = Run(engine__motion='underdamped', throw__period=0.0)
-    exact.session.ask_throw()
+    exact.session.request_throw()
     exact.go_on(60)
     (expected,) = (outputs.throw_field for outputs in exact.outputs if outputs.throw_field)
     assert field.times == pytest.approx(expected.times, rel=2e-3)
@@ -229,7 +232,7 @@ def test_other_models_are_as_far_ahead_as_their_waves(model, loss, is_ahead) -> 
     theirs = Run(
         model=model, layer__loss_tangent=loss, engine__motion='underdamped', throw__period=0.0
     )
-    theirs.session.ask_throw()
+    theirs.session.request_throw()
     theirs.go_on(60)
     (predicted,), (expected,) = run.results('predicted'), theirs.results('release')
     assert predicted.first is not None
@@ -258,7 +261,7 @@ def test_layer_that_has_aged_leaves_the_band() -> None:
     comparison = final.comparison
     assert comparison is not None
     assert not comparison.is_within_band
-    assert 'the layer has aged' in comparison.sentence()
+    assert 'the layer has aged' in comparison.describe()
     ours, theirs = simulate(run.rig), simulate(aged(run.rig, 0.93))
     assert comparison.ejection_speed_error == pytest.approx(
         ours.ejection_speed - theirs.ejection_speed, rel=0.15
@@ -297,7 +300,7 @@ def test_gap_makes_the_throw_invalid() -> None:
     (final,) = run.results('final')
     assert final.ended_by == 'gap'
     assert not final.is_valid
-    assert final.sentence() == 'throw 1 is invalid: the plate was not measured for too long'
+    assert final.describe() == 'throw 1 is invalid: the plate was not measured for too long'
 
 
 def test_gap_shorter_than_a_crossing_is_bridged() -> None:
@@ -374,8 +377,8 @@ def test_disturbed_samples_are_counted_and_do_little() -> None:
 
 def test_throw_cannot_be_asked_for() -> None:
     run = Run()
-    with pytest.raises(Refused, match='a throw starts when it jumps up'):
-        run.session.ask_throw()
+    with pytest.raises(RequestRejected, match='a throw starts when it jumps up'):
+        run.session.request_throw()
 
 
 # schedule
@@ -436,7 +439,7 @@ def test_measurement_can_be_switched_on_and_off() -> None:
     assert not run.session.is_measured
     run.session.measure([Sample(BEGIN, 0.0)])  # nobody listens
     run.session.change({'engine.motion': 'measured'})
-    run.session.ask_throw()  # which takes over what was pending first, and then there is none
+    run.session.request_throw()  # which takes over what was pending first, and then there is none
     run.throw()
     assert run.session.is_measured
     assert run.session.throws == 1
@@ -446,7 +449,7 @@ def test_measurement_can_be_switched_on_and_off() -> None:
     run.go_on(200)
     assert not run.session.is_measured
     assert run.session.throws == 1
-    run.session.ask_throw()
+    run.session.request_throw()
     run.go_on(20)
     assert len(run.results('release')) == 2
     again = run.repeat()
