@@ -13,9 +13,9 @@ from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import smooth
 from soft_throw_ros.recording.cdr import decode, JointStateEncoder, JointStateReader
-from soft_throw_ros.twin.measurement import Sample, SECOND
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 from bench.race import head, race
 
@@ -103,7 +103,7 @@ class _Rest:
 def _throw() -> None:
     """Go through a rest and a throw, with a session of its own."""
     session = Session(SETTINGS)
-    session.keep_pace(Pace(step=0, time_ns=SECOND, rate=session.rate))
+    session.set_tick_schedule(TickSchedule(step=0, time_ns=SECOND, rate=session.rate))
     for samples in _BATCHES:
         session.measure(samples)
         session.advance()

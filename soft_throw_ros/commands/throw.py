@@ -32,6 +32,7 @@ from soft_throw_ros.commands.rig_options import (
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN
+from soft_throw_ros.configuration.twin_config import model_of
 from soft_throw_ros.core import method_of_steps, spring_mass, stepping
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
@@ -43,7 +44,7 @@ from soft_throw_ros.core.travelling_wave import (
 )
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
-from soft_throw_ros.twin.plan import make_stepper, model_of
+from soft_throw_ros.twin.core_adapter import make_stepper
 
 Prediction = Mapping[str, float]
 """What a model says, by name and in SI units; what it does not know is left out."""
@@ -262,7 +263,7 @@ def _simulated(model: str, settings: Settings) -> Prediction:
 
 def _stepped(settings: Settings) -> Prediction:
     rig = rig_of(settings)
-    model = make_stepper(rig, model_of(settings))
+    model = make_stepper(rig, model_of(settings), None, field_points=2).inner
     ejections = _follow(model)
     first = ejections[0]
     plate_speed = Underdamped.of(rig.engine).peak_velocity

@@ -17,10 +17,10 @@ from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.taps import Tap
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
 from soft_throw_ros.recording.message import Channel
-from soft_throw_ros.twin.measurement import Sample
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
 class Account(NamedTuple):
@@ -87,9 +87,9 @@ class MeasuredSteps:
         """Steps per second, now. [Hz]"""
         return self._session.rate
 
-    def keep_pace(self, pace: Pace) -> None:
+    def set_tick_schedule(self, pace: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
-        self._session.keep_pace(pace)
+        self._session.set_tick_schedule(pace)
 
     def take(self) -> None:
         """Hand on all that has been measured until now."""
@@ -113,9 +113,10 @@ class MeasuredSteps:
         self._tap.listen()
         leads, self._leads = self._leads, []
         session, tap = self._session, self._tap
-        now = (tap.received, session.taken, session.disordered, tap.lost)
+        counts = session.sample_counts
+        now = (tap.received, counts.taken, counts.out_of_order, tap.lost)
         before, self._told = self._told, now
-        refused = Counter(session.refused)
+        refused = Counter(counts.refused)
         news, self._refused = refused - self._refused, refused
         received, taken, disordered, lost = (
             later - earlier for earlier, later in zip(before, now, strict=True)
@@ -128,7 +129,7 @@ class MeasuredSteps:
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
         """Read messages, and refuse and count what cannot be read."""
-        samples, refused = [], self._session.refused
+        samples, refused = [], self._session.sample_counts.refused
         for data in datas:
             try:
                 sample = _to_sample(self._read(data))

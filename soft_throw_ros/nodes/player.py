@@ -30,7 +30,7 @@ from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schedule import Schedule
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 from std_srvs.srv import Trigger
 
 PAUSE = '~/pause'
@@ -120,7 +120,7 @@ class Player(Program):
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
         self._schedule: Schedule[Message] | None = None
-        self._beat: Pace | None = None
+        self._beat: TickSchedule | None = None
         self._beats = 0
         self._code: int | None = None
         self._has_failed = False
@@ -161,7 +161,7 @@ class Player(Program):
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._beat = Pace(step=0, time_ns=now, rate=self._choice.clock_rate)
+            self._beat = TickSchedule(step=0, time_ns=now, rate=self._choice.clock_rate)
         self._thread.start()
 
     def close(self) -> None:

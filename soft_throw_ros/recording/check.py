@@ -424,7 +424,7 @@ class _Repetition:
             if self._versions and not isinstance(here, float):
                 continue  # counts and ends may come of bounces
             if there != here and not (self._versions and _is_near(there, here)):
-                return name
+                return str(name)
         return ''
 
     def _compare_checksum(self, told: dict[str, Any], own: dict[str, Any]) -> None:

@@ -26,7 +26,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.cdr import decode, decode_array, decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -385,7 +385,7 @@ class TwinDigest:
         self.settings: Settings = TWIN.defaults()
         self.start: int | None = None
         self._on_damage = on_damage
-        self._pace: Pace | None = None
+        self._pace: TickSchedule | None = None
         self._ejection_time: float | None = None
         self._rest: tuple[float, float] | None = None  # where a rig was measured at rest
         self._states: list[_States] = []  # since the throw began
@@ -647,18 +647,17 @@ class TwinDigest:
     def _entry(self, message: Message) -> Iterator[RigChange]:
         entry = journal.decode(_text(message))
         stamp = self._stamp(message)
-        if entry['kind'] == 'pace':
-            self._pace = journal.entry_pace(entry)
+        self._pace = journal.entry_schedule(entry) or self._pace
         if entry['kind'] not in ('start', 'throw'):
             return
         step = operator.index(entry['step'])
         if entry['kind'] == 'throw':
             due = stamp if self._pace is None else self._pace.deadline(step)
             self._rest = None
-            if 'departure' in entry:
-                departure = journal.values_departure(entry['departure'])
-                due = departure.onset_ns
-                self._rest = departure.plate_rest, departure.projectile_rest
+            if 'onset' in entry:
+                onset = journal.decode_onset(entry['onset'])
+                due = onset.onset_ns
+                self._rest = onset.plate_rest, onset.projectile_rest
             self.start = stamp = due if abs(due - stamp) < _NEAR else stamp
             self._ejection_time = None
             self._states = [

@@ -47,7 +47,7 @@ from soft_throw_ros.recording.digest import (
 )
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.viewer import free_port, HOST, Viewer, ViewerError
-from soft_throw_ros.twin.pace import SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 APPLICATION = 'soft_throw_ros'
 """What Rerun knows the scene by."""

@@ -28,7 +28,7 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.twin.measurement import Sample
+from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import replay
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 from soft_throw_ros.nodes.realtime import percentiles, SystemClock, Ticker
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 MILLISECOND = SECOND // 1000
 
@@ -36,13 +36,13 @@ class CountingSession:
     def __init__(self, rate: float = 1000.0, step: int = 0) -> None:
         self.step = step
         self.rate = rate
-        self.paces: list[tuple[int, Pace]] = []
+        self.paces: list[tuple[int, TickSchedule]] = []
 
     def advance(self) -> int:
         self.step += 1
         return self.step - 1
 
-    def keep_pace(self, pace: Pace) -> None:
+    def set_tick_schedule(self, pace: TickSchedule) -> None:
         self.paces.append((self.step, copy.copy(pace)))
 
 

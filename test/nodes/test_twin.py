@@ -151,7 +151,7 @@ def test_node_publishes_what_the_session_gives(ros, twin, listener) -> None:
     session = Session({**TWIN.defaults(), 'throw.period': 0.0})
     session.advance()
     trigger(ros, listener, twin, topics.THROW)
-    session.ask_throw()
+    session.request_throw()
     twin.go(500)
     assert [outputs.state for outputs in twin.outputs[1:]] == [
         session.advance().state for _ in range(500)

@@ -49,7 +49,7 @@ rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
 def one_throw(steps: int, **request: Any) -> Any:
     """A throw that begins with the first step."""
     twin = TwinMessages(throw__period=0, **request)
-    twin.session.ask_throw()
+    twin.session.request_throw()
     return twin.go(steps)
 
 

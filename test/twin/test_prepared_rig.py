@@ -1,28 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is made ready before a throw, by any model."""
 
-from typing import Any
+from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.core import finite_difference, grid_stepper, spring_mass, stepper
-from soft_throw_ros.core.grid_stepper import GridStepper
-from soft_throw_ros.core.models import MODELS, ON_GRIDS
-from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release
-from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.flight import Flight, time_until_over
-from soft_throw_ros.twin.plan import check, FIELD_POINTS, Plan, warm_up
-from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.session import replay, Session
-
-
-def make_settings(**request: Any) -> dict[str, Any]:
-    named = {name.replace('__', '.'): value for name, value in request.items()}
-    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
-
+from soft_throw_ros.twin.core_adapter import first_throws
+from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
+from soft_throw_ros.twin.scheduled_throw import time_until_over
+from soft_throw_ros.twin.throw_tracker import ThrowTracker
 
 CASES = [
     {'model': 'travelling_wave'},
@@ -35,97 +29,71 @@ CASES = [
 ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
 
 
-def throw(settings: dict[str, Any], *, max_events: int = 2) -> tuple[Flight, dict[str, Any]]:
-    """Fly until it is over, and return what is reported at the release and in the end."""
-    plan = Plan.of(settings)
-    flight = Flight(plan, plan.stepper)
-    results = {}
-    for tick in range(1, 20_000):
-        flight.advance(tick * plan.tick, max_events=max_events)
-        if flight.has_left and 'release' not in results:
-            results['release'] = flight.result('release', tick, 0.1)
-        if flight.ended_by:
-            results['final'] = flight.result('final', tick, 0.1)
-            break
-    return flight, results
-
-
-def test_lossless_layer_is_followed_by_the_travelling_wave():
-    plan = Plan.of(make_settings())
-    assert plan.model == 'travelling_wave'
-    assert isinstance(plan.stepper, Stepper)
+def prepare(values) -> PreparedRig:
+    return PreparedRig.from_config(TwinConfig.from_settings(values))
 
 
 @pytest.mark.parametrize('loss', [1e-6, 0.05, 2.0])
-def test_internal_loss_takes_finite_differences_of_64_cells_or_more(loss):
-    plan = Plan.of(make_settings(layer__loss_tangent=loss))
-    assert plan.model == 'finite_difference'
-    assert isinstance(plan.stepper, GridStepper)
-    assert plan.stepper.grid.cells >= 64
-    assert plan.stepper.rig.layer.loss_tangent == loss
-
-
-@pytest.mark.parametrize('model', ON_GRIDS)
-def test_model_that_is_set_is_taken(model):
-    plan = Plan.of(make_settings(model=model, layer__loss_tangent=0.02))
-    assert plan.model == model
-    assert plan.stepper.model == model
+def test_internal_loss_takes_finite_differences(settings, loss) -> None:
+    assert prepare(settings()).config.model == 'travelling_wave'
+    assert prepare(settings(layer__loss_tangent=loss)).config.model == 'finite_difference'
 
 
 @ANY_MODEL
-def test_result_agrees_with_the_simulated_throw(request_):
-    settings = make_settings(**request_)
-    plan = Plan.of(settings)
-    throw_ = simulate(rig_of(settings), model=plan.model)
-    _, results = throw(settings)
-    release = results['release']
-    assert release.first.time == pytest.approx(throw_.ejection_time, rel=3e-4)
-    assert release.first.speed == pytest.approx(throw_.ejection_speed, rel=1e-3)
-    assert release.first.energy_transfer == pytest.approx(throw_.energy_transfer, rel=2e-3)
-    assert release.peak_strain == pytest.approx(throw_.peak_strain.value, rel=2e-3)
-    assert release.peak_force == pytest.approx(throw_.peak_plate_force, rel=2e-2)
-    assert results['final'].apex_height == pytest.approx(throw_.apex_height, rel=2e-2)
-    assert results['final'].plate_work >= 0.99 * throw_.energies.plate_work
-    assert results['final'].landings >= 1
+def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, request_) -> None:
+    values = settings(**request_)
+    prepared = prepare(values)
+    exact = simulate(rig_of(values), model=prepared.config.model)
+    tracker = ThrowTracker(prepared, number=1)
+    release, tick = None, 0
+    while not tracker.ended_by:
+        tick += 1
+        tracker.advance(tick * prepared.tick, max_events=2)
+        if tracker.first_release and release is None:
+            release = tracker.result('release', tick, 0.1)
+    final = tracker.result('final', tick, 0.1)
+    assert release.first.time == pytest.approx(exact.ejection_time, rel=3e-4)
+    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=1e-3)
+    assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
+    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=2e-3)
+    assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=2e-2)
+    assert final.apex_height == pytest.approx(exact.apex_height, rel=2e-2)
+    assert final.landings >= 1
+    foretold = time_until_over(prepared, 0.1, max_events=2)
+    assert foretold == pytest.approx(tick * prepared.tick - 0.1, abs=1e-9)
+    field = prepared.throw_field
+    assert field.times[-1] == pytest.approx(1.5 * release.first.time, rel=1e-9)
 
 
 @ANY_MODEL
-def test_time_until_over_is_foretold_by_the_same_model(request_):
-    settings = make_settings(**request_)
-    plan = Plan.of(settings)
-    flight, results = throw(settings)
-    foretold = time_until_over(plan, 0.1, max_events=2)
-    assert foretold == pytest.approx(results['final'].step * plan.tick - 0.1, abs=1e-9)
-    assert flight.ended_by
-
-
-@ANY_MODEL
-def test_throw_field_is_what_the_layer_does(request_):
-    settings = make_settings(**request_)
-    plan = Plan.of(settings)
-    times, strain = plan.throw_field
-    assert times[-1] == pytest.approx(1.5 * throw(settings)[1]['release'].first.time, rel=1e-9)
-    field, velocity = np.empty((2, FIELD_POINTS))
+def test_throw_field_is_what_the_layer_does(settings, request_) -> None:
+    prepared = prepare(settings(**request_))
+    field, stepper = prepared.throw_field, prepared.stepper
+    height, velocity, force = np.empty((3, 64))
+    spacing = prepared.rig.layer.thickness / 63
     for row in (0, 77, 199):
-        plan.stepper.reset()
-        plan.stepper.advance_to(times[row])
-        plan.stepper.read_field(field, velocity)
-        assert strain[row].tobytes() == field.tobytes()
+        stepper.reset()
+        stepper.advance_to(field.times[row])
+        stepper.read_layer(height, velocity, force)
+        rise = 0.5 * (field.strain[row, 1:] + field.strain[row, :-1])
+        np.testing.assert_allclose(np.diff(height) / spacing - 1.0, rise, atol=2e-3)
 
 
 @ANY_MODEL
-def test_at_rest_the_layer_bears_the_weight(request_):
-    plan = Plan.of(make_settings(**request_))
-    weight = plan.rig.projectile.mass * plan.rig.gravity
-    load = weight + ('glued' in plan.model) * plan.rig.layer.mass * plan.rig.gravity
-    assert plan.rest.projectile_force == pytest.approx(weight, rel=1e-12)
-    assert plan.rest.plate_force == pytest.approx(-load, rel=1e-12)
-    assert plan.rest.projectile_velocity == plan.rest.plate_velocity == 0.0
-    assert not plan.rest_field.velocity.any()
-    assert (plan.rest_field.strain < 0.0).all()
+def test_at_rest_the_layer_bears_the_weight(settings, request_) -> None:
+    prepared = prepare(settings(**request_))
+    weight = prepared.rig.projectile.mass * prepared.rig.gravity
+    is_glued = 'glued' in prepared.config.model
+    load = weight + is_glued * prepared.rig.layer.mass * prepared.rig.gravity
+    assert prepared.rest.projectile_force == pytest.approx(weight, rel=1e-12)
+    assert prepared.rest.plate_force == pytest.approx(-load, rel=1e-12)
+    assert prepared.rest.projectile_velocity == prepared.rest.plate_velocity == 0.0
+    assert not prepared.rest_layer.velocity.any()
+    assert (prepared.rest_layer.force > 0.0).all()
+    assert all(lower < upper for lower, upper in pairwise(prepared.rest_layer.height))
 
 
-def test_other_models_predict_the_first_release():
+def test_other_models_predict_the_first_release(settings) -> None:
     rig = rig_of(TWIN.defaults())
     frequency = rig.engine.frequency
     ratios = {
@@ -136,99 +104,60 @@ def test_other_models_predict_the_first_release():
     }
     expected = {
         'travelling_wave': first_release(**ratios),
-        'finite_difference_elastic': finite_difference.first_releases(
-            **ratios, crossing_ratio=rig.crossing_ratio
-        ),
-        'finite_difference_glued': finite_difference.first_releases(
-            **ratios, glued_to='projectile'
-        ),
+        'finite_difference_elastic': first_throws(**ratios, crossing_ratio=rig.crossing_ratio),
+        'finite_difference_glued': first_throws(**ratios, glued_to='projectile'),
         'spring_mass': spring_mass.first_release(
             frequency_ratio=rig.natural_frequency / frequency
         ),
     }
     for model in MODELS:
-        plan = Plan.of(make_settings(model=model))
-        assert set(plan.models) == set(expected) - {model}
-        for name, release in plan.models.items():
-            assert release.time * frequency == pytest.approx(
-                expected[name].ejection_phase, rel=1e-5
-            )
-            assert release.energy_transfer == pytest.approx(
-                expected[name].energy_transfer, rel=1e-4
-            )
-    lossy = Plan.of(make_settings(layer__loss_tangent=0.1))
-    assert 'travelling_wave' not in lossy.models
-    glued = lossy.models['finite_difference_glued']
-    assert glued.energy_transfer < plan.models['finite_difference_glued'].energy_transfer
-
-
-def test_models_that_see_no_release_say_none():
-    plan = Plan.of(make_settings(gravity=30.0, engine__amplitude=1e-5))
-    assert plan.models['finite_difference_elastic'] is None
-    assert plan.models['finite_difference_glued'] is None
+        models = prepare(settings(model=model)).models
+        assert set(models) == set(expected) - {model}
+        for name, release in models.items():
+            phase, alpha = expected[name].ejection_phase, expected[name].energy_transfer
+            assert release.time * frequency == pytest.approx(float(phase), rel=1e-4)
+            assert release.energy_transfer == pytest.approx(float(alpha), rel=1e-3)
+    lossy = prepare(settings(layer__loss_tangent=0.1)).models
+    assert 'travelling_wave' not in lossy
+    weak = prepare(settings(gravity=30.0, engine__amplitude=1e-5)).models
+    assert weak['finite_difference_elastic'] is weak['finite_difference_glued'] is None
 
 
 @pytest.mark.parametrize(
-    ('request_', 'message'),
+    ('request_', 'value'),
     [
-        (
-            {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0},
-            r'0\.0005 m .* 200 m/s needs 2\.56e\+07 steps per second, .* feasible: ',
-        ),
+        ({'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0}, '200'),
         (
             {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1},
-            r'0\.0005 m .* 200 m/s needs 1\.64e\+09 updates of cells per second, .* feasible: ',
+            '200',
         ),
         (
             {'layer__diameter': 0.2, 'projectile__mass': 1e-5, 'model': 'spring_mass'},
-            r'swings at .* Hz .* updates per second, the limit is .* feasible: ',
+            r'Hz',
         ),
     ],
 )
-def test_what_real_time_cannot_do_is_refused_with_the_number(request_, message):
-    settings = make_settings(**request_)
-    with pytest.raises(ValueError, match=message):
-        check(settings)
-    with pytest.raises(ValueError, match=message):
-        Plan.of(settings)
+def test_what_real_time_cannot_do_is_refused_with_the_number(settings, request_, value) -> None:
+    values = settings(**request_)
+    with pytest.raises(ValueError, match=value):
+        check_settings(values)
+    with pytest.raises(ValueError, match=value):
+        prepare(values)
+
+
+def test_window_that_is_too_long_for_the_plate_is_refused_with_both(settings) -> None:
+    values = settings(engine__motion='measured', measured__window=4e-3)
+    with pytest.raises(ValueError, match=r'0\.003165.* 0\.004'):
+        check_settings(values)
+    check_settings({**values, 'engine.motion': 'underdamped'})
 
 
 @ANY_MODEL
-def test_what_is_checked_can_be_planned(request_):
-    check(make_settings(**request_))
-
-
-@ANY_MODEL
-def test_session_by_any_model_is_repeated_to_the_bit(request_):
-    lines: list[str] = []
-    session = Session(make_settings(throw__period=0.6, **request_), on_entry=lines.append)
-    outputs = [session.advance() for _ in range(700)]
-    session.change({'layer.thickness': 0.012})
-    outputs += [session.advance() for _ in range(800)]
-    assert session.throws == 2
-    assert sum(len(output.events) for output in outputs) >= 4
-    repeated = list(replay(lines, until=1500))
-    assert len(repeated) == 1500
-    for ours, theirs in zip(outputs, repeated, strict=True):
-        assert ours[:6] == theirs[:6]
-        assert bits(ours) == bits(theirs)
-    assert all(journal.decode(line)['kind'] for line in lines)
-
-
-def bits(outputs: Outputs) -> list[bytes]:
-    fields = [field for field in (outputs.layer, outputs.throw_field) if field is not None]
-    return [array.tobytes() for field in fields for array in field]
-
-
-def test_warm_up_leaves_nothing_to_compile():
-    warm_up()
-    kernels = {
-        (module.__name__, name): kernel
-        for module in (stepper, grid_stepper, finite_difference)
-        for name, kernel in vars(module).items()
-        if hasattr(kernel, 'signatures')
-    }
-    before = {name: len(kernel.signatures) for name, kernel in kernels.items()}
-    for request_ in CASES:
-        throw(make_settings(**request_))
-    assert {name: len(kernel.signatures) for name, kernel in kernels.items()} == before
+def test_session_by_any_model_is_repeated_to_the_bit(start, same, request_) -> None:
+    run = start(throw__period=0.6, **request_)
+    run.go(700)
+    run.session.change({'layer.thickness': 0.012})
+    run.go(800)
+    assert len(run.starts()) == 2
+    assert len(run.events()) >= 4
+    assert all(map(same, run.repeat(), run.outputs))
