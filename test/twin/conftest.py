@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import itertools
+import math
 from pathlib import Path
 import runpy
 from typing import Any
 
+import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.core_adapter import Event
 from soft_throw_ros.twin.plate_estimator import Sample
@@ -107,6 +111,33 @@ class Run:
         return replay(self.journal, until=self.session.step, throw=throw)
 
 
+PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+MEASUREMENT = MeasurementConfig(
+    smoothing_window_ns=2_000_000,
+    wait_ns=0,
+    position_noise=5e-6,
+    velocity_noise=1e-2,
+    start_speed=0.1 * PLATE.peak_velocity,
+    residual_threshold=5e-5,
+    plate=PLATE,
+)
+INTERVAL = 200_000  # [ns]
+
+
+def make_plate_samples(
+    count: int = 100, *, onset: float = math.inf, noise: float = 0.0
+) -> list[Sample]:
+    """Measure a plate every 0.2 ms, at a height of 0.3 m before it starts, and a projectile."""
+    random = np.random.default_rng(4)
+    stamps = BEGIN + INTERVAL * np.arange(count)
+    heights = 0.3 + PLATE.position((stamps - BEGIN) / SECOND - onset)
+    heights += noise * random.standard_normal(count)
+    return [
+        Sample(stamp, height, math.nan, 0.5)
+        for stamp, height in zip(stamps.tolist(), heights.tolist(), strict=True)
+    ]
+
+
 def settings(**request: Any) -> dict[str, Any]:
     """Return complete settings."""
     named = {name.replace('__', '.'): value for name, value in request.items()}
@@ -146,3 +177,15 @@ def same() -> Callable[[Outputs, Outputs], bool]:
 def rigs() -> Any:
     """Give the rigs that are measured."""
     return _rigs
+
+
+@pytest.fixture(scope='session')
+def make_samples() -> Callable[..., list[Sample]]:
+    """Give what measures a plate."""
+    return make_plate_samples
+
+
+@pytest.fixture(scope='session')
+def measurement() -> MeasurementConfig:
+    """Give how that is measured."""
+    return MEASUREMENT
