@@ -177,8 +177,9 @@ class Stepper:
         self.inner.depart(origin.inner)
         self._positions, self._work = list(origin._positions), origin._work
 
-    def read_layer(self, height: Floats, velocity: Floats, force: Floats) -> None:
-        """Write the layer from plate to top."""
+    def read_layer(self, out: Floats) -> None:
+        """Write heights, velocities and forces of the layer from plate to top."""
+        height, velocity, force = out
         self.inner.read_field(self._strain, velocity)
         layer = self.rig.layer
         spacing = layer.thickness / (self._strain.size - 1)

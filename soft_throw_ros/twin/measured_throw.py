@@ -35,7 +35,7 @@ from soft_throw_ros.twin.prepared_rig import (
 )
 from soft_throw_ros.twin.results import (
     Comparison,
-    LayerState,
+    Floats,
     Prediction,
     Residual,
     State,
@@ -222,9 +222,9 @@ class MeasuredThrow:
             comparison=self._residuals.compare(self._tracker.first_release),
         )
 
-    def read_layer(self, layer: LayerState) -> None:
-        """Write what the layer does now."""
-        self._fork.read_layer(*layer)
+    def read_layer(self, out: Floats) -> None:
+        """Write what the layer does now, see `Stepper.read_layer`."""
+        self._fork.read_layer(out)
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time, once, when the plate is known for long enough or no more."""

@@ -92,14 +92,14 @@ class PreparedRig:
 
         """
         stepper = stepper_of(config)
-        rest_layer = LayerState.empty(FIELD_POINTS)
-        stepper.read_layer(*rest_layer)
+        rest_layer = np.empty((3, FIELD_POINTS))
+        stepper.read_layer(rest_layer)
         is_measured = config.is_measured
         return cls(
             config=config,
             stepper=stepper,
             rest=State._make(stepper.state.tolist()[1:]),
-            rest_layer=rest_layer,
+            rest_layer=LayerState(*rest_layer),
             peak_plate_speed=Underdamped.of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
             models={} if is_measured else _other_models(config.rig, config.model),

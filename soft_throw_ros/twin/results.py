@@ -50,11 +50,6 @@ class LayerState(NamedTuple):
     velocity: Floats
     force: Floats
 
-    @classmethod
-    def empty(cls, points: int) -> LayerState:
-        """Make one to be written to."""
-        return cls(np.zeros(points), np.zeros(points), np.zeros(points))
-
 
 class ThrowField(NamedTuple):
     """

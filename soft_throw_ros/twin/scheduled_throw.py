@@ -7,7 +7,7 @@ import dataclasses
 
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin.prepared_rig import PreparedRig, stepper_of
-from soft_throw_ros.twin.results import LayerState, ThrowField, ThrowResult
+from soft_throw_ros.twin.results import Floats, ThrowField, ThrowResult
 from soft_throw_ros.twin.throw_tracker import ThrowStep, ThrowTracker
 
 
@@ -55,9 +55,9 @@ class ScheduledThrow:
         """Sum up what there is so far."""
         return self._tracker.result(stage, step, config.max_strain)
 
-    def read_layer(self, layer: LayerState) -> None:
-        """Write what the layer does now."""
-        self._prepared.stepper.read_layer(*layer)
+    def read_layer(self, out: Floats) -> None:
+        """Write what the layer does now, see `Stepper.read_layer`."""
+        self._prepared.stepper.read_layer(out)
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time, once, when that time has passed or the throw is over."""

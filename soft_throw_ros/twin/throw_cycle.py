@@ -313,9 +313,9 @@ class ThrowCycle:
             return self._prepared.rest_layer
         if self._throw is None:
             return self._left_out_layer()
-        layer = LayerState.empty(FIELD_POINTS)
-        self._throw.read_layer(layer)
-        return layer
+        rows = np.empty((3, FIELD_POINTS))
+        self._throw.read_layer(rows)
+        return LayerState(*rows)
 
     def _left_out_layer(self) -> LayerState:
         """Return the layer lying on the plate, without force, between throws."""
