@@ -126,7 +126,6 @@ def test_other_models_predict_the_first_release(settings) -> None:
 @pytest.mark.parametrize(
     ('request_', 'value'),
     [
-        ({'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0}, '200'),
         (
             {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1},
             '200',

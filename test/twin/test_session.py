@@ -223,7 +223,8 @@ def test_results_and_events_agree_with_the_exact_throw(start) -> None:
     assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=1e-3)
     assert release.peak_acceleration == pytest.approx(exact.peak_acceleration, rel=1e-3)
     assert release.apex_height == pytest.approx(exact.apex_height, rel=1e-6)
-    assert release.plate_work > exact.energies.projectile
+    ejected = 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
+    assert release.plate_work > ejected
     loads = ('peak_strain', 'peak_force', 'peak_acceleration', 'plate_work')
     assert all(getattr(final, name) == getattr(release, name) for name in loads)
     for ours, theirs in zip(run.events()[:2], exact.events, strict=True):
@@ -372,7 +373,9 @@ def test_rig_that_cannot_be_stepped_is_refused_with_the_number(start) -> None:
     run = start()
     run.go(10)
     with pytest.raises(ValueError, match='200'):
-        run.session.change({'layer.wave_speed': 200.0, 'layer.thickness': 0.5e-3})
+        run.session.change(
+            {'layer.wave_speed': 200.0, 'layer.thickness': 0.5e-3, 'layer.loss_tangent': 0.1}
+        )
     assert run.session.pending == {}
     assert run.entries('input') == []
     run.go(1010)
