@@ -8,8 +8,6 @@ Dotted names stay in the table, in the journal and in ROS; what computes reads t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of
 from soft_throw_ros.core.plate import Underdamped
@@ -55,41 +53,9 @@ class MeasurementConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UncertaintyConfig:
-    """How far the rig may be off, up or down: parameters `uncertainty.*`, in their units."""
-
-    wave_speed: float
-    thickness: float
-    mass: float
-    frequency: float
-    damping_ratio: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecommendationRequest:
-    """What a recommendation is to look for: parameters `recommendation.*`, in their units."""
-
-    objective: str
-    vary: str
-    thickness_min: float
-    thickness_max: float
-    wave_speed_min: float
-    wave_speed_max: float
-    max_strain: float
-    max_acceleration: float
-    max_loss_tangent: float
-    max_amplitude: float
-    quantile: float
-    masses: tuple[float, ...]
-    frequencies: tuple[float, ...]
-    target_height: float
-    target_speed: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class TwinConfig:
     """
-    All that the twin is asked to be.
+    What the twin is to be; what is asked of a recommendation is in `design.requests`.
 
     Parameters
     ----------
@@ -111,12 +77,6 @@ class TwinConfig:
         Contacts after which a throw is over.
     max_strain : float
         Where the linear range ends. [-]
-    uncertainty : UncertaintyConfig
-        How far the rig may be off.
-    recommendation : RecommendationRequest
-        What layer is looked for.
-    layer_library : str
-        File of materials besides the installed ones, or empty.
 
     """
 
@@ -130,9 +90,6 @@ class TwinConfig:
     throw_period: float
     max_events: int
     max_strain: float
-    uncertainty: UncertaintyConfig
-    recommendation: RecommendationRequest
-    layer_library: str
 
     @property
     def is_measured(self) -> bool:
@@ -163,9 +120,6 @@ class TwinConfig:
             throw_period=settings['throw.period'],
             max_events=settings['throw.max_events'],
             max_strain=settings['max_strain'],
-            uncertainty=UncertaintyConfig(**_group(settings, 'uncertainty')),
-            recommendation=RecommendationRequest(**_group(settings, 'recommendation')),
-            layer_library=settings['layer.library'],
         )
 
 
@@ -192,12 +146,3 @@ def _measurement(settings: Settings, plate: Underdamped) -> MeasurementConfig:
         residual_threshold=settings['measured.band'],
         plate=plate,
     )
-
-
-def _group(settings: Settings, group: str) -> dict[str, Any]:
-    """Return the settings of a group by their last names; their types are the table's."""
-    return {
-        name.partition('.')[2]: value
-        for name, value in settings.items()
-        if name.startswith(f'{group}.')
-    }

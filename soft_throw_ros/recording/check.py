@@ -282,20 +282,20 @@ class _Repetition:
     ----------
     result : CheckResult
         Where it is counted.
-    recorded : _RecordedStates
+    recorded_states : _RecordedStates
         Of the bag.
 
     """
 
-    def __init__(self, result: CheckResult, recorded: _RecordedStates) -> None:
+    def __init__(self, result: CheckResult, recorded_states: _RecordedStates) -> None:
         self.has_begun = False
         self._result = result
-        self._recorded = recorded
+        self._recorded_states = recorded_states
         self._session: Session | None = None
         self._line = -1  # the last that was taken
         self._throw = 0
-        self._told: deque[dict[str, Any]] = deque()  # by the journal, not compared yet
-        self._own: deque[dict[str, Any]] = deque()  # by the repeated session
+        self._recorded: deque[dict[str, Any]] = deque()  # by the journal, not compared yet
+        self._repeated: deque[dict[str, Any]] = deque()  # by the repeated session
         self._steps: list[_Step] = []  # since the last checksum
         self._repeated_throw = 0
         self._has_landed = False
@@ -322,16 +322,16 @@ class _Repetition:
             else:
                 return
             if entry['kind'] in _COMPARED:
-                self._told.append(entry)
+                self._recorded.append(entry)
             self._compare()
         except _UNREPEATABLE as error:
             self._give_up(f'what follows throw {self._throw} cannot be repeated: {error}')
 
     def finish(self) -> None:
-        """Let the session end; what it told last may belong to one more step, or to its end."""
+        """Let the session end; what it recorded last may belong to one more step, or to its end."""
         try:
-            while self._session is not None and self._told:
-                entry = self._told[0]
+            while self._session is not None and self._recorded:
+                entry = self._recorded[0]
                 is_last_checksum = entry['kind'] == 'checksum'
                 if is_last_checksum:
                     self._session.close()
@@ -339,7 +339,7 @@ class _Repetition:
                     self._go_on([self._session.advance()])
                 self._compare()
                 is_past = is_last_checksum or self._session.step > entry['step']
-                if is_past and self._told and self._told[0] is entry:
+                if is_past and self._recorded and self._recorded[0] is entry:
                     self._give_up(f'{entry["kind"]} of step {entry["step"]} does not come again')
         except _UNREPEATABLE as error:
             self._give_up(f'the end of throw {self._throw} cannot be repeated: {error}')
@@ -347,8 +347,8 @@ class _Repetition:
 
     def _begin(self, entry: dict[str, Any]) -> None:
         self.has_begun = True
-        self._told.clear()
-        self._own.clear()
+        self._recorded.clear()
+        self._repeated.clear()
         self._steps.clear()
         self._has_landed = False
         there = entry.get('versions', {})
@@ -363,7 +363,7 @@ class _Repetition:
     def _on_entry(self, line: str) -> None:
         entry = journal.decode(line)
         if entry['kind'] in _COMPARED:
-            self._own.append(entry)
+            self._repeated.append(entry)
 
     def _go_on(self, steps: Iterable[Outputs]) -> None:
         """Keep what steps give, and compare what they tell."""
@@ -377,76 +377,83 @@ class _Repetition:
             self._compare()
 
     def _compare(self) -> None:
-        """Compare what both have told."""
-        while self._told and self._own:
-            told, own = self._told.popleft(), self._own.popleft()
-            if (told['kind'], told.get('throw')) != (own['kind'], own.get('throw')):
+        """Compare what both have recorded."""
+        while self._recorded and self._repeated:
+            recorded, repeated = self._recorded.popleft(), self._repeated.popleft()
+            if (recorded['kind'], recorded.get('throw')) != (
+                repeated['kind'],
+                repeated.get('throw'),
+            ):
                 raise journal.JournalError(
-                    f'{told["kind"]} of step {told["step"]} was {own["kind"]} of step '
-                    f'{own["step"]} when repeated'
+                    f'{recorded["kind"]} of step {recorded["step"]} was {repeated["kind"]} of step '
+                    f'{repeated["step"]} when repeated'
                 )
-            if told['kind'] == 'checksum':
-                self._compare_checksum(told, own)
-            elif told['kind'] == 'result':
-                self._compare_result(told, own)
+            if recorded['kind'] == 'checksum':
+                self._compare_checksum(recorded, repeated)
+            elif recorded['kind'] == 'result':
+                self._compare_result(recorded, repeated)
             else:
-                self._compare_throw(told, own)
+                self._compare_throw(recorded, repeated)
 
-    def _compare_throw(self, told: dict[str, Any], own: dict[str, Any]) -> None:
+    def _compare_throw(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         for name in ('step', 'settings', 'pending', 'schedule'):
-            if told.get(name) != own.get(name):
+            if recorded.get(name) != repeated.get(name):
                 raise journal.JournalError(
-                    f'throw {told["throw"]} has {name} {told.get(name)!r} in the journal, and '
-                    f'{own.get(name)!r} when repeated'
+                    f'throw {recorded["throw"]} has {name} {recorded.get(name)!r} in the journal, and '
+                    f'{repeated.get(name)!r} when repeated'
                 )
 
-    def _compare_result(self, told: dict[str, Any], own: dict[str, Any]) -> None:
+    def _compare_result(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         """Compare the numbers of a result, and the checksums of its throw."""
-        name = self._first_difference(told.get('result'), own['result'])
-        stage = f'throw {own["result"]["throw"]}, {own["result"]["stage"]}'
+        name = self._first_difference(recorded.get('result'), repeated['result'])
+        stage = f'throw {repeated["result"]["throw"]}, {repeated["result"]["stage"]}'
         if name:
-            there, here = told['result'].get(name), own['result'].get(name)
+            there, here = recorded['result'].get(name), repeated['result'].get(name)
             self._differ(
                 self._result.results,
                 f'{stage}: {name} is {there!r} in the journal, and {here!r} when repeated',
             )
-        elif not self._versions and any(told.get(k) != own.get(k) for k in ('states', 'fields')):
+        elif not self._versions and any(
+            recorded.get(k) != repeated.get(k) for k in ('states', 'fields')
+        ):
             self._differ(self._result.results, f'{stage}: the checksums of its steps')
         else:
             self._result.results.same += 1
 
-    def _first_difference(self, told: object, own: Mapping[str, Any]) -> str:
+    def _first_difference(self, recorded: object, repeated: Mapping[str, Any]) -> str:
         """Return the name of the first number that is not the same, if any."""
-        if not isinstance(told, dict):
+        if not isinstance(recorded, dict):
             return 'result'
-        for name in {**own, **told}:
-            there, here = told.get(name), own.get(name)
+        for name in {**repeated, **recorded}:
+            there, here = recorded.get(name), repeated.get(name)
             if self._versions and not isinstance(here, float):
                 continue  # counts and ends may come of bounces
             if there != here and not (self._versions and _is_near(there, here)):
                 return str(name)
         return ''
 
-    def _compare_checksum(self, told: dict[str, Any], own: dict[str, Any]) -> None:
+    def _compare_checksum(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         """Compare the checksums of some steps, and their states in the bag if all are there."""
-        steps = [step for step in self._steps if step.number < own['step']]
+        steps = [step for step in self._steps if step.number < repeated['step']]
         del self._steps[: len(steps)]
-        where = f'steps {own["first"]} to {own["step"] - 1}'
+        where = f'steps {repeated["first"]} to {repeated["step"] - 1}'
         if self._versions:
             self._result.checksums.unchecked += 1
-        elif all(told.get(name) == own[name] for name in ('first', 'step', 'states', 'fields')):
+        elif all(
+            recorded.get(name) == repeated[name] for name in ('first', 'step', 'states', 'fields')
+        ):
             self._result.checksums.same += 1
         else:
-            wrong = [name for name in ('states', 'fields') if told.get(name) != own[name]]
+            wrong = [name for name in ('states', 'fields') if recorded.get(name) != repeated[name]]
             self._differ(
                 self._result.checksums, f'{where}: checksum of {" and ".join(wrong) or "steps"}'
             )
-        recorded = self._recorded.take(step.due_ns for step in steps)
-        values = [value for value in recorded if value is not None]
-        if len(values) < len(recorded):
+        found = self._recorded_states.take(step.due_ns for step in steps)
+        values = [value for value in found if value is not None]
+        if len(values) < len(found):
             self._result.states.unchecked += 1
             return
-        if not self._versions and crc32(b''.join(values)) == own['states']:
+        if not self._versions and crc32(b''.join(values)) == repeated['states']:
             self._result.states.same += 1
             return
         for step, value in zip(steps, values, strict=True):
@@ -473,7 +480,7 @@ class _Repetition:
     def _give_up(self, sentence: str) -> None:
         """Note that the session cannot be repeated, up to the next throw."""
         self._result.differences.append(sentence)
-        self._told.clear()
+        self._recorded.clear()
         self._session = None
 
 

@@ -155,8 +155,7 @@ def test_steps_are_told_by_their_stamps() -> None:
     assert len(paces) == 4
     for step, due in rig.done:
         pace = [pace for since, pace in paces if since <= step][-1]
-        assert pace.step_due(due) == step
-        assert pace.step_due(due + 1) is None
+        assert pace.deadline(step) == due
 
 
 def test_system_clock_shows_the_time_of_day_and_waits() -> None:

@@ -55,8 +55,8 @@ def messages_of_a_twin(steps: int, *, end: bool = True) -> list[Message]:
         due = pace.deadline(step)
         outputs = session.advance()
         made.append(Message(states, encode(due, outputs.state), due, due))
-        if outputs.field is not None:
-            made.append(Message(strain, encode_field(outputs.field.strain), due, due))
+        if outputs.layer is not None:
+            made.append(Message(strain, encode_field(outputs.layer.velocity), due, due))
     return made
 
 
