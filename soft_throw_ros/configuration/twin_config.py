@@ -8,6 +8,7 @@ Dotted names stay in the table, in the journal and in ROS; what computes reads t
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of
 from soft_throw_ros.core.plate import Underdamped

@@ -38,6 +38,7 @@ JOINTS = ('plate', 'projectile')
 _JOURNAL, _STATES = 'journal', 'joint_states'
 _TEXT, _JOINT_STATE = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState'
 _COMPARED = ('throw', 'result', 'checksum')
+_SAME_OR_LOST = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
 _LATEST = 3_000_000_000  # after the journal tells of a state, in which it may be logged [ns]
 _REORDERED = 64  # lines that are waited for, since clocks of recorders are set back at times
 _LONGEST = 3_600_000  # steps from one entry to the next: an hour at the default rate
@@ -328,7 +329,7 @@ class _Repetition:
             self._give_up(f'what follows throw {self._throw} cannot be repeated: {error}')
 
     def finish(self) -> None:
-        """Let the session end; what it recorded last may belong to one more step, or to its end."""
+        """Let the session end; what is recorded last may be of one more step, or of its end."""
         try:
             while self._session is not None and self._recorded:
                 entry = self._recorded[0]
@@ -377,31 +378,20 @@ class _Repetition:
             self._compare()
 
     def _compare(self) -> None:
-        """Compare what both have recorded."""
+        """Compare the entries of both, in order."""
         while self._recorded and self._repeated:
             recorded, repeated = self._recorded.popleft(), self._repeated.popleft()
-            if (recorded['kind'], recorded.get('throw')) != (
-                repeated['kind'],
-                repeated.get('throw'),
-            ):
-                raise journal.JournalError(
-                    f'{recorded["kind"]} of step {recorded["step"]} was {repeated["kind"]} of step '
-                    f'{repeated["step"]} when repeated'
-                )
+            for name in _SAME_OR_LOST:
+                there, here = recorded.get(name), repeated.get(name)
+                if there != here:
+                    raise journal.JournalError(
+                        f'{recorded["kind"]} of step {recorded["step"]} has {name} {there!r} in '
+                        f'the journal, and {here!r} when repeated'
+                    )
             if recorded['kind'] == 'checksum':
                 self._compare_checksum(recorded, repeated)
             elif recorded['kind'] == 'result':
                 self._compare_result(recorded, repeated)
-            else:
-                self._compare_throw(recorded, repeated)
-
-    def _compare_throw(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
-        for name in ('step', 'settings', 'pending', 'schedule'):
-            if recorded.get(name) != repeated.get(name):
-                raise journal.JournalError(
-                    f'throw {recorded["throw"]} has {name} {recorded.get(name)!r} in the journal, and '
-                    f'{repeated.get(name)!r} when repeated'
-                )
 
     def _compare_result(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         """Compare the numbers of a result, and the checksums of its throw."""
@@ -439,15 +429,16 @@ class _Repetition:
         where = f'steps {repeated["first"]} to {repeated["step"] - 1}'
         if self._versions:
             self._result.checksums.unchecked += 1
-        elif all(
-            recorded.get(name) == repeated[name] for name in ('first', 'step', 'states', 'fields')
-        ):
-            self._result.checksums.same += 1
         else:
-            wrong = [name for name in ('states', 'fields') if recorded.get(name) != repeated[name]]
-            self._differ(
-                self._result.checksums, f'{where}: checksum of {" and ".join(wrong) or "steps"}'
-            )
+            wrong = [
+                name
+                for name in ('first', 'states', 'fields')
+                if recorded.get(name) != repeated[name]
+            ]
+            if wrong:
+                self._differ(self._result.checksums, f'{where}: checksum, {" and ".join(wrong)}')
+            else:
+                self._result.checksums.same += 1
         found = self._recorded_states.take(step.due_ns for step in steps)
         values = [value for value in found if value is not None]
         if len(values) < len(found):
@@ -479,7 +470,9 @@ class _Repetition:
 
     def _give_up(self, sentence: str) -> None:
         """Note that the session cannot be repeated, up to the next throw."""
-        self._result.differences.append(sentence)
+        # what is not the same after a landing may come of another installation
+        is_bouncing = self._versions and self._has_landed
+        (self._result.gaps if is_bouncing else self._result.differences).append(sentence)
         self._recorded.clear()
         self._session = None
 

@@ -58,6 +58,7 @@ VERSIONS: Mapping[str, str] = {
 }
 """What the digits of a run depend on."""
 
+_TYPES = {'line': int, 'throw': int, 'versions': dict, 'result': dict}
 _SETTINGS = {'settings', 'pending', 'values'}  # parts of entries whose series were tuples
 _LONGEST_DATA = 1 << 28  # of an entry, unpacked [byte]
 _FARTHEST = 2**62  # of a step, or of a time [ns]
@@ -95,7 +96,7 @@ def decode(line: str) -> dict[str, Any]:
         raise JournalError(f'an entry of a journal has kind and step, got {line!r}')
     if type(entry['step']) is not int or abs(entry['step']) > _FARTHEST:
         raise JournalError(f'a step is a whole number, got {entry["step"]!r}')
-    for name, kind in (('line', int), ('throw', int), ('versions', dict)):
+    for name, kind in _TYPES.items():
         if name in entry and type(entry[name]) is not kind:
             raise JournalError(f'{name} of an entry is of another type, got {entry[name]!r}')
     for part in _SETTINGS & entry.keys():

@@ -107,7 +107,7 @@ class PlateMonitor:
             projectile_velocity=self._carried_speed,
         )
 
-    def complaint(self, crossing_time: float) -> str:
+    def rate_warning(self, crossing_time: float) -> str:
         """Say it if there are too few samples for a throw to be followed; empty if not."""
         rate = self.estimator.rate()
         least, reason = least_rate(self.estimator.config, crossing_time)

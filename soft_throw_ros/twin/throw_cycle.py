@@ -246,9 +246,9 @@ class ThrowCycle:
         for event in advanced.events:
             self._enter(_PHASES[event.kind])
         if advanced.forecast is not None:
-            self._tell(step, advanced.forecast)
+            self._report(step, advanced.forecast)
         if throw.has_left and not had_left:
-            self._tell(step, throw.result('release', step, config))
+            self._report(step, throw.result('release', step, config))
         returning = self._prepared.return_ticks(config.throw_period)
         ended_by = throw.ended_by or ('period' if step >= self._throw_due - returning else '')
         if ended_by:
@@ -268,7 +268,7 @@ class ThrowCycle:
 
     def _end_throw(self, step: int, throw: ScheduledThrow | MeasuredThrow, ended_by: str) -> None:
         throw.end(ended_by)
-        self._tell(step, throw.result('final', step, self._staged.config))
+        self._report(step, throw.result('final', step, self._staged.config))
         self._throw_field = throw.throw_field()
         self._throw = None
         self._put_back(step)
@@ -312,12 +312,12 @@ class ThrowCycle:
         if self._phase is Phase.REST:
             return self._prepared.rest_layer
         if self._throw is None:
-            return self._left_out_layer()
+            return self._idle_layer()
         rows = np.empty((3, FIELD_POINTS))
         self._throw.read_layer(rows)
         return LayerState(*rows)
 
-    def _left_out_layer(self) -> LayerState:
+    def _idle_layer(self) -> LayerState:
         """Return the layer lying on the plate, without force, between throws."""
         rest, height, state = self._prepared.rest, self._prepared.rest_layer.height, self._state
         room = state.projectile_position - state.plate_position
@@ -332,7 +332,7 @@ class ThrowCycle:
         self._phase = phase
         self._phases.append(phase)
 
-    def _tell(self, step: int, result: ThrowResult) -> None:
+    def _report(self, step: int, result: ThrowResult) -> None:
         self._results.append(result)
         self._journal.result(step, result)
 
@@ -375,7 +375,7 @@ class ThrowCycle:
 
     def _is_fast_enough(self, monitor: PlateMonitor) -> bool:
         """Tell whether there are enough samples, and if not, say so."""
-        complaint = monitor.complaint(self._prepared.rig.crossing_time)
-        if complaint:
-            self._notices.append(complaint)
-        return not complaint
+        rate_warning = monitor.rate_warning(self._prepared.rig.crossing_time)
+        if rate_warning:
+            self._notices.append(rate_warning)
+        return not rate_warning
