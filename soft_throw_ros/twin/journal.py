@@ -14,7 +14,7 @@ throw         the same, `throw` (its number), `pending` (changes that wait) and 
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
 input         `input`: 'throw', 'reset', or 'parameters' with their `values`
 tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
-result        `result`, see `result_values`, and in the end of a throw `states` and `fields` as
+result        `result`, see `encode_result`, and in the end of a throw `states` and `fields` as
               below, of the steps before from its start on
 checksum      `first`, `states`, `fields`: CRC-32 of what the steps from `first` to before `step`
               gave, about a second of them
@@ -133,44 +133,6 @@ def checked_settings(entry: Entry, part: str) -> Settings:
     return settings
 
 
-def start_entry(step: int, settings: Settings) -> dict[str, Any]:
-    """Make the entry for the start of a session."""
-    return {
-        'kind': 'start', 'step': step, 'settings': dict(settings), 'versions': dict(VERSIONS)
-    }  # fmt: skip
-
-
-def throw_entry(
-    step: int,
-    settings: Settings,
-    *,
-    throw: int,
-    pending: Settings,
-    schedule: TickSchedule,
-    onset: Onset | None = None,
-) -> dict[str, Any]:
-    """Make the entry for the start of a throw."""
-    return {
-        **start_entry(step, settings),
-        'kind': 'throw',
-        'throw': throw,
-        'pending': dict(pending),
-        'schedule': _schedule_values(schedule),
-        **({} if onset is None else {'onset': encode_onset(onset)}),
-    }
-
-
-def input_entry(step: int, kind: str, values: Settings | None = None) -> dict[str, Any]:
-    """Make the entry for an input that was taken."""
-    entry = {'kind': 'input', 'step': step, 'input': kind}
-    return entry if values is None else {**entry, 'values': dict(values)}
-
-
-def schedule_entry(step: int, schedule: TickSchedule) -> dict[str, Any]:
-    """Make the entry for when steps are due from `step` on."""
-    return {'kind': 'tick_schedule', 'step': step, **_schedule_values(schedule)}
-
-
 def entry_schedule(entry: Entry) -> TickSchedule | None:
     """
     Return when steps are due by an entry of a schedule or a throw; None if it does not tell.
@@ -194,7 +156,16 @@ def entry_schedule(entry: Entry) -> TickSchedule | None:
     return TickSchedule(step=step, time_ns=time_ns, rate=rate)
 
 
-def result_values(result: ThrowResult) -> dict[str, Any]:
+def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
+    """Write a schedule down for an entry, where `entry_schedule` finds it."""
+    return {
+        'anchor_step': schedule.step,
+        'anchor_time_ns': schedule.time_ns,
+        'rate': schedule.rate,
+    }
+
+
+def encode_result(result: ThrowResult) -> dict[str, Any]:
     """
     Return the numbers of a result in full; the rig is in the journal, and None is infinite.
 
@@ -217,9 +188,9 @@ def result_values(result: ThrowResult) -> dict[str, Any]:
     }
 
 
-def samples_entry(step: int, batches: Sequence[tuple[int, Sequence[Sample]]]) -> dict[str, Any]:
+def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> dict[str, Any]:
     """
-    Make the entry for samples that were taken, each batch before a step.
+    Write samples that were taken down for an entry, each batch before a step.
 
     `data` is the columns, one after another, as 8-byte numbers, little endian: step and stamp,
     each less the one before, then the rest of `Sample`; deflated, in base 64, which keeps every
@@ -228,19 +199,15 @@ def samples_entry(step: int, batches: Sequence[tuple[int, Sequence[Sample]]]) ->
     Examples
     --------
     >>> batches = [(7, [Sample(100, 0.5)]), (8, [Sample(200, 0.25), Sample(300, 0.125)])]
-    >>> entry = samples_entry(8, batches)
+    >>> entry = {'kind': 'samples', 'step': 8, **encode_samples(batches)}
     >>> [(step, len(samples)) for step, samples in entry_samples(entry)]
     [(7, 1), (8, 2)]
 
     """
     steps = [before for before, samples in batches for _ in samples]
     samples = [sample for _, batch in batches for sample in batch]
-    return {
-        'kind': 'samples',
-        'step': step,
-        'count': len(samples),
-        'data': _pack([steps, [sample.stamp_ns for sample in samples]], samples),
-    }
+    stamps = [sample.stamp_ns for sample in samples]
+    return {'count': len(samples), 'data': _pack([steps, stamps], samples)}
 
 
 def entry_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
@@ -327,11 +294,3 @@ def _unpack(entry: Entry, whole: int) -> tuple[list[int], list[Sample]]:
     values = numbers[whole:].view('<f8').T.tolist()
     samples = [Sample(stamp, *row) for stamp, row in zip(columns[-1], values, strict=True)]
     return columns[0], samples
-
-
-def _schedule_values(schedule: TickSchedule) -> dict[str, int | float]:
-    return {
-        'anchor_step': schedule.step,
-        'anchor_time_ns': schedule.time_ns,
-        'rate': schedule.rate,
-    }

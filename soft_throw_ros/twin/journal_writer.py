@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import dataclasses
 import struct
+from typing import Any
 from zlib import crc32
 
 from soft_throw_ros.configuration import Settings
@@ -70,7 +71,7 @@ class JournalWriter:
 
     def start(self, step: int, settings: Settings) -> None:
         """Write that the session starts."""
-        self._write(journal.start_entry(step, settings))
+        self._write('start', step, settings=dict(settings), versions=dict(journal.VERSIONS))
 
     def begin_throw(
         self,
@@ -86,18 +87,25 @@ class JournalWriter:
         self._write_checksum(step, schedule.rate)
         self._throw_checksum = Checksum(step)
         self._write(
-            journal.throw_entry(
-                step, settings, throw=throw, pending=pending, schedule=schedule, onset=onset
-            )
+            'throw',
+            step,
+            throw=throw,
+            settings=dict(settings),
+            pending=dict(pending),
+            schedule=journal.encode_schedule(schedule),
+            versions=dict(journal.VERSIONS),
+            **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
 
     def input(self, step: int, kind: str, values: Settings | None = None) -> None:
         """Write that an input was taken."""
-        self._write(journal.input_entry(step, kind, values))
+        self._write(
+            'input', step, input=kind, **({} if values is None else {'values': dict(values)})
+        )
 
     def schedule(self, step: int, schedule: TickSchedule) -> None:
         """Write when steps are due from now on."""
-        self._write(journal.schedule_entry(step, schedule))
+        self._write('tick_schedule', step, **journal.encode_schedule(schedule))
 
     def samples(self, step: int, samples: list[Sample]) -> None:
         """Keep samples that were taken, for an entry to come."""
@@ -105,11 +113,11 @@ class JournalWriter:
 
     def result(self, step: int, result: ThrowResult) -> None:
         """Write what a throw gave."""
-        entry = {'kind': 'result', 'step': step, 'result': journal.result_values(result)}
+        checksums = {}
         if result.stage == 'final' and self._throw_checksum is not None:
-            entry |= self._throw_checksum.values()
+            checksums = self._throw_checksum.values()
             self._throw_checksum = None
-        self._write(entry)
+        self._write('result', step, result=journal.encode_result(result), **checksums)
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
         """Add what a step gave to the checksums, and write what is due after it."""
@@ -144,23 +152,23 @@ class JournalWriter:
         """Write the checksum of the steps before `step`, if there are any, and begin the next."""
         checksum = self._checksum
         if step > checksum.first:
-            self._write(
-                {'kind': 'checksum', 'step': step, 'first': checksum.first, **checksum.values()}
-            )
+            self._write('checksum', step, first=checksum.first, **checksum.values())
         self._checksum = Checksum(step)
         self._end = step + _steps(CHECKSUM_TIME, rate)
 
-    def _write(self, entry: journal.Entry) -> None:
+    def _write(self, kind: str, step: int, **values: Any) -> None:
+        """Write an entry, whose values are of many types."""
         if self._batches:
-            self._flush(entry['step'])
-        self._on_line(journal.encode({**entry, 'line': self._line}))
+            self._flush(step)
+        entry = {'kind': kind, 'line': self._line, 'step': step, **values}
+        self._on_line(journal.encode(entry))
         self._line += 1
 
     def _flush(self, step: int) -> None:
         """Write down what has been measured since the last time."""
         batches, self._batches = self._batches, []
         self._last_flush_step = step
-        self._write(journal.samples_entry(step, batches))
+        self._write('samples', step, **journal.encode_samples(batches))
 
 
 def _steps(seconds: float, rate: float) -> int:

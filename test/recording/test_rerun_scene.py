@@ -260,7 +260,7 @@ def test_landscape_is_brightest_where_the_best_layer_is(recording) -> None:
 def test_landscape_of_what_never_leaves_says_so_and_is_coarse(twin, tmp_path) -> None:
     """To find out takes some milliseconds for every layer."""
     settings = {**TWIN.defaults(), 'projectile.mass': 1.0}
-    line = journal.encode(journal.start_entry(0, settings)).encode() + b'\0'
+    line = journal.encode({'kind': 'start', 'step': 0, 'settings': settings}).encode() + b'\0'
     data = b'\0\1\0\0' + len(line).to_bytes(4, 'little') + line
     recording = Recording(record(tmp_path, [Message(twin.channels['journal'], data, 5, 5)]))
     (now,) = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
