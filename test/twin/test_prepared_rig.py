@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from numba.core import event
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
@@ -14,7 +15,7 @@ from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.travelling_wave import first_release
 from soft_throw_ros.twin.core_adapter import first_throws
-from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
+from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig, warm_up
 from soft_throw_ros.twin.scheduled_throw import time_until_over
 from soft_throw_ros.twin.throw_tracker import ThrowTracker
 
@@ -160,3 +161,15 @@ def test_session_by_any_model_is_repeated_to_the_bit(start, same, request_) -> N
     assert len(run.starts()) == 2
     assert len(run.events()) >= 4
     assert all(map(same, run.repeat(), run.outputs))
+
+
+def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
+    warm_up()
+    with event.install_recorder('numba:compiler_lock') as recorder:
+        for request_ in CASES:
+            run = start(throw__period=0.3, **request_)
+            run.go(700)
+        run = start(engine__motion='measured')
+        run.measure()
+    assert run.session.throws == 1
+    assert recorder.buffer == []
