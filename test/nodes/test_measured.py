@@ -29,8 +29,8 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin.plate_estimator import Sample
-from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.replay import replay
+from soft_throw_ros.twin.results import Outputs
 
 ROOT = Path(__file__).parents[1]
 rigs: Any = runpy.run_path(str(ROOT / 'twin' / 'rigs.py'))
@@ -66,7 +66,10 @@ class Driven(Twin):
     def has(self, count: int) -> bool:
         """Take what has come, and tell if that makes so many in all."""
         self._steps.take()
-        return self.session.sample_counts.taken + sum(self.session.sample_counts.refused.values()) >= count
+        return (
+            self.session.sample_counts.taken + sum(self.session.sample_counts.refused.values())
+            >= count
+        )
 
 
 class Bench(Node):
@@ -175,8 +178,14 @@ def test_other_messages_are_refused_with_a_reason(ros: Any, twin: Driven, bench:
     bench.send(Sample(now, 0.0, math.nan, math.nan))
     bench.send(Sample(now - MILLISECOND, 0.0, math.nan, math.nan))
     ros.spin_until(lambda: twin.has(7), 'seven messages')
-    assert twin.session.sample_counts.taken == 2
-    assert twin.session.sample_counts.refused == {'names': 2, 'not finite': 1, 'future': 1, 'doubled': 1}
+    counts = twin.session.sample_counts
+    assert counts.taken == 2
+    assert counts.refused == {
+        'names': 2,
+        'not finite': 1,
+        'future': 1,
+        'doubled': 1,
+    }
     bench.listen(topics.DIAGNOSTICS)
     statuses = hear_statuses(ros, bench, 'twin: measurement')
     values = msg_to_values(statuses)

@@ -32,6 +32,7 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.replay import replay
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 from std_srvs.srv import Trigger
