@@ -139,10 +139,10 @@ class Calibrator(Program):
         comparison = result.comparison
         if released is None or comparison is None or not result.is_valid or self._is_busy:
             return
-        if comparison.is_within_band or result.rig != self._rig_of_doubtful:
+        if comparison.is_within_threshold or result.rig != self._rig_of_doubtful:
             self._doubtful.clear()  # what is identified together has to be of one rig
             self._rig_of_doubtful = result.rig
-        if comparison.is_within_band:
+        if comparison.is_within_threshold:
             return
         self._measured.take()
         period_ns = 1e9 / result.rig.engine.frequency

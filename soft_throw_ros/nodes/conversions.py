@@ -145,7 +145,7 @@ def throw_result_to_msg(
     return status_to_msg(
         name,
         hardware_id=hardware_id,
-        message=result.sentence(),
+        message=result.describe(),
         values={**values, **rig_to_values(result.rig)},
         level=(
             DiagnosticStatus.OK if result.is_linear and result.is_valid else DiagnosticStatus.WARN

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 from rclpy.node import Node
 from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.taps import Tap
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
 from soft_throw_ros.recording.message import Channel
-from soft_throw_ros.twin.measurement import Sample
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
 class Account(NamedTuple):
@@ -71,7 +71,7 @@ class MeasuredSteps:
         topic = topics.MEASURED
         name = node.resolve_topic_name(topic.name)
         channel = Channel(topic=name, type=topic.type_name, schema='')
-        self._subscription = RawSubscription(node, channel, topic.qos)
+        self._tap = Tap(node, channel, topic.qos)
         self._read = JointStateReader().read
         self._leads: list[int] = []
         self._told = (0, 0, 0, 0)
@@ -87,14 +87,14 @@ class MeasuredSteps:
         """Steps per second, now. [Hz]"""
         return self._session.rate
 
-    def keep_pace(self, pace: Pace) -> None:
+    def set_tick_schedule(self, pace: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
-        self._session.keep_pace(pace)
+        self._session.set_tick_schedule(pace)
 
     def take(self) -> None:
         """Hand on all that has been measured until now."""
         if self._session.is_measured:
-            messages = self._subscription.drain()
+            messages = self._tap.drain()
             if messages:
                 self._session.measure(self._samples([message.data for message in messages]))
 
@@ -108,14 +108,15 @@ class MeasuredSteps:
 
     def account(self) -> Account:
         """Sum up since the last call; it may come from another thread."""
-        publishers = self._node.get_publishers_info_by_topic(self._subscription.channel.topic)
-        self._subscription.is_shared = len(publishers) > 1
-        self._subscription.read_loss_event()
+        publishers = self._node.get_publishers_info_by_topic(self._tap.channel.topic)
+        self._tap.is_shared = len(publishers) > 1
+        self._tap.listen()
         leads, self._leads = self._leads, []
-        session, subscription = self._session, self._subscription
-        now = (subscription.received, session.taken, session.disordered, subscription.lost)
+        session, tap = self._session, self._tap
+        counts = session.sample_counts
+        now = (tap.received, counts.taken, counts.out_of_order, tap.lost)
         before, self._told = self._told, now
-        refused = Counter(session.refused)
+        refused = Counter(counts.refused)
         news, self._refused = refused - self._refused, refused
         received, taken, disordered, lost = (
             later - earlier for earlier, later in zip(before, now, strict=True)
@@ -124,11 +125,11 @@ class MeasuredSteps:
 
     def close(self) -> None:
         """Unsubscribe."""
-        self._subscription.close()
+        self._tap.close()
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
         """Read messages, and refuse and count what cannot be read."""
-        samples, refused = [], self._session.refused
+        samples, refused = [], self._session.sample_counts.refused
         for data in datas:
             try:
                 sample = _to_sample(self._read(data))

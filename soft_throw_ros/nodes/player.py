@@ -30,7 +30,7 @@ from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 from std_srvs.srv import Trigger
 
 PAUSE = '~/pause'
@@ -120,7 +120,7 @@ class Player(Program):
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
         self._schedule: PlaybackSchedule[Message] | None = None
-        self._clock_pace: Pace | None = None
+        self._clock_schedule: TickSchedule | None = None
         self._clock_ticks = 0
         self._code: int | None = None
         self._has_failed = False
@@ -161,7 +161,9 @@ class Player(Program):
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._clock_pace = Pace(step=0, time_ns=now, rate=self._options.clock_rate)
+            self._clock_schedule = TickSchedule(
+                step=0, time_ns=now, rate=self._options.clock_rate
+            )
         self._thread.start()
 
     def close(self) -> None:
@@ -266,7 +268,7 @@ class Player(Program):
 
     def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        pace = self._clock_pace
+        pace = self._clock_schedule
         if pace is None or self._clock_publisher is None:
             return None
         if pace.deadline(self._clock_ticks) <= now:

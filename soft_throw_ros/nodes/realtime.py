@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 SPIN = 60_000
 """How long before a deadline sleep ends and polling begins; about what a wake-up takes. [ns]"""
@@ -58,7 +58,7 @@ class Steps(Protocol):
     def advance(self) -> Any:
         """Go one step on."""
 
-    def keep_pace(self, pace: Pace) -> None:
+    def set_tick_schedule(self, pace: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
 
 
@@ -199,7 +199,7 @@ class Ticker:
         self._on_step = on_step
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
-        self._pace: Pace | None = None
+        self._pace: TickSchedule | None = None
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
@@ -237,7 +237,7 @@ class Ticker:
         skipped = pace.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
         if skipped:
             account.skipped += skipped
-            steps.keep_pace(pace)
+            steps.set_tick_schedule(pace)
         due = pace.deadline(steps.step)
         is_first = True
         while due <= now:
@@ -251,11 +251,11 @@ class Ticker:
             is_first = False
             if steps.rate != pace.rate:
                 pace.change_rate(step=steps.step - 1, rate=steps.rate)
-                steps.keep_pace(pace)
+                steps.set_tick_schedule(pace)
             due = pace.deadline(steps.step)
         return due
 
-    def _pace_of(self, clock: Clock, now: int) -> Pace | None:
+    def _pace_of(self, clock: Clock, now: int) -> TickSchedule | None:
         """Return when steps are due by a clock, or None if it does not go yet."""
         followed = (clock, clock.epoch)
         if followed != self._followed:
@@ -263,8 +263,8 @@ class Ticker:
             self._followed = followed
             self._pace = None
         if self._pace is None and now > 0:
-            self._pace = Pace(step=self._steps.step, time_ns=now, rate=self._steps.rate)
-            self._steps.keep_pace(self._pace)
+            self._pace = TickSchedule(step=self._steps.step, time_ns=now, rate=self._steps.rate)
+            self._steps.set_tick_schedule(self._pace)
         return self._pace
 
     def _run(self) -> None:

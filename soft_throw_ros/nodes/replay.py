@@ -14,8 +14,7 @@ import sys
 from typing import Any
 
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.check import BagCheck, CheckError, Report
+from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.recording.message import BagError
 
 CLOCK_RATE = 40.0
@@ -24,7 +23,7 @@ CLOCK_RATE = 40.0
 _USAGE = """\
 %(prog)s [--rate R] [--start S] [--duration S] [--topics T ...] [--loop]
               [--paused] [--clock [HZ]] BAG [--ros-args ...]
-       %(prog)s --check [--to OTHER_BAG] BAG"""
+       %(prog)s --check BAG"""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -53,7 +52,7 @@ def main(args: list[str] | None = None) -> int:
     given = _parse(own)
     try:
         with BagReader(given.bag) as reader:
-            return _check(reader, given.to) if given.check else _play(reader, given, of_ros)
+            return _check(reader) if given.check else _play(reader, given, of_ros)
     except (BagError, CheckError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 2
@@ -116,25 +115,18 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         default=False,
         help='compare the bag with what its journal gives; exit code 1 if that is not the same',
     )
-    checking.add_argument(
-        '--to', metavar='OTHER_BAG', default=None, help='write what it gives into a new bag'
-    )
     given = parser.parse_args(arguments)
     options = sorted(_options(given))
     if given.check and options:
         names = {'is_looping': 'loop', 'is_paused': 'paused', 'clock_rate': 'clock'}
         name = names.get(options[0], options[0])
         parser.error(f'argument --{name}: not allowed with argument --check')
-    if given.to is not None and not given.check:
-        parser.error('argument --to: needs --check')
     return given
 
 
 def _options(given: argparse.Namespace) -> dict[str, Any]:
     """Return what is said about playing."""
-    return {
-        name: value for name, value in vars(given).items() if name not in ('bag', 'check', 'to')
-    }
+    return {name: value for name, value in vars(given).items() if name not in ('bag', 'check')}
 
 
 def _positive(text: str) -> float:
@@ -180,21 +172,12 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
     )
 
 
-def _check(reader: BagReader, to: str | None) -> int:
-    check = BagCheck(reader)
-    if to is None:
-        reports = check.run()
-    else:
-        with BagWriter(to, distribution=reader.distribution) as writer:
-            reports = check.run(writer)
-    for report in reports:
-        for line in report.lines():
-            print(f'{report.twin}: {line}')
+def _check(reader: BagReader) -> int:
+    results = check_bag(reader)
+    for result in results:
+        for line in result.describe().splitlines():
+            print(f'{result.twin}: {line}')
     if reader.damage:
         print(f'replay: damaged, so that something may be missing: {reader.damage}')
-    return _exit_code(reports, reader.damage)
-
-
-def _exit_code(reports: Sequence[Report], damage: str) -> int:
-    codes = {report.exit_code for report in reports}
-    return 1 if damage or 1 in codes else max(codes)
+    codes = {result.exit_code for result in results}
+    return 1 if reader.damage or 1 in codes else max(codes)

@@ -177,8 +177,8 @@ class Observer:
         }
         return self._status(
             'model',
-            f'throw {result.throw}: {comparison.sentence()}',
-            warn=not comparison.is_within_band,
+            f'throw {result.throw}: {comparison.describe()}',
+            warn=not comparison.is_within_threshold,
             throw=result.throw,
             **values,
         )

@@ -14,7 +14,7 @@ from soft_throw_ros.nodes.process import Program, run
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.nodes.twin import prepare_process, STOP_TIME
 from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.twin import plan
+from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
@@ -68,7 +68,7 @@ class Rig(Program):
                 self,
                 RIG,
                 self._on_changed,
-                check=lambda settings: plan.check(to_twin(settings)),
+                check=lambda settings: check_settings(to_twin(settings)),
                 arguments=arguments,
             )
             self._played = to_twin(self.parameters.settings)

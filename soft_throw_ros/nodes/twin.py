@@ -17,6 +17,7 @@ import sys
 import threading
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from soft_throw_ros.configuration import ParameterError, TWIN
@@ -31,9 +32,15 @@ from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.nodes.reports import Observer
 from soft_throw_ros.nodes.worker import LatestWins
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
-from soft_throw_ros.twin.plan import check, FIELD_POINTS, THROW_FIELD_ROWS, warm_up
-from soft_throw_ros.twin.results import Event, Outputs, ThrowResult
-from soft_throw_ros.twin.session import Refused, Session
+from soft_throw_ros.twin.core_adapter import Event
+from soft_throw_ros.twin.prepared_rig import (
+    check_settings,
+    FIELD_POINTS,
+    THROW_FIELD_ROWS,
+    warm_up,
+)
+from soft_throw_ros.twin.results import Outputs, ThrowResult
+from soft_throw_ros.twin.session import RequestRejected, Session
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -135,7 +142,7 @@ class Twin(Program):
     def _make_rig(self, arguments: Sequence[str]) -> None:
         self._wake = self.create_guard_condition(self._do_jobs)
         self.parameters = NodeParameters(
-            self, TWIN, self._on_changed, check=check, arguments=arguments
+            self, TWIN, self._on_changed, check=check_settings, arguments=arguments
         )
         self.session = Session(self.parameters.settings, on_entry=self._on_entry)
         self._node_clock = NodeClock(self)
@@ -165,9 +172,11 @@ class Twin(Program):
     def _on_step(self, outputs: Outputs, due: int) -> None:
         """Publish what comes often, and leave the rest to the executor."""
         self._joint_states.publish(self._encode_state(due, outputs.state))
-        if outputs.field is not None:
-            self._strain.publish(self._encode_field(outputs.field.strain))
-            self._velocity.publish(self._encode_field(outputs.field.velocity))
+        if outputs.layer is not None:
+            height = outputs.layer.height
+            spacing = self.parameters.settings['layer.thickness'] / (FIELD_POINTS - 1)
+            self._strain.publish(self._encode_field(np.gradient(height, spacing) - 1.0))
+            self._velocity.publish(self._encode_field(outputs.layer.velocity))
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
             self._predicted.publish(self._encode_prediction(prediction.stamp_ns, prediction[1:4]))
@@ -220,19 +229,19 @@ class Twin(Program):
     def _tell(self, result: ThrowResult, uncertainty: PredictionUncertainty | None) -> None:
         """Say in the log what a throw gave, and what is wrong with it."""
         if not result.is_valid:
-            self.get_logger().warning(result.sentence())
+            self.get_logger().warning(result.describe())
         elif result.stage == 'predicted':
-            self.get_logger().info(f'{result.sentence()}; {result.lead_sentence()}')
+            self.get_logger().info(f'{result.describe()}; {result.describe_lead()}')
         elif result.stage == 'release' or result.first is None:
             self.get_logger().info(self._with_advice(result, uncertainty))
         if result.stage == 'predicted' and not result.is_ahead:
             self.get_logger().warning(
-                f'throw {result.throw}: {result.lead_sentence()}; a shorter measured.window or '
+                f'throw {result.throw}: {result.describe_lead()}; a shorter measured.window or '
                 'measured.wait, and a higher rate.state, let it be known earlier'
             )
         comparison = result.comparison
-        if result.stage == 'final' and comparison and not comparison.is_within_band:
-            self.get_logger().warning(f'throw {result.throw}: {comparison.sentence()}')
+        if result.stage == 'final' and comparison and not comparison.is_within_threshold:
+            self.get_logger().warning(f'throw {result.throw}: {comparison.describe()}')
 
     def _tell_landing(self, throw: int, event: Event) -> None:
         """Say in the log how a throw came down first; bounces are in its result."""
@@ -254,8 +263,8 @@ class Twin(Program):
 
     def _on_throw(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            self.session.ask_throw()
-        except Refused as refusal:
+            self.session.request_throw()
+        except RequestRejected as refusal:
             response.message = str(refusal)
         else:
             response.success = True
@@ -308,7 +317,7 @@ class Twin(Program):
 
     def _with_advice(self, result: ThrowResult, uncertainty: PredictionUncertainty | None) -> str:
         """Say what a throw gave, how sure that is, and what the recommended layer would give."""
-        sentence = result.sentence()
+        sentence = result.describe()
         if uncertainty is not None and result.first is not None:
             sentence += f' (by the uncertainties of the rig {uncertainty.describe()})'
         advice = self._advice

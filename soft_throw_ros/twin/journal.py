@@ -1,21 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What must be known to repeat a run, as lines of JSON.
+What must be known to repeat a run, and what it gave, as lines of JSON.
 
-An entry is a mapping with `kind` and `step`, the step before which it happened:
+An entry is a mapping with `kind`, `line` (its number in the session) and `step`, the step before
+which it happened:
 
-========== =============================================================================
-kind       further keys
-========== =============================================================================
-start      `settings`, `rig`, `versions`; a session begins, at rest
-throw      the same, `throw` (its number) and `pending` (changes that wait); a throw starts,
-           and if the plate is measured, `departure`: how that was seen
-samples    `first`, `count` and `data`, see `samples_entry`: taken before this step, or others
-input      `input`: 'throw', 'reset', or 'parameters' with their `values`
-pace       `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this pace
-========== =============================================================================
+============= ================================================================================
+kind          further keys
+============= ================================================================================
+start         `settings`, `versions`; a session begins, at rest
+throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`;
+              a throw starts, and if the plate is measured, `onset`: how that was seen
+samples       `count` and `data`, see `encode_samples`: taken before this step, or others
+input         `input`: 'throw', 'reset', or 'parameters' with their `values`
+tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
+result        `result`, see `encode_result`, and in the end of a throw `states` and `fields` as
+              below, of the steps before from its start on
+checksum      `first`, `states`, `fields`: CRC-32 of what the steps from `first` to before `step`
+              gave, about a second of them
+============= ================================================================================
 
-Numbers are written with all their digits, so that the same line gives the same floats.
+All but the last two repeat a run; those tell if it is the same. Numbers are written with all their
+digits, so that the same line gives the same floats.
 """
 
 from __future__ import annotations
@@ -34,11 +40,13 @@ import zlib
 import numba
 import numpy as np
 from soft_throw_ros import __version__
-from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.twin.measurement import Departure, Sample
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.configuration import ParameterError, Settings, TWIN
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
-Entry = Mapping[str, Any]
+Entry = Mapping[str, Any]  # of JSON, whose values are of many types
 
 VERSIONS: Mapping[str, str] = {
     'soft_throw_ros': __version__,
@@ -50,9 +58,10 @@ VERSIONS: Mapping[str, str] = {
 }
 """What the digits of a run depend on."""
 
-
+_TYPES = {'line': int, 'throw': int, 'versions': dict, 'result': dict}
 _SETTINGS = {'settings', 'pending', 'values'}  # parts of entries whose series were tuples
 _LONGEST_DATA = 1 << 28  # of an entry, unpacked [byte]
+_FARTHEST = 2**62  # of a step, or of a time [ns]
 
 
 class JournalError(ValueError):
@@ -66,7 +75,7 @@ def encode(entry: Entry) -> str:
 
 def decode(line: str) -> dict[str, Any]:
     """
-    Read one line.
+    Read one line; what had another name before 0.6 gets that of now.
 
     Raises
     ------
@@ -81,76 +90,124 @@ def decode(line: str) -> dict[str, Any]:
     """
     try:
         entry = json.loads(line)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise JournalError(f'not a line of a journal, {error}: {line!r}') from error
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
         raise JournalError(f'an entry of a journal has kind and step, got {line!r}')
+    if type(entry['step']) is not int or abs(entry['step']) > _FARTHEST:
+        raise JournalError(f'a step is a whole number, got {entry["step"]!r}')
+    for name, kind in _TYPES.items():
+        if name in entry and type(entry[name]) is not kind:
+            raise JournalError(f'{name} of an entry is of another type, got {entry[name]!r}')
     for part in _SETTINGS & entry.keys():
         if isinstance(entry[part], dict):
             entry[part] = {
                 name: tuple(value) if isinstance(value, list) else value
                 for name, value in entry[part].items()
             }
+    if entry['kind'] == 'pace':
+        entry['kind'] = 'tick_schedule'
+    if 'departure' in entry:
+        entry['onset'] = entry.pop('departure')
     return entry
 
 
-def start_entry(step: int, settings: Settings) -> dict[str, Any]:
-    """Make the entry for the start of a session."""
-    return {'kind': 'start', 'step': step, **_state(settings)}
+def checked_settings(entry: Entry, part: str) -> Settings:
+    """
+    Return the settings of an entry.
+
+    Raises
+    ------
+    JournalError
+        If they are missing, or the twin has no such values.
+
+    """
+    settings = entry.get(part)
+    if not isinstance(settings, Mapping):
+        raise JournalError(f'an entry lacks {part}: {dict(entry)!r}')
+    try:
+        for name, value in settings.items():
+            TWIN.check_value(name, value)
+    except ParameterError as error:
+        raise JournalError(str(error)) from error
+    return settings
 
 
-def throw_entry(
-    step: int,
-    settings: Settings,
-    *,
-    throw: int,
-    pending: Settings,
-    departure: Departure | None = None,
-) -> dict[str, Any]:
-    """Make the entry for the start of a throw."""
+def entry_schedule(entry: Entry) -> TickSchedule | None:
+    """
+    Return when steps are due by an entry of a schedule or a throw; None if it does not tell.
+
+    Raises
+    ------
+    JournalError
+        If it tells something that is no schedule.
+
+    """
+    values = entry if entry['kind'] == 'tick_schedule' else entry.get('schedule')
+    if values is None:
+        return None
+    try:
+        step, time_ns, rate = (values[name] for name in ('anchor_step', 'anchor_time_ns', 'rate'))
+    except (KeyError, TypeError) as error:
+        raise JournalError(f'a schedule lacks {error}: {dict(entry)!r}') from error
+    is_near = all(type(value) is int and abs(value) <= _FARTHEST for value in (step, time_ns))
+    if not (is_near and isinstance(rate, (int, float)) and 1e-3 <= rate <= 1e9):
+        raise JournalError(f'a schedule has whole numbers and a rate, got {values!r}')
+    return TickSchedule(step=step, time_ns=time_ns, rate=rate)
+
+
+def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
+    """Write a schedule down for an entry, where `entry_schedule` finds it."""
     return {
-        'kind': 'throw',
-        'step': step,
-        'throw': throw,
-        **_state(settings),
-        'pending': dict(pending),
-        **({} if departure is None else {'departure': departure_values(departure)}),
+        'anchor_step': schedule.step,
+        'anchor_time_ns': schedule.time_ns,
+        'rate': schedule.rate,
     }
 
 
-def input_entry(step: int, kind: str, values: Settings | None = None) -> dict[str, Any]:
-    """Make the entry for an input that was taken."""
-    entry = {'kind': 'input', 'step': step, 'input': kind}
-    return entry if values is None else {**entry, 'values': dict(values)}
-
-
-def samples_entry(
-    step: int, batches: Sequence[tuple[int, Sequence[Sample]]], *, first: int
-) -> dict[str, Any]:
+def encode_result(result: ThrowResult) -> dict[str, Any]:
     """
-    Make the entry for samples that were taken, each batch before a step.
+    Return the numbers of a result in full; the rig is in the journal, and None is infinite.
 
-    `first` is how many were taken before them, so that it shows if an entry is missing. `data` is
-    the columns, one after another, as 8-byte numbers, little endian: step and stamp, each less
-    the one before, then the rest of `Sample`; deflated, in base 64, which keeps every bit.
+    Nested values have their path as name, as `first.time`.
+    """
+    values = dataclasses.asdict(dataclasses.replace(result, models={}))
+    for name, release in result.models.items():
+        values[f'models.{name}'] = None if release is None else dataclasses.asdict(release)
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in ('rig', 'models'):
+            continue
+        if isinstance(value, dict):
+            flat.update({f'{name}.{part}': number for part, number in value.items()})
+        else:
+            flat[name] = value
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in flat.items()
+    }
+
+
+def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> dict[str, Any]:
+    """
+    Write samples that were taken down for an entry, each batch before a step.
+
+    `data` is the columns, one after another, as 8-byte numbers, little endian: step and stamp,
+    each less the one before, then the rest of `Sample`; deflated, in base 64, which keeps every
+    bit.
 
     Examples
     --------
     >>> batches = [(7, [Sample(100, 0.5)]), (8, [Sample(200, 0.25), Sample(300, 0.125)])]
-    >>> entry = samples_entry(8, batches, first=0)
+    >>> entry = {'kind': 'samples', 'step': 8, **encode_samples(batches)}
     >>> [(step, len(samples)) for step, samples in entry_samples(entry)]
     [(7, 1), (8, 2)]
 
     """
     steps = [before for before, samples in batches for _ in samples]
     samples = [sample for _, batch in batches for sample in batch]
-    return {
-        'kind': 'samples',
-        'step': step,
-        'first': first,
-        'count': len(samples),
-        'data': _pack([steps, [sample.stamp_ns for sample in samples]], samples),
-    }
+    stamps = [sample.stamp_ns for sample in samples]
+    return {'count': len(samples), 'data': _pack([steps, stamps], samples)}
 
 
 def entry_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
@@ -173,42 +230,42 @@ def entry_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
     ]
 
 
-def departure_values(departure: Departure) -> dict[str, Any]:
-    """Write a departure down for an entry."""
-    stamps = [sample.stamp_ns for sample in departure.samples]
-    rest = departure.projectile_rest
+def encode_onset(onset: Onset) -> dict[str, Any]:
+    """Write an onset down for an entry."""
+    stamps = [sample.stamp_ns for sample in onset.samples]
+    rest = onset.projectile_rest
     return {
-        'onset_ns': departure.onset_ns,
-        'plate_rest': departure.plate_rest,
+        'onset_ns': onset.onset_ns,
+        'plate_rest': onset.plate_rest,
         'projectile_rest': None if math.isnan(rest) else rest,
         'count': len(stamps),
-        'data': _pack([stamps], departure.samples),
+        'data': _pack([stamps], onset.samples),
     }
 
 
-def values_departure(values: Any) -> Departure:
+def decode_onset(values: object) -> Onset:
     """
-    Read what `departure_values` wrote.
+    Read what `encode_onset` wrote.
 
     Raises
     ------
     JournalError
-        If it is no departure.
+        If it is no onset.
 
     """
     if not isinstance(values, Mapping):
-        raise JournalError(f'a throw of a measured plate has its departure, got {values!r}')
+        raise JournalError(f'a throw of a measured plate has its onset, got {values!r}')
     try:
         onset_ns, plate_rest = values['onset_ns'], values['plate_rest']
         projectile_rest = values['projectile_rest']
     except KeyError as error:
-        raise JournalError(f'a departure lacks {error}: {dict(values)!r}') from error
+        raise JournalError(f'an onset lacks {error}: {dict(values)!r}') from error
     heights = [plate_rest] if projectile_rest is None else [plate_rest, projectile_rest]
     are_numbers = all(isinstance(height, (int, float)) for height in heights)
     if type(onset_ns) is not int or not are_numbers:
-        raise JournalError(f'a departure has a time and heights, got {dict(values)!r}')
+        raise JournalError(f'an onset has a time and heights, got {dict(values)!r}')
     _, samples = _unpack(values, 1)
-    return Departure(
+    return Onset(
         onset_ns=onset_ns,
         plate_rest=float(plate_rest),
         projectile_rest=math.nan if projectile_rest is None else float(projectile_rest),
@@ -237,39 +294,3 @@ def _unpack(entry: Entry, whole: int) -> tuple[list[int], list[Sample]]:
     values = numbers[whole:].view('<f8').T.tolist()
     samples = [Sample(stamp, *row) for stamp, row in zip(columns[-1], values, strict=True)]
     return columns[0], samples
-
-
-def pace_entry(step: int, pace: Pace) -> dict[str, Any]:
-    """Make the entry for when steps are due from `step` on."""
-    return {
-        'kind': 'pace',
-        'step': step,
-        'anchor_step': pace.step,
-        'anchor_time_ns': pace.time_ns,
-        'rate': pace.rate,
-    }
-
-
-def entry_pace(entry: Entry) -> Pace:
-    """
-    Return the pace that an entry tells.
-
-    Raises
-    ------
-    JournalError
-        If it tells none.
-
-    """
-    try:
-        step, time_ns, rate = entry['anchor_step'], entry['anchor_time_ns'], entry['rate']
-    except KeyError as error:
-        raise JournalError(f'an entry lacks {error}: {dict(entry)!r}') from error
-    whole = isinstance(step, int) and isinstance(time_ns, int)
-    if not (whole and isinstance(rate, (int, float)) and 0.0 < rate < math.inf):
-        raise JournalError(f'a pace has whole numbers and a rate, got {dict(entry)!r}')
-    return Pace(step=step, time_ns=time_ns, rate=rate)
-
-
-def _state(settings: Settings) -> dict[str, Any]:
-    rig = dataclasses.asdict(rig_of(settings))
-    return {'settings': dict(settings), 'rig': rig, 'versions': dict(VERSIONS)}

@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.twin.core_adapter import Event
 
 Floats = NDArray[np.float64]
 
@@ -36,30 +38,45 @@ class State(NamedTuple):
     projectile_force: float
 
 
-class Event(NamedTuple):
+class LayerState(NamedTuple):
     """
-    The projectile left the layer, or came down on it.
+    The layer, from plate to top.
 
-    `kind` is 'release' or 'landing'; `time` counts from the start of the throw. [s]
+    `height` [m], `velocity` [m/s], and the `force` through each height, of what is below on what
+    is above, z up [N]: each of shape (points,).
     """
 
-    kind: str
-    time: float
-    velocity: float
-
-
-class Field(NamedTuple):
-    """Strain [-] and velocity [m/s] of the layer, from plate to top."""
-
-    strain: Floats
+    height: Floats
     velocity: Floats
+    force: Floats
 
 
 class ThrowField(NamedTuple):
-    """Strain of the layer over time and height: a row for each of `times`. [s], [-]"""
+    """
+    Strain of the layer over time and height.
+
+    Attributes
+    ----------
+    times : ndarray, shape (rows,)
+        Since the start of the throw. [s]
+    strain : ndarray, shape (rows, points)
+        From plate to top. [-]
+    checksum : int
+        CRC-32 of the two.
+    start_ns : int
+        When the throw began, by the clock of the ticks. [ns]
+
+    """
 
     times: Floats
     strain: Floats
+    checksum: int
+    start_ns: int = 0
+
+    @classmethod
+    def of(cls, times: Floats, strain: Floats, *, start_ns: int = 0) -> ThrowField:
+        """Make it with its checksum, which takes a tenth of a millisecond."""
+        return cls(times, strain, crc32(strain.data, crc32(times.data)), start_ns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +116,7 @@ class Comparison:
         Of the projectile, that were compared.
     position_rms, position_max : float
         Of the differences of its position. [m]
-    band : float
+    threshold : float
         Within which the former should be. [m]
     ejection_time_error : float or None
         How much later it passes the height of its release by the model than measured; None if it
@@ -112,23 +129,23 @@ class Comparison:
     samples: int
     position_rms: float
     position_max: float
-    band: float
+    threshold: float
     ejection_time_error: float | None = None
     ejection_speed_error: float | None = None
 
     @property
-    def is_within_band(self) -> bool:
+    def is_within_threshold(self) -> bool:
         """Whether the model is as good as it should be."""
-        return self.position_rms <= self.band
+        return self.position_rms <= self.threshold
 
-    def sentence(self) -> str:
+    def describe(self) -> str:
         """Say it for people to read."""
-        rms, band = 1e6 * self.position_rms, 1e6 * self.band
-        if self.is_within_band:
+        rms, threshold = 1e6 * self.position_rms, 1e6 * self.threshold
+        if self.is_within_threshold:
             return f'the projectile went as by the model, to {rms:.3g} um rms'
         return (
             f'the projectile was {rms:.3g} um rms off the model, beyond measured.band '
-            f'{band:.3g} um: the layer has aged or slipped, or the parameters are wrong'
+            f'{threshold:.3g} um: the layer has aged or slipped, or the parameters are wrong'
         )
 
 
@@ -156,23 +173,23 @@ class ThrowResult:
     peak_plate_speed : float
         :math:`V_p^*`. [m/s]
     peak_strain : float
-        Largest magnitude of the strain so far, anywhere in the layer; at its ends with a measured
-        plate. [-]
+        Largest magnitude of the strain anywhere in the layer, up to the first release like all
+        loads; so far, while it has not come. [-]
     max_strain : float
         Where the linear range ends. [-]
     peak_acceleration : float
-        Largest acceleration of the projectile so far. [m/s2]
+        Largest acceleration of the projectile. [m/s2]
     peak_force : float
-        Largest force of the layer on the plate so far, as a magnitude. [N]
+        Largest force of the layer on the plate, as a magnitude. [N]
     plate_work : float
-        Largest work that the plate has done so far, which the engine has to hand out. [J]
+        Work of the plate. [J]
     apex_height : float
-        Highest point of the projectile's lower face, above where it rested; infinite without
-        gravity. [m]
+        How high the projectile's lower face rises after the last ejection, above the plate's rest
+        position; infinite without gravity. [m]
     recontacts : int
-        How often the layer caught up with the projectile between first and last release.
+        How often the layer caught up with the projectile before that had fallen back.
     landings : int
-        How often they met again in all.
+        How often it came down on the layer.
     models : mapping of str to Release or None
         The first release as other models of the layer predict it.
     lead : float or None
@@ -217,7 +234,7 @@ class ThrowResult:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
 
-    def sentence(self) -> str:
+    def describe(self) -> str:
         """Say it for people to read."""
         if not self.is_valid:
             return f'throw {self.throw} is invalid: the plate was not measured for too long'
@@ -235,7 +252,7 @@ class ThrowResult:
             text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'
         return text
 
-    def lead_sentence(self) -> str:
+    def describe_lead(self) -> str:
         """Say how long before the release that was known, if it was predicted."""
         lead = 1e3 * (self.lead or 0.0)
         return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
@@ -278,10 +295,10 @@ class Outputs(NamedTuple):
     phases : tuple of Phase
         Phases entered in this step.
     events : tuple of Event
-        Releases and landings in this step.
+        Releases, re-contacts and landings in this step.
     results : tuple of ThrowResult
         Of the throw under way, or just over.
-    field : Field or None
+    layer : LayerState or None
         At `rate.field`.
     throw_field : ThrowField or None
         Once per throw.
@@ -300,7 +317,7 @@ class Outputs(NamedTuple):
     phases: tuple[Phase, ...] = ()
     events: tuple[Event, ...] = ()
     results: tuple[ThrowResult, ...] = ()
-    field: Field | None = None
+    layer: LayerState | None = None
     throw_field: ThrowField | None = None
     prediction: Prediction | None = None
     residual: Residual | None = None

@@ -92,7 +92,7 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
     leads = [item.lead for item in before if item.stage == 'predicted' and item.lead is not None]
     assert max(leads) > true.crossing_time / 4
     assert any(
-        item.comparison and not item.comparison.is_within_band
+        item.comparison and not item.comparison.is_within_threshold
         for item in before
         if item.stage == 'final'
     )
@@ -101,7 +101,7 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
     assert after.first is not None
     assert after.first.speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
     assert after.comparison is not None
-    assert after.comparison.is_within_band
+    assert after.comparison.is_within_threshold
     best = recommend(true, vary='thickness')
     assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
@@ -121,7 +121,7 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     for process in (rig, calibrator, twin):
         assert process.end(signal.SIGINT) == 0
     final = [item for item in results if item.stage == 'final' and item.comparison]
-    assert all(item.comparison.is_within_band for item in final)
+    assert all(item.comparison.is_within_threshold for item in final)
     assert not any('identifying' in line for line in calibrator.lines)
 
 

@@ -69,7 +69,7 @@ def test_time_comes_back(time_ns) -> None:
         dataclasses.replace(
             RESULT,
             lead=1e-3,
-            comparison=Comparison(samples=7, position_rms=1e-5, position_max=1.0, band=0.1),
+            comparison=Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1),
         ),
         dataclasses.replace(
             RESULT,
@@ -78,7 +78,7 @@ def test_time_comes_back(time_ns) -> None:
                 samples=70,
                 position_rms=1e-5,
                 position_max=3e-5,
-                band=1e-5,
+                threshold=1e-5,
                 ejection_time_error=-1e-4,
                 ejection_speed_error=0.01,
             ),

@@ -28,9 +28,9 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.twin.measurement import Sample
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.replay import replay
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.session import replay
 
 ROOT = Path(__file__).parents[1]
 rigs: Any = runpy.run_path(str(ROOT / 'twin' / 'rigs.py'))
@@ -66,7 +66,10 @@ class Driven(Twin):
     def has(self, count: int) -> bool:
         """Take what has come, and tell if that makes so many in all."""
         self._steps.take()
-        return self.session.taken + sum(self.session.refused.values()) >= count
+        return (
+            self.session.sample_counts.taken + sum(self.session.sample_counts.refused.values())
+            >= count
+        )
 
 
 class Bench(Node):
@@ -175,8 +178,14 @@ def test_other_messages_are_refused_with_a_reason(ros: Any, twin: Driven, bench:
     bench.send(Sample(now, 0.0, math.nan, math.nan))
     bench.send(Sample(now - MILLISECOND, 0.0, math.nan, math.nan))
     ros.spin_until(lambda: twin.has(7), 'seven messages')
-    assert twin.session.taken == 2
-    assert twin.session.refused == {'names': 2, 'not finite': 1, 'future': 1, 'doubled': 1}
+    counts = twin.session.sample_counts
+    assert counts.taken == 2
+    assert counts.refused == {
+        'names': 2,
+        'not finite': 1,
+        'future': 1,
+        'doubled': 1,
+    }
     bench.listen(topics.DIAGNOSTICS)
     statuses = hear_statuses(ros, bench, 'twin: measurement')
     values = msg_to_values(statuses)
@@ -205,7 +214,7 @@ def test_aged_layer_warns_in_log_and_diagnostics(ros: Any, twin: Driven, bench: 
     twin.go(2)
     ros.spin_until(lambda: bool(results(bench, 'final')), 'the end')
     (final,) = results(bench, 'final')
-    assert not final.comparison.is_within_band
+    assert not final.comparison.is_within_threshold
     bench.listen(topics.DIAGNOSTICS)
     status = hear_statuses(ros, bench, 'twin: model')
     assert status.level == DiagnosticStatus.WARN
@@ -221,7 +230,7 @@ def test_without_measurement_nothing_is_told_of_it(ros: Any) -> None:
     hear_statuses(ros, bench, 'twin: layer')
     statuses = bench.heard[topics.DIAGNOSTICS.name][0].status
     assert not {'twin: measurement', 'twin: model'} & {status.name for status in statuses}
-    assert twin.session.taken == 0
+    assert twin.session.sample_counts.taken == 0
 
 
 def test_twin_in_another_process_follows_a_rig_in_real_time(start: Any, ros: Any) -> None:

@@ -9,7 +9,7 @@ import time
 
 import pytest
 from soft_throw_ros.nodes.realtime import percentiles, SystemClock, Ticker
-from soft_throw_ros.twin.pace import Pace, SECOND
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 MILLISECOND = SECOND // 1000
 
@@ -36,13 +36,13 @@ class CountingSession:
     def __init__(self, rate: float = 1000.0, step: int = 0) -> None:
         self.step = step
         self.rate = rate
-        self.paces: list[tuple[int, Pace]] = []
+        self.paces: list[tuple[int, TickSchedule]] = []
 
     def advance(self) -> int:
         self.step += 1
         return self.step - 1
 
-    def keep_pace(self, pace: Pace) -> None:
+    def set_tick_schedule(self, pace: TickSchedule) -> None:
         self.paces.append((self.step, copy.copy(pace)))
 
 
@@ -155,8 +155,7 @@ def test_steps_are_told_by_their_stamps() -> None:
     assert len(paces) == 4
     for step, due in rig.done:
         pace = [pace for since, pace in paces if since <= step][-1]
-        assert pace.step_due(due) == step
-        assert pace.step_due(due + 1) is None
+        assert pace.deadline(step) == due
 
 
 def test_system_clock_shows_the_time_of_day_and_waits() -> None:

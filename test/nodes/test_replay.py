@@ -19,8 +19,8 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
-from soft_throw_ros.twin.pace import Pace
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 BEGIN = 1_700_000_000_000_000_000
 PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
@@ -45,16 +45,16 @@ def messages_of_a_twin(steps: int, *, end: bool = True) -> list[Message]:
         made.append(Message(journal, data, due, due))
 
     session = Session({**TWIN.defaults(), 'throw.period': 0.1}, on_entry=write_line)
-    pace = Pace(step=0, time_ns=BEGIN, rate=session.rate)
-    session.keep_pace(pace)
+    pace = TickSchedule(step=0, time_ns=BEGIN, rate=session.rate)
+    session.set_tick_schedule(pace)
     encode = JointStateEncoder('rig', ('plate', 'projectile')).encode
     encode_field = ArrayEncoder({'y': 64}).encode
     for step in range(steps):
         due = pace.deadline(step)
         outputs = session.advance()
         made.append(Message(states, encode(due, outputs.state), due, due))
-        if outputs.field is not None:
-            made.append(Message(strain, encode_field(outputs.field.strain), due, due))
+        if outputs.layer is not None:
+            made.append(Message(strain, encode_field(outputs.layer.velocity), due, due))
     return made
 
 

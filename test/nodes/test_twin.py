@@ -32,8 +32,9 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.replay import replay
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.session import replay, Session
+from soft_throw_ros.twin.session import Session
 from std_srvs.srv import Trigger
 
 SECOND = 1_000_000_000
@@ -151,7 +152,7 @@ def test_node_publishes_what_the_session_gives(ros, twin, listener) -> None:
     session = Session({**TWIN.defaults(), 'throw.period': 0.0})
     session.advance()
     trigger(ros, listener, twin, topics.THROW)
-    session.ask_throw()
+    session.request_throw()
     twin.go(500)
     assert [outputs.state for outputs in twin.outputs[1:]] == [
         session.advance().state for _ in range(500)
@@ -168,7 +169,7 @@ def test_fields_come_at_their_rate(ros, twin, listener) -> None:
         twin.go(20)
         listener.hear(topics.STRAIN, count + 1)
         listener.hear(topics.VELOCITY, count + 1)
-    fields = [outputs.field for outputs in twin.outputs[1:] if outputs.field is not None]
+    fields = [outputs.layer for outputs in twin.outputs[1:] if outputs.layer is not None]
     assert len(fields) == 10
     for message, field in zip(listener.hear(topics.STRAIN), fields, strict=True):
         labels, values = msg_to_array(message)

@@ -8,6 +8,7 @@ import sys
 from typing import Any
 import warnings
 
+import numpy as np
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from soft_throw_ros.configuration import TWIN
@@ -21,10 +22,10 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
-from soft_throw_ros.twin.measurement import Sample
-from soft_throw_ros.twin.pace import Pace
+from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 
 with warnings.catch_warnings():
@@ -66,8 +67,8 @@ class TwinMessages:
         self.now = BEGIN
         settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
         self.session = Session(settings, on_entry=self._on_entry)
-        self.pace = Pace(step=0, time_ns=BEGIN, rate=self.session.rate)
-        self.session.keep_pace(self.pace)
+        self.pace = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
+        self.session.set_tick_schedule(self.pace)
         self._advise(settings)
 
     def go(self, steps: int) -> TwinMessages:
@@ -104,7 +105,7 @@ class TwinMessages:
     def change(self, **request: Any) -> None:
         """Change settings."""
         self.session.change(_named(request))
-        self._advise({**self.session._wanted})
+        self._advise({**self.session._staged._wanted})
 
     def _channel(self, name: str, kind: str) -> Channel:
         schema = find_schema(kind, [sys.prefix])
@@ -117,9 +118,11 @@ class TwinMessages:
 
     def _publish(self, outputs: Outputs) -> None:
         self._send('joint_states', self._encode_state(self.now, outputs.state), 1)
-        if outputs.field is not None:
-            self._send('layer/strain', self._encode_field(outputs.field.strain), 2)
-            self._send('layer/velocity', self._encode_field(outputs.field.velocity), 3)
+        if outputs.layer is not None:
+            spacing = self.session._staged.config.rig.layer.thickness / 63
+            strain = np.gradient(outputs.layer.height, spacing) - 1.0
+            self._send('layer/strain', self._encode_field(strain), 2)
+            self._send('layer/velocity', self._encode_field(outputs.layer.velocity), 3)
         if outputs.prediction is not None:
             stamp, *values = outputs.prediction[:4]
             self._send('predicted_joint_states', self._encode_prediction(stamp, values), 2)
@@ -133,7 +136,7 @@ class TwinMessages:
         for result in outputs.results:
             status = throw_result_to_msg(result, name='twin: throw', hardware_id=self.node)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
-            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.sentence())
+            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.describe())
             self._send('rosout', serialize_message(line), 7)
 
     def _advise(self, settings: Any) -> None:

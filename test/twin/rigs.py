@@ -11,7 +11,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.stepping import PLATE_POSITION, PROJECTILE_POSITION
-from soft_throw_ros.twin.measurement import Sample, SECOND
+from soft_throw_ros.twin.plate_estimator import Sample, SECOND
 
 PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 """What the sensors show at height 0. [m]"""

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 SECOND = 1_000_000_000
 """[ns]"""
 
 
-class Pace:
+@dataclass
+class TickSchedule:
     """
     When each step is due.
 
@@ -22,38 +25,25 @@ class Pace:
     rate : float
         Steps per second. [Hz]
 
-    Attributes
-    ----------
-    step, time_ns, rate
-        As above, as they are now.
-
     Examples
     --------
-    >>> pace = Pace(step=10, time_ns=5_000_000, rate=1000.0)
-    >>> pace.deadline(12)
+    >>> schedule = TickSchedule(step=10, time_ns=5_000_000, rate=1000.0)
+    >>> schedule.deadline(12)
     7000000
-    >>> pace.skip(step=12, now=30_000_000, max_catch_up=3_000_000)
+    >>> schedule.skip(step=12, now=30_000_000, max_catch_up=3_000_000)
     20
-    >>> pace.deadline(12)
+    >>> schedule.deadline(12)
     27000000
-    >>> pace.step_due(27_000_000), pace.step_due(27_000_001)
-    (12, None)
 
     """
 
-    def __init__(self, *, step: int, time_ns: int, rate: float) -> None:
-        self.step = step
-        self.time_ns = time_ns
-        self.rate = rate
+    step: int
+    time_ns: int
+    rate: float
 
     def deadline(self, step: int) -> int:
         """Return when a step is due. [ns]"""
         return self.time_ns + round((step - self.step) * SECOND / self.rate)
-
-    def step_due(self, time_ns: int) -> int | None:
-        """Return the step that is due at a time, None if there is none."""
-        step = self.step + round((time_ns - self.time_ns) * self.rate / SECOND)
-        return step if self.deadline(step) == time_ns else None
 
     def change_rate(self, *, step: int, rate: float) -> None:
         """Take another rate from `step` on, whose own deadline stays."""

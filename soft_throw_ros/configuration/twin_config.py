@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The parameters of the twin as one typed value, made once where they come in.
+
+Dotted names stay in the table, in the journal and in ROS; what computes reads these fields.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from soft_throw_ros.configuration.table import Settings
+from soft_throw_ros.configuration.twin import rig_of
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+
+_SECOND = 1_000_000_000  # [ns]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementConfig:
+    """
+    How a measured plate is estimated, and when the model is off.
+
+    Parameters
+    ----------
+    smoothing_window_ns : int
+        Over which the plate is smoothed. [ns]
+    wait_ns : int
+        For samples that come after later ones. [ns]
+    position_noise, velocity_noise : float
+        Standard deviations. [m], [m/s]
+    start_speed : float
+        Of the plate, upwards, at which a throw has begun. [m/s]
+    residual_threshold : float
+        How far the projectile may be off the model, rms. [m]
+    plate : Underdamped
+        About how the plate moves in a throw.
+
+    """
+
+    smoothing_window_ns: int
+    wait_ns: int
+    position_noise: float
+    velocity_noise: float
+    start_speed: float
+    residual_threshold: float
+    plate: Underdamped
+
+    @property
+    def smoothing_window(self) -> float:
+        """Over which the plate is smoothed. [s]"""
+        return self.smoothing_window_ns / _SECOND
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwinConfig:
+    """
+    What the twin is to be; what is asked of a recommendation is in `design.requests`.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    model : str
+        By which it is followed, see `model_of`.
+    motion : str
+        How the plate moves: 'underdamped', 'harmonic' or 'measured'.
+    measurement : MeasurementConfig
+        How the plate is estimated if it is measured.
+    state_rate, field_rate : float
+        Steps, and rows of the field, per second of the clock. [Hz]
+    time_scale : float
+        Time of the rig over time of the clock, 1 with a measured plate. [-]
+    throw_period : float
+        From one throw to the next; 0 throws only on request. [s]
+    max_events : int
+        Contacts after which a throw is over.
+    max_strain : float
+        Where the linear range ends. [-]
+
+    """
+
+    rig: Rig
+    model: str
+    motion: str
+    measurement: MeasurementConfig
+    state_rate: float
+    field_rate: float
+    time_scale: float
+    throw_period: float
+    max_events: int
+    max_strain: float
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the plate moves as it is measured."""
+        return self.motion == 'measured'
+
+    @classmethod
+    def from_settings(cls, settings: Settings) -> TwinConfig:
+        """
+        Make the configuration that complete settings describe.
+
+        Examples
+        --------
+        >>> from soft_throw_ros.configuration.twin import TWIN
+        >>> TwinConfig.from_settings(TWIN.defaults()).rig == Rig()
+        True
+
+        """
+        rig, motion = rig_of(settings), settings['engine.motion']
+        return cls(
+            rig=rig,
+            model=model_of(settings),
+            motion=motion,
+            measurement=_measurement(settings, Underdamped.of(rig.engine)),
+            state_rate=settings['rate.state'],
+            field_rate=settings['rate.field'],
+            time_scale=1.0 if motion == 'measured' else settings['time_scale'],
+            throw_period=settings['throw.period'],
+            max_events=settings['throw.max_events'],
+            max_strain=settings['max_strain'],
+        )
+
+
+def model_of(settings: Settings) -> str:
+    """
+    Choose by which model a rig is followed.
+
+    It is the one that is set, unless that is the travelling wave, which is lossless, and the layer
+    has internal loss: then it is finite differences.
+    """
+    if settings['model'] == 'travelling_wave' and settings['layer.loss_tangent'] > 0.0:
+        return 'finite_difference'
+    return str(settings['model'])
+
+
+def _measurement(settings: Settings, plate: Underdamped) -> MeasurementConfig:
+    """Make the part that is about measuring; its speeds are relative to the plate's."""
+    return MeasurementConfig(
+        smoothing_window_ns=round(settings['measured.window'] * _SECOND),
+        wait_ns=round(settings['measured.wait'] * _SECOND),
+        position_noise=settings['measured.position_noise'],
+        velocity_noise=settings['measured.velocity_noise'],
+        start_speed=settings['measured.start'] * plate.peak_velocity,
+        residual_threshold=settings['measured.band'],
+        plate=plate,
+    )

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From samples of a rig, as they come, to the motion of its plate.
+
+Samples are put in the order of their stamps. What is older than the newest stamp by more than the
+time to wait for stragglers (the watermark) is complete, and is smoothed there, see
+`soft_throw_ros.core.smoothing`, at times an eighth of the window apart. So the plate is known up
+to a quarter of the window, the time to wait and at most an eighth of the window behind the newest
+sample. What comes for a time that has been smoothed already is late, and is refused.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.smoothing import AHEAD, BEHIND, FEWEST, fit_cubics
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+Floats = NDArray[np.float64]
+
+FUTURE = SECOND // 10
+"""How far ahead of the clock a stamp may be. [ns]"""
+
+PAST = SECOND
+"""How far behind the clock a stamp may be. [ns]"""
+
+FARTHEST, FASTEST = 100.0, 1000.0
+"""Heights [m] and velocities [m/s] beyond which no rig goes, whatever its sensors say."""
+
+PER_CROSSING, PER_PERIOD = 3, 20
+"""Fewest samples while a wave crosses the layer, and in a period of the plate."""
+
+STATES_PER_WINDOW = 8
+"""Times at which the plate is smoothed, in a window."""
+
+_KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
+_LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
+
+
+class Sample(NamedTuple):
+    """
+    What was measured at a time.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        When. [ns]
+    plate, plate_velocity : float
+        Height [m], and velocity [m/s] or NaN.
+    projectile : float
+        Height of the projectile, or NaN. [m]
+
+    """
+
+    stamp_ns: int
+    plate: float
+    plate_velocity: float = math.nan
+    projectile: float = math.nan
+
+
+class PlateStates(NamedTuple):
+    """
+    Motion of the plate, smoothed.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Since the origin of the estimator. [s]
+    states : ndarray, shape (n, 3)
+        Height [m], velocity [m/s], acceleration [m/s2].
+    errors : ndarray, shape (n,)
+        Standard errors of the velocity. [m/s]
+    gap : float
+        Longest time between samples on the way here. [s]
+
+    """
+
+    times: Floats
+    states: Floats
+    errors: Floats
+    gap: float = 0.0
+
+
+NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
+
+
+def state_spacing_ns(config: MeasurementConfig) -> int:
+    """Return the time between those at which the plate is smoothed. [ns]"""
+    return config.smoothing_window_ns // STATES_PER_WINDOW
+
+
+def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, str]:
+    """Return the lowest rate of samples that will do, and why. [Hz]"""
+    return max(
+        (PER_CROSSING / crossing_time, f'{PER_CROSSING} in a crossing of the wave'),
+        (PER_PERIOD * config.plate.frequency, f'{PER_PERIOD} in a period of the plate'),
+        (FEWEST / config.smoothing_window, f'{FEWEST} in measured.window'),
+    )
+
+
+class PlateEstimator:
+    """
+    Samples in their order, and the motion of the plate through them.
+
+    Parameters
+    ----------
+    config : MeasurementConfig
+        How they are taken.
+    origin_ns : int, optional
+        Time 0; that of the first sample if not given. [ns]
+    samples : sequence of Sample
+        That have been taken already, in their order.
+    refused : Counter of str, optional
+        Where samples that are refused are counted, by reason: 'not finite', 'out of range',
+        'future', 'past', 'doubled' and 'late'.
+
+    Attributes
+    ----------
+    config, origin_ns, refused
+        As above.
+
+    """
+
+    def __init__(
+        self,
+        config: MeasurementConfig,
+        *,
+        origin_ns: int | None = None,
+        samples: Sequence[Sample] = (),
+        refused: Counter[str] | None = None,
+    ) -> None:
+        self.config = config
+        self.origin_ns = origin_ns
+        self.refused: Counter[str] = Counter() if refused is None else refused
+        self._samples = list(samples)
+        self._next = 0  # time at which to smooth, in spacings
+        self._used_ns = -math.inf  # what is not later has been used
+
+    @property
+    def newest_ns(self) -> float:
+        """Stamp of the newest sample, minus infinity if there is none. [ns]"""
+        return self._samples[-1].stamp_ns if self._samples else -math.inf
+
+    def samples(self, begin_ns: float, end_ns: float = math.inf) -> list[Sample]:
+        """Return the samples from one time to before another, as far back as they are kept."""
+        first = bisect_left(self._samples, (begin_ns,))
+        last = bisect_left(self._samples, (end_ns,))
+        return self._samples[first:last]
+
+    def rate(self) -> float:
+        """Return the rate of the samples that are kept, 0 if there are too few to tell. [Hz]"""
+        stamps = [sample.stamp_ns for sample in self._samples]
+        if len(stamps) < FEWEST:
+            return 0.0
+        return SECOND / float(np.median(np.diff(stamps)))
+
+    def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
+        """
+        Take samples, or refuse and count them.
+
+        Parameters
+        ----------
+        samples : sequence of Sample
+            In the order in which they came.
+        now_ns : int
+            By the clock that they are stamped by. [ns]
+
+        Returns
+        -------
+        list of Sample
+            Those that were taken.
+
+        """
+        taken = []
+        for sample in samples:
+            reason = self._refusal(sample, now_ns)
+            if reason:
+                self.refused[reason] += 1
+                continue
+            taken.append(sample)
+            if sample.stamp_ns > self.newest_ns:
+                self._samples.append(sample)
+            else:
+                self._samples.insert(bisect_left(self._samples, sample), sample)
+        return taken
+
+    def _refusal(self, sample: Sample, now_ns: int) -> str:
+        stamp_ns, plate, velocity, projectile = sample
+        if not math.isfinite(plate) or math.isinf(velocity) or math.isinf(projectile):
+            return 'not finite'
+        if max(abs(plate), abs(projectile)) > FARTHEST or abs(velocity) > FASTEST:
+            return 'out of range'
+        if stamp_ns > now_ns + FUTURE:
+            return 'future'
+        if stamp_ns < now_ns - PAST:
+            return 'past'
+        if stamp_ns > self.newest_ns:
+            return ''
+        index = bisect_left(self._samples, (stamp_ns,))
+        if index < len(self._samples) and self._samples[index].stamp_ns == stamp_ns:
+            return 'doubled'
+        return 'late' if stamp_ns <= self._used_ns else ''
+
+    def advance(self, now_ns: int) -> PlateStates:
+        """Return the motion since the last call, as far as it is known."""
+        if not self._samples:
+            return NO_STATES
+        if self.origin_ns is None:
+            self.origin_ns = self._samples[0].stamp_ns
+        config, spacing = self.config, state_spacing_ns(self.config)
+        behind, ahead = (
+            round(BEHIND * config.smoothing_window_ns),
+            round(AHEAD * config.smoothing_window_ns),
+        )
+        complete_ns = min(self._samples[-1].stamp_ns, now_ns) - config.wait_ns
+        end = (complete_ns - ahead - self.origin_ns) // spacing + 1
+        begin = max(self._next, end - _LONGEST_STEP)
+        if begin >= end:
+            return NO_STATES
+        self._next = end
+        at_ns = self.origin_ns + spacing * np.arange(begin, end)
+        first = bisect_left(self._samples, (at_ns[0] - behind,))
+        last = bisect_left(self._samples, (at_ns[-1] + ahead + 1,))
+        samples = self._samples[max(first - 1, 0) : last]
+        before_ns, self._used_ns = self._used_ns, int(at_ns[-1]) + ahead
+        kept_ns = self._used_ns - _KEPT_WINDOWS * config.smoothing_window_ns
+        del self._samples[: bisect_left(self._samples, (kept_ns,))]
+        if len(samples) < FEWEST:
+            return NO_STATES
+        stamps = [sample.stamp_ns for sample in samples]
+        gap_ns = max(
+            (later - earlier for earlier, later in pairwise(stamps) if later > before_ns),
+            default=0,
+        )
+        _, plate, velocity, _ = np.array(samples).T
+        at = (at_ns - self.origin_ns) / SECOND
+        times = (np.array(stamps) - self.origin_ns) / SECOND
+        states, errors = np.empty((at.size, 3)), np.empty(at.size)
+        ratio = config.position_noise / config.velocity_noise
+        fit_cubics(
+            at,
+            times,
+            plate.copy(),
+            velocity.copy(),
+            0.5 * config.smoothing_window,
+            ratio,
+            states,
+            errors,
+        )
+        known = np.isfinite(errors)
+        return PlateStates(
+            at[known], states[known], config.position_noise * errors[known], gap_ns / SECOND
+        )

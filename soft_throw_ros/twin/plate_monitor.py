@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watches a measured plate: takes its samples, and tells when a throw begins."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import math
+
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.twin.onset import Onset, OnsetDetector
+from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, PlateStates, Sample
+from soft_throw_ros.twin.results import State
+
+
+@dataclass
+class SampleCounts:
+    """Samples that were taken, of these after later ones, and refused, by reason."""
+
+    taken: int = 0
+    out_of_order: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+
+
+class PlateMonitor:
+    """
+    Watches a plate from one throw to the next.
+
+    Parameters
+    ----------
+    config : MeasurementConfig
+        How it is measured.
+    counts : SampleCounts
+        Where samples are counted.
+    onset : Onset, optional
+        Of the throw that has just begun: what was measured until then is kept.
+
+    Attributes
+    ----------
+    estimator : PlateEstimator
+        Samples in their order, and the motion through them.
+
+    """
+
+    def __init__(
+        self, config: MeasurementConfig, counts: SampleCounts, onset: Onset | None = None
+    ) -> None:
+        self._counts = counts
+        self.estimator = PlateEstimator(
+            config,
+            origin_ns=None if onset is None else onset.onset_ns,
+            samples=() if onset is None else onset.samples,
+            refused=counts.refused,
+        )
+        self._detector = OnsetDetector(self.estimator)
+        # heights of the plate at rest and last seen, and of the plate when it last was slow: the
+        # projectile goes with it then
+        self._rest = self._height = self._carried = math.nan if onset is None else onset.plate_rest
+        self._speed = self._carried_speed = 0.0
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the plate is at rest, so that a throw starts when it jumps up."""
+        return self._detector.is_armed
+
+    def rearm(self, config: MeasurementConfig) -> None:
+        """Wait for another rest before a throw, and measure as `config` says from now on."""
+        if config != self.estimator.config:
+            self.estimator = PlateEstimator(config, refused=self._counts.refused)
+        self._detector = OnsetDetector(self.estimator)
+
+    def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
+        """Take samples, or refuse and count them; return those taken."""
+        newest_ns = self.estimator.newest_ns
+        taken = self.estimator.take(samples, now_ns)
+        self._counts.taken += len(taken)
+        for sample in taken:
+            self._counts.out_of_order += sample.stamp_ns < newest_ns
+            newest_ns = max(newest_ns, sample.stamp_ns)
+        return taken
+
+    def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
+        """Return how the plate has moved since the last call, and if a throw has begun, how."""
+        motion = self.estimator.advance(now_ns)
+        if motion.times.size:
+            self._see(motion)
+        return motion, self._detector.detect(motion)
+
+    def _see(self, motion: PlateStates) -> None:
+        """Keep where the plate is."""
+        self._height, self._speed, _ = motion.states[-1].tolist()
+        if math.isnan(self._rest):
+            self._rest = self._carried = self._height
+        self._carried_speed = 0.0
+        if abs(self._speed) < self.estimator.config.start_speed:
+            self._carried, self._carried_speed = self._height, self._speed
+
+    def state(self, rest: State) -> State:
+        """Return the state of the plate, and of the projectile, which lies on the layer."""
+        if math.isnan(self._rest):
+            return rest
+        return rest._replace(
+            plate_position=rest.plate_position + self._height - self._rest,
+            projectile_position=rest.projectile_position + self._carried - self._rest,
+            plate_velocity=self._speed,
+            projectile_velocity=self._carried_speed,
+        )
+
+    def rate_warning(self, crossing_time: float) -> str:
+        """Say it if there are too few samples for a throw to be followed; empty if not."""
+        rate = self.estimator.rate()
+        least, reason = least_rate(self.estimator.config, crossing_time)
+        if rate >= least:
+            return ''
+        return (
+            f'the plate is measured at {rate:.0f} Hz, which must be at least {least:.0f} Hz, '
+            f'{reason}: no throw is followed'
+        )

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig with all that can be made ready before it throws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.core import smoothing, spring_mass
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
+from soft_throw_ros.twin import core_adapter
+from soft_throw_ros.twin.core_adapter import (
+    cells_per_layer,
+    first_throws,
+    make_stepper,
+    Stepper,
+    steps_per_crossing,
+)
+from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
+
+FIELD_POINTS = 64
+"""Heights at which the layer is published."""
+
+THROW_FIELD_ROWS = 200
+"""Times at which the field of a throw holds the layer."""
+
+THROW_FIELD_LENGTH = 1.5
+"""How long the field of a throw lasts, in ejection times. [-]"""
+
+LONGEST_WINDOW = 0.2
+"""Of the smoothing of a measured plate, in periods of it: longer ones hide its start. [-]"""
+
+RETURN_TIME = 0.1
+"""How long putting back takes, unless the period of the throws is too short for it. [s]"""
+
+_LONGEST_CONTACT = 4  # oscillation cycles: what has not left by then counts as never leaving
+_COMPARED_CELLS = 64  # by which finite differences predict for comparison, ...
+_STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long to follow
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedRig:
+    """
+    A rig that is ready to throw.
+
+    Parameters
+    ----------
+    config : TwinConfig
+        What it was made of.
+    stepper : Stepper
+        The rig by its model, at rest.
+    rest : State
+        Where plate and projectile are at rest.
+    rest_layer : LayerState
+        The layer at rest.
+    peak_plate_speed : float
+        :math:`V_p^*`. [m/s]
+    throw_field : ThrowField or None
+        What the layer will do in a throw; None if the plate is measured, since nobody knows then.
+    models : mapping of str to Release or None
+        The first release by models other than the stepper's; none if the plate is measured.
+    forks : tuple of Stepper
+        With a measured plate two that can go ahead of the stepper.
+
+    """
+
+    config: TwinConfig
+    stepper: Stepper
+    rest: State
+    rest_layer: LayerState
+    peak_plate_speed: float
+    throw_field: ThrowField | None
+    models: Mapping[str, Release | None]
+    forks: tuple[Stepper, ...] = ()
+
+    @classmethod
+    def from_config(cls, config: TwinConfig) -> PreparedRig:
+        """
+        Make everything ready, which takes milliseconds.
+
+        Raises
+        ------
+        ValueError
+            If the rig cannot be stepped in real time, with the number.
+
+        """
+        stepper = stepper_of(config)
+        rest_layer = np.empty((3, FIELD_POINTS))
+        stepper.read_layer(rest_layer)
+        is_measured = config.is_measured
+        return cls(
+            config=config,
+            stepper=stepper,
+            rest=State._make(stepper.state.tolist()[1:]),
+            rest_layer=LayerState(*rest_layer),
+            peak_plate_speed=Underdamped.of(config.rig.engine).peak_velocity,
+            throw_field=None if is_measured else _throw_field(stepper),
+            models={} if is_measured else _other_models(config.rig, config.model),
+            forks=(stepper.fork(), stepper.fork()) if is_measured else (),
+        )
+
+    @property
+    def rig(self) -> Rig:
+        """The rig."""
+        return self.config.rig
+
+    @property
+    def tick(self) -> float:
+        """Time of the rig in one step. [s]"""
+        return self.config.time_scale / self.config.state_rate
+
+    @property
+    def lookahead(self) -> float:
+        """How much longer than the plate the projectile is known: as long as a wave needs. [s]"""
+        return 0.0 if self.config.model == 'spring_mass' else self.rig.crossing_time
+
+    @property
+    def release_lookahead(self) -> float:
+        """The same of its release, which is at the plate if the layer is thrown along. [s]"""
+        return 0.0 if self.config.model == 'finite_difference_glued' else self.lookahead
+
+    def period_ticks(self, period: float) -> int:
+        """Return the steps from one throw to the next: at least one to throw, one to return."""
+        return max(2, round(period / self.tick))
+
+    def return_ticks(self, period: float) -> int:
+        """Return the steps that putting back takes: at most half of the period."""
+        ticks = max(1, round(RETURN_TIME / self.tick))
+        return min(ticks, self.period_ticks(period) // 2) if period else ticks
+
+
+def stepper_of(config: TwinConfig) -> Stepper:
+    """
+    Make what follows the rig in real time, by the motion of its engine or a measured one.
+
+    Raises
+    ------
+    ValueError
+        If the rig cannot be stepped in real time, with the number.
+
+    """
+    motion: Literal['measured'] | None = 'measured' if config.is_measured else None
+    return make_stepper(config.rig, config.model, motion, field_points=FIELD_POINTS)
+
+
+def check_settings(settings: Settings) -> None:
+    """
+    Tell whether settings can be stepped in real time, which takes microseconds.
+
+    Raises
+    ------
+    ValueError
+        If not, with the number and what would do.
+
+    """
+    config = TwinConfig.from_settings(settings)
+    if config.model == 'travelling_wave':
+        steps_per_crossing(config.rig)
+    else:
+        cells_per_layer(config.rig, config.model)
+    window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
+    if config.is_measured and window * frequency > LONGEST_WINDOW:
+        raise ValueError(
+            f'measured.window must be at most {LONGEST_WINDOW:g} of the plate period, '
+            f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
+            f'got {window:g} s'
+        )
+
+
+def warm_up() -> None:
+    """Compile or load the kernels of all models, so that no change of settings has to."""
+    smoothing.warm_up()
+    core_adapter.warm_up()
+    _other_models(Rig(), '')
+
+
+def _throw_field(stepper: Stepper) -> ThrowField:
+    """Let the layer go through a throw, to half as long again as the ejection time."""
+    times = np.linspace(0.0, THROW_FIELD_LENGTH * _ejection_time(stepper), THROW_FIELD_ROWS)
+    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
+    stepper.reset()
+    stepper.sample_strain(times, strain)
+    stepper.reset()
+    return ThrowField.of(times, strain)
+
+
+def _ejection_time(stepper: Stepper) -> float:
+    """Find when the projectile leaves, or, if it does not soon, how long it was waited for."""
+    rig = stepper.rig
+    cycle = 1.0 / min(rig.engine.frequency, rig.natural_frequency) + rig.crossing_time
+    for eighth in range(1, 8 * _LONGEST_CONTACT + 1):
+        if stepper.advance_to(0.125 * eighth * cycle):
+            return stepper.events()[0].time
+    return _LONGEST_CONTACT * cycle
+
+
+def _other_models(rig: Rig, model: str) -> dict[str, Release | None]:
+    """Let other models that can do it predict the first release; None if there is none."""
+    ratios: dict[str, Any] = {  # keyword arguments of either kind of function
+        'mass_ratio': rig.mass_ratio,
+        'speed_ratio': rig.speed_ratio,
+        'damping_ratio': rig.engine.damping_ratio,
+        'gravity_ratio': rig.gravity_ratio,
+    }
+    loss = rig.layer.loss_tangent
+    by_cells = partial(first_throws, **ratios, loss_tangent=loss, cells=_COMPARED_CELLS)
+    ways: dict[str, Callable[[], Any]] = {  # each returns its own type with the same three fields
+        'travelling_wave': partial(first_release, **ratios),
+        'finite_difference_elastic': partial(by_cells, crossing_ratio=rig.crossing_ratio),
+        'finite_difference_glued': partial(by_cells, glued_to='projectile'),
+        'spring_mass': partial(
+            spring_mass.first_release,
+            frequency_ratio=rig.natural_frequency / rig.engine.frequency,
+        ),
+    }
+    if loss > 0.0:
+        del ways['travelling_wave']
+    if rig.speed_ratio > _STIFFEST:
+        del ways['finite_difference_elastic'], ways['finite_difference_glued']
+    return {name: _released(rig, way) for name, way in ways.items() if name != model}
+
+
+def _released(rig: Rig, way: Callable[[], Any]) -> Release | None:
+    try:
+        release = way()
+    except ThrowUnresolvedError:
+        return None
+    return Release(
+        time=float(release.ejection_phase) / rig.engine.frequency,
+        speed=float(release.speed) * rig.engine.speed_scale,
+        energy_transfer=float(release.energy_transfer),
+    )

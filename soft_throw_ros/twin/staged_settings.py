@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that are in effect, and those that wait until the rig is put back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.twin.prepared_rig import PreparedRig
+
+
+class StagedSettings:
+    """
+    Settings in effect, and settings to come.
+
+    A change of the rig, of the measurement, of rates or of the time scale waits for `commit`, and
+    all that wait take effect together; every other change is effective at once.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        Complete, in effect.
+    pending : mapping of str to value
+        What waits already.
+
+    Attributes
+    ----------
+    settings : mapping of str to value
+        In effect.
+    config : TwinConfig
+        The same as one value.
+    prepared : PreparedRig
+        The rig in effect, ready to throw.
+
+    Raises
+    ------
+    ValueError
+        If the rig cannot be stepped in real time, with the number.
+
+    """
+
+    def __init__(self, settings: Settings, pending: Settings | None = None) -> None:
+        self.settings = settings
+        self.config = TwinConfig.from_settings(settings)
+        self.prepared = PreparedRig.from_config(self.config)
+        self._wanted = settings
+        self._wanted_prepared = self.prepared
+        if pending:
+            self._wanted = {**settings, **pending}
+            self._wanted_prepared = _prepare(self._wanted)
+
+    @property
+    def pending(self) -> dict[str, Any]:
+        """The changes that wait, by name; values are as various as the parameters."""
+        settings, wanted = self.settings, self._wanted
+        return {
+            name: value
+            for name, value in wanted.items()
+            if _waits(name) and value != settings[name]
+        }
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether a change waits."""
+        return self._wanted_prepared is not self.prepared
+
+    def prepare(self, values: Settings) -> PreparedRig | None:
+        """
+        Make ready what a change asks for, which takes milliseconds and changes nothing yet.
+
+        Returns
+        -------
+        PreparedRig or None
+            None if what has been wanted before will do. To be handed to `stage`.
+
+        Raises
+        ------
+        ValueError
+            If the rig could not be stepped in real time, with the number.
+
+        """
+        wanted = {**self._wanted, **values}
+        if any(_waits(name) and wanted[name] != self._wanted[name] for name in values):
+            return _prepare(wanted)
+        return None
+
+    def stage(self, values: Settings, prepared: PreparedRig | None) -> None:
+        """Take a change, with what `prepare` returned for it."""
+        self._wanted = {**self._wanted, **values}
+        self.settings = {
+            name: self.settings[name] if _waits(name) else value
+            for name, value in self._wanted.items()
+        }
+        self.config = TwinConfig.from_settings(self.settings)
+        if not self.pending:
+            self._wanted_prepared = self.prepared
+        elif prepared is not None:
+            self._wanted_prepared = prepared
+
+    def commit(self) -> None:
+        """Put in effect what waits."""
+        self.prepared = self._wanted_prepared
+        self.settings = self._wanted
+        self.config = TwinConfig.from_settings(self.settings)
+
+
+def _prepare(settings: Settings) -> PreparedRig:
+    return PreparedRig.from_config(TwinConfig.from_settings(settings))
+
+
+def _waits(name: str) -> bool:
+    """Tell whether a change of a setting waits until things are put back."""
+    entry = TWIN.by_name[name]
+    return entry.is_of_rig or entry.group in ('rate', 'time_scale', 'measured')

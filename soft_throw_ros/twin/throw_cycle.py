@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cycle of a rig: it rests, throws, is put back, and rests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import math
+
+import numpy as np
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.journal_writer import JournalWriter
+from soft_throw_ros.twin.measured_throw import MeasuredThrow
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, Sample
+from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
+from soft_throw_ros.twin.results import (
+    LayerState,
+    Outputs,
+    Phase,
+    State,
+    ThrowField,
+    ThrowResult,
+)
+from soft_throw_ros.twin.return_path import ReturnPath
+from soft_throw_ros.twin.scheduled_throw import ScheduledThrow, time_until_over
+from soft_throw_ros.twin.staged_settings import StagedSettings
+from soft_throw_ros.twin.throw_tracker import ThrowStep
+from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+_PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
+
+
+class ThrowCycle:
+    """
+    What the rig does at every step.
+
+    Parameters
+    ----------
+    staged : StagedSettings
+        In effect, and to come.
+    writer : JournalWriter
+        Is told of throws and their results.
+    step : int
+        The first step, at which the rig is at rest.
+
+    Attributes
+    ----------
+    throws : int
+        How many throws have started.
+    schedule : TickSchedule
+        When steps are due, which measured samples are related to.
+    sample_counts : SampleCounts
+        How many samples of the rig were taken and refused.
+    monitor : PlateMonitor or None
+        Of a measured plate.
+
+    Notes
+    -----
+    A throw starts when it is due by `throw.period`, counted from the last start, or when asked
+    for. It is over when the projectile is at rest, after `throw.max_events` contacts, when the
+    period leaves just the time to put things back, or after `throw_tracker.LONGEST_THROW`. Then
+    plate and projectile are put back along a `ReturnPath`: positions are continuous. The layer is
+    left out meanwhile: its forces are zero.
+
+    What is staged takes effect whenever things are put back: after a throw, at a reset, or, if
+    the rig is at rest, before the next throw, which starts so much later.
+
+    If the plate is measured, a throw starts when that jumps up after a rest, whatever the period,
+    and is over, besides, when nothing is known of the plate for longer than a wave needs to cross
+    the layer, or when it jumps again. What is staged then takes effect with the throw. In between
+    plate and projectile are where the plate was measured last.
+
+    """
+
+    def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
+        self.throws = 0
+        self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
+        self.sample_counts = SampleCounts()
+        self.monitor: PlateMonitor | None = None
+        self._staged = staged
+        self._journal = writer
+        self._phase = Phase.REST
+        self._state = staged.prepared.rest
+        self._throw: ScheduledThrow | MeasuredThrow | None = None
+        self._start = step  # what the period and the time of a throw are counted from
+        self._throw_due = math.inf  # by the period
+        self._throw_requested_at = math.inf
+        self._return_path = ReturnPath(begin=step, end=step, origin=self._state, goal=self._state)
+        self._layer_start, self._layer_row = step, -1
+        self._phases = [Phase.REST]
+        self._results: list[ThrowResult] = []
+        self._throw_field: ThrowField | None = None
+        self._notices: list[str] = []
+        self._onset: Onset | None = None  # which is to begin a throw, if a journal says so
+        self._start_monitoring()
+        self.set_throw_due()
+
+    @property
+    def _prepared(self) -> PreparedRig:
+        return self._staged.prepared
+
+    def resume(self, step: int, entry: journal.Entry) -> None:
+        """Have the throw of an entry of a journal begin at its step, whatever was before."""
+        self.throws = entry['throw'] - 1
+        self._throw_requested_at = step
+        self._phase = Phase.RETURNING  # until this very step, so that nothing delays it
+        self._phases.clear()
+        self.schedule = journal.entry_schedule(entry) or self.schedule
+        if self.monitor is not None:
+            self._onset = journal.decode_onset(entry.get('onset'))
+
+    def request_throw(self, step: int) -> bool:
+        """Have a throw start; return whether the rig is at rest, without which it does not."""
+        if self._phase is not Phase.REST or self._throw_requested_at < math.inf:
+            return False
+        self._throw_requested_at = step
+        return True
+
+    def occupation(self, step: int) -> tuple[str, Callable[[], float] | None]:
+        """
+        Tell why no throw can be requested now, and how long that lasts by the clock.
+
+        Returns
+        -------
+        reason : str
+            What the rig is doing.
+        seconds : callable or None
+            Finds out how long, which may take as long as a throw takes to compute; None if it is
+            just for this step. [s]
+
+        """
+        prepared, throw, config = self._prepared, self._throw, self._staged.config
+        rate = config.state_rate
+        if self._phase is Phase.REST:
+            return f'throw {self.throws + 1} is about to start', None
+        if throw is None:
+            steps = max(self._return_path.end - step, 0)
+            return 'the rig is being put back', lambda: steps / rate
+        elapsed = (step - self._start) * prepared.tick
+        longest = self._throw_due - step
+        returning = prepared.return_ticks(config.throw_period)
+
+        def seconds() -> float:
+            left = time_until_over(prepared, elapsed, max_events=config.max_events)
+            return float(min(left / prepared.tick + returning, longest)) / rate
+
+        return f'throw {throw.number} is under way', seconds
+
+    def reset(self, step: int) -> None:
+        """Break off a throw under way, put things back, and count the period from here."""
+        if self._throw is not None:
+            self._end_throw(step, self._throw, 'reset')
+        else:
+            self._put_back(step)
+        self._throw_requested_at = math.inf
+        self._start = step
+        self.set_throw_due()
+
+    def take(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
+        """Take samples of the rig if the plate is measured; return those not refused."""
+        if self.monitor is None:
+            return []
+        return self.monitor.take(samples, self.schedule.deadline(step))
+
+    def advance(self, step: int) -> Outputs:
+        """Go one step on."""
+        motion = None
+        if self.monitor is not None:
+            motion = self._watch_plate(step, self.monitor)
+        elif self._phase in (Phase.REST, Phase.RETURNING):
+            self._begin_throw_if_due(step)
+        advanced = self._advance_throw(step, motion)
+        outputs = Outputs(
+            step=step,
+            throw=self.throws,
+            state=self._state,
+            phases=tuple(self._phases),
+            events=() if advanced is None else advanced.events,
+            results=tuple(self._results),
+            layer=self._layer(step),
+            throw_field=self._throw_field,
+            prediction=None if advanced is None else advanced.prediction,
+            residual=None if advanced is None else advanced.residual,
+            notices=tuple(self._notices),
+        )
+        self._phases.clear()
+        self._results.clear()
+        self._notices.clear()
+        self._throw_field = None
+        return outputs
+
+    def _begin_throw_if_due(self, step: int) -> None:
+        """Start a throw, or put things back before it if changes wait."""
+        has_returned = self._phase is Phase.RETURNING
+        if has_returned and step < self._return_path.end:
+            return
+        if step < min(self._throw_requested_at, self._throw_due):
+            if has_returned:
+                self._enter(Phase.REST)
+        elif has_returned or not self._staged.is_pending:
+            self._begin_throw(step)
+        else:
+            self._put_back(step)
+
+    def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
+        self.throws += 1
+        self._throw_requested_at = math.inf
+        self._start = step
+        self._layer_start, self._layer_row = step, -1
+        self.set_throw_due()
+        self._journal.begin_throw(
+            step,
+            self._staged.settings,
+            throw=self.throws,
+            pending=self._staged.pending,
+            schedule=self.schedule,
+            onset=onset,
+        )
+        if onset is None:
+            self._throw = ScheduledThrow(
+                self._prepared, number=self.throws, start_ns=self.schedule.deadline(step)
+            )
+        else:
+            self._start_monitoring(onset)
+            assert self.monitor is not None
+            self._throw = MeasuredThrow(
+                self._prepared, onset, self.monitor.estimator, number=self.throws
+            )
+        self._enter(Phase.CONTACT)
+
+    def _advance_throw(self, step: int, motion: PlateStates | None) -> ThrowStep | None:
+        """Bring the state to a step; return what the throw under way gives, if there is one."""
+        throw, config = self._throw, self._staged.config
+        if throw is None:
+            self._state = self._idle_state(step)
+            return None
+        had_left = throw.has_left
+        if isinstance(throw, ScheduledThrow):
+            advanced = throw.advance((step - self._start) * self._prepared.tick, config)
+        else:
+            assert motion is not None
+            now_ns = self.schedule.deadline(step)
+            advanced = throw.advance(motion, step=step, now_ns=now_ns, config=config)
+        self._state = advanced.state
+        for event in advanced.events:
+            self._enter(_PHASES[event.kind])
+        if advanced.forecast is not None:
+            self._report(step, advanced.forecast)
+        if throw.has_left and not had_left:
+            self._report(step, throw.result('release', step, config))
+        returning = self._prepared.return_ticks(config.throw_period)
+        ended_by = throw.ended_by or ('period' if step >= self._throw_due - returning else '')
+        if ended_by:
+            self._end_throw(step, throw, ended_by)
+        else:
+            self._throw_field = throw.throw_field()
+        return advanced
+
+    def _idle_state(self, step: int) -> State:
+        """Return where plate and projectile are between throws."""
+        prepared = self._prepared
+        if self.monitor is not None:
+            return self.monitor.state(prepared.rest)
+        if self._phase is Phase.RETURNING:
+            return self._return_path.state(step, tick=prepared.tick)
+        return prepared.rest
+
+    def _end_throw(self, step: int, throw: ScheduledThrow | MeasuredThrow, ended_by: str) -> None:
+        throw.end(ended_by)
+        self._report(step, throw.result('final', step, self._staged.config))
+        self._throw_field = throw.throw_field()
+        self._throw = None
+        self._put_back(step)
+
+    def _put_back(self, step: int) -> None:
+        """Begin the way back to rest, with whatever has waited in effect."""
+        if self._staged.is_pending:
+            self._commit(step)
+        prepared = self._prepared
+        if not self._staged.config.is_measured:
+            ticks = prepared.return_ticks(self._staged.config.throw_period)
+            self._return_path = ReturnPath(
+                begin=step, end=step + ticks, origin=self._state, goal=prepared.rest
+            )
+        self._start_monitoring()
+        self._layer_start, self._layer_row = step, -1
+        self._enter(Phase.RETURNING)
+
+    def _commit(self, step: int) -> None:
+        """Put in effect what has waited; the period goes on as long as it was for the rig."""
+        passed = (step - self._start) * self._prepared.tick
+        self._staged.commit()
+        self._start = step - round(passed / self._prepared.tick)
+        self.set_throw_due()
+
+    def set_throw_due(self) -> None:
+        """Find when the next throw is due by the period."""
+        period = self._staged.config.throw_period
+        if period and not self._staged.config.is_measured:
+            self._throw_due = self._start + self._prepared.period_ticks(period)
+        else:
+            self._throw_due = math.inf
+
+    def _layer(self, step: int) -> LayerState | None:
+        """Return the layer, if `rate.field` has it due."""
+        config = self._staged.config
+        row = int((step - self._layer_start) * config.field_rate // config.state_rate)
+        if row == self._layer_row:
+            return None
+        self._layer_row = row
+        if self._phase is Phase.REST:
+            return self._prepared.rest_layer
+        if self._throw is None:
+            return self._idle_layer()
+        rows = np.empty((3, FIELD_POINTS))
+        self._throw.read_layer(rows)
+        return LayerState(*rows)
+
+    def _idle_layer(self) -> LayerState:
+        """Return the layer lying on the plate, without force, between throws."""
+        rest, height, state = self._prepared.rest, self._prepared.rest_layer.height, self._state
+        room = state.projectile_position - state.plate_position
+        part = min(1.0, room / (rest.projectile_position - rest.plate_position))
+        return LayerState(
+            state.plate_position + part * (height - rest.plate_position),
+            np.full(FIELD_POINTS, state.plate_velocity),
+            np.zeros(FIELD_POINTS),
+        )
+
+    def _enter(self, phase: Phase) -> None:
+        self._phase = phase
+        self._phases.append(phase)
+
+    def _report(self, step: int, result: ThrowResult) -> None:
+        self._results.append(result)
+        self._journal.result(step, result)
+
+    def _start_monitoring(self, onset: Onset | None = None) -> None:
+        """Wait for the next jump of the plate, if it is measured."""
+        config = self._staged.config
+        if not config.is_measured:
+            self.monitor = None
+            return
+        self._throw_requested_at = math.inf
+        if self.monitor is None or onset is not None:
+            self.monitor = PlateMonitor(config.measurement, self.sample_counts, onset)
+        else:
+            self.monitor.rearm(config.measurement)
+
+    def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
+        """See how the plate moves, and start a throw when it jumps up."""
+        now_ns = self.schedule.deadline(step)
+        onset, self._onset = self._onset, None
+        motion = NO_STATES
+        if onset is None:
+            motion, onset = monitor.advance(now_ns)
+            if onset is not None and not self._is_fast_enough(monitor):
+                onset = None
+        if onset is not None:
+            if self._throw is not None:
+                self._end_throw(step, self._throw, 'next')
+            if self._staged.is_pending:
+                self._commit(step)
+            if self._staged.config.is_measured:
+                self._begin_throw(step, onset)
+                assert self.monitor is not None
+                motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
+            elif self.monitor is not None:  # from now on it is not measured
+                self._put_back(step)
+        elif self._phase is Phase.RETURNING and monitor.is_armed:
+            self._enter(Phase.REST)
+            self._is_fast_enough(monitor)
+        return motion
+
+    def _is_fast_enough(self, monitor: PlateMonitor) -> bool:
+        """Tell whether there are enough samples, and if not, say so."""
+        rate_warning = monitor.rate_warning(self._prepared.rig.crossing_time)
+        if rate_warning:
+            self._notices.append(rate_warning)
+        return not rate_warning

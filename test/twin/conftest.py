@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions to test with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+import itertools
+import math
+from pathlib import Path
+import runpy
+from typing import Any
+
+import numpy as np
+import pytest
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.core_adapter import Event
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.replay import replay
+from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
+from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+
+BEGIN = 1_700_000_000 * SECOND
+TRANSPORT = 150_000  # of a sample [ns]
+
+_rigs: Any = runpy.run_path(str(Path(__file__).with_name('rigs.py')))
+
+
+class Run:
+    """
+    A session from step 0 at `begin_ns`, its journal, and all that came out.
+
+    `request` are settings other than the defaults, `__` for the dot.
+    """
+
+    begin_ns = BEGIN
+
+    def __init__(self, **request: Any) -> None:
+        self.journal: list[str] = []
+        self.outputs: list[Outputs] = []
+        self.settings = settings(**request)
+        self.rig = rig_of(self.settings)
+        self.session = Session(self.settings, on_entry=self.journal.append)
+        self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
+        self.session.set_tick_schedule(self.schedule)
+        self._waiting: list[tuple[int, Sample]] = []
+
+    def go(self, steps: int) -> list[Outputs]:
+        """Go so many steps on, and return what they give."""
+        first = len(self.outputs)
+        for _ in range(steps):
+            now_ns = self.schedule.deadline(self.session.step)
+            count = sum(arrival <= now_ns for arrival, _ in self._waiting)
+            self.session.measure([sample for _, sample in self._waiting[:count]])
+            del self._waiting[:count]
+            self.outputs.append(self.session.advance())
+        return self.outputs[first:]
+
+    def go_until(self, phase: Phase, limit: int = 20_000) -> Outputs:
+        """Go on to the step that enters a phase."""
+        for _ in range(limit):
+            (outputs,) = self.go(1)
+            if phase in outputs.phases:
+                return outputs
+        raise AssertionError(f'{phase} has not come in {limit} steps')
+
+    def send(self, samples: Iterable[Sample], delays: Sequence[int] = ()) -> None:
+        """Have samples arrive so much after their stamps."""
+        for sample, delay in itertools.zip_longest(samples, delays, fillvalue=TRANSPORT):
+            self._waiting.append((sample.stamp_ns + delay, sample))
+        self._waiting.sort(key=lambda item: item[0])
+
+    def receive(self) -> None:
+        """Go on until all samples have come."""
+        while self._waiting:
+            self.go(1)
+
+    def measure(self, rig: Any = None, **kwargs: Any) -> None:
+        """Measure a throw of a rig of its own, and go on to the end of the samples."""
+        kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
+        self.send(_rigs['measured_throw'](rig or self.rig, **kwargs))
+        self.receive()
+
+    def results(self, stage: str) -> list[ThrowResult]:
+        results = itertools.chain.from_iterable(outputs.results for outputs in self.outputs)
+        return [result for result in results if result.stage == stage]
+
+    def events(self) -> list[Event]:
+        return [event for outputs in self.outputs for event in outputs.events]
+
+    def phases(self) -> list[Phase]:
+        return [phase for outputs in self.outputs for phase in outputs.phases]
+
+    def notices(self) -> list[str]:
+        return [notice for outputs in self.outputs for notice in outputs.notices]
+
+    def entries(self, kind: str) -> list[dict[str, Any]]:
+        entries = map(journal.decode, self.journal)
+        return [entry for entry in entries if entry['kind'] == kind]
+
+    def starts(self) -> list[int]:
+        """Return the steps at which throws started."""
+        return [entry['step'] for entry in self.entries('throw')]
+
+    def repeat(self, throw: int = 0) -> Iterator[Outputs]:
+        """Repeat it from its journal, from a throw on."""
+        self.session.close()
+        return replay(self.journal, until=self.session.step, throw=throw)
+
+
+PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+MEASUREMENT = MeasurementConfig(
+    smoothing_window_ns=2_000_000,
+    wait_ns=0,
+    position_noise=5e-6,
+    velocity_noise=1e-2,
+    start_speed=0.1 * PLATE.peak_velocity,
+    residual_threshold=5e-5,
+    plate=PLATE,
+)
+INTERVAL = 200_000  # [ns]
+
+
+def make_plate_samples(
+    count: int = 100, *, onset: float = math.inf, noise: float = 0.0
+) -> list[Sample]:
+    """Measure a plate every 0.2 ms, at a height of 0.3 m before it starts, and a projectile."""
+    random = np.random.default_rng(4)
+    stamps = BEGIN + INTERVAL * np.arange(count)
+    heights = 0.3 + PLATE.position((stamps - BEGIN) / SECOND - onset)
+    heights += noise * random.standard_normal(count)
+    return [
+        Sample(stamp, height, math.nan, 0.5)
+        for stamp, height in zip(stamps.tolist(), heights.tolist(), strict=True)
+    ]
+
+
+def settings(**request: Any) -> dict[str, Any]:
+    """Return complete settings."""
+    named = {name.replace('__', '.'): value for name, value in request.items()}
+    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
+
+
+def same_bits(ours: Outputs, theirs: Outputs) -> bool:
+    """Compare everything, numbers by all their digits, and arrays by their bytes."""
+    return _content(ours) == _content(theirs)
+
+
+def _content(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_content(part) for part in value]
+    return value.tobytes() if hasattr(value, 'tobytes') else repr(value)
+
+
+@pytest.fixture(scope='session')
+def start() -> type[Run]:
+    """Give what starts a session with settings other than the defaults."""
+    return Run
+
+
+@pytest.fixture(scope='session', name='settings')
+def settings_() -> Callable[..., dict[str, Any]]:
+    """Give what makes complete settings of some."""
+    return settings
+
+
+@pytest.fixture(scope='session')
+def same() -> Callable[[Outputs, Outputs], bool]:
+    """Give what compares outputs to the last bit."""
+    return same_bits
+
+
+@pytest.fixture(scope='session')
+def rigs() -> Any:
+    """Give the rigs that are measured."""
+    return _rigs
+
+
+@pytest.fixture(scope='session')
+def make_samples() -> Callable[..., list[Sample]]:
+    """Give what measures a plate."""
+    return make_plate_samples
+
+
+@pytest.fixture(scope='session')
+def measurement() -> MeasurementConfig:
+    """Give how that is measured."""
+    return MEASUREMENT

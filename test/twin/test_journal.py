@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The journal: what it says, and that a session can be repeated from it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+import math
+from typing import Any
+from zlib import crc32
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.journal_writer import STATE
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.replay import apply_input, follow, replay
+from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+
+@pytest.fixture(scope='module')
+def eventful(start) -> Any:
+    """A run with a bit of everything."""
+    run = start(throw__max_events=4)
+    run.go(1234)
+    run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
+    run.session.change({'max_strain': 0.3})
+    run.go(1111)
+    run.session.reset()
+    run.go(77)
+    run.session.change({'layer.thickness': 0.0168, 'gravity': 3.7})
+    run.session.change({'throw.period': 0.6, 'throw.max_events': 2})
+    run.go(2000)
+    run.session.change({'throw.period': 0.0, 'time_scale': 0.1, 'rate.field': 333.0})
+    run.go(3000)
+    run.session.request_throw()
+    run.go(400)
+    run.session.change({'projectile.mass': 4e-3})
+    run.go(700)
+    run.session.change({'throw.period': 0.05, 'engine.frequency': 50.0})
+    run.go(3000)
+    run.session.close()
+    return run
+
+
+def test_replay_begins_with_the_first_throw_of_a_journal_without_its_start(eventful, same) -> None:
+    lines = eventful.journal[4:]
+    again = list(replay(lines, until=eventful.session.step))
+    first = next(entry['step'] for entry in map(journal.decode, lines) if entry['kind'] == 'throw')
+    assert again[0].step == first
+    assert all(map(same, again, eventful.outputs[first:]))
+
+
+def test_replay_writes_the_same_journal(eventful) -> None:
+    written: list[str] = []
+    entries = list(map(journal.decode, eventful.journal))
+    session = Session.from_entry(entries[0], on_entry=written.append)
+    for entry in entries[1:]:
+        for _ in follow(session, entry):
+            pass
+    session.close()
+    assert written == eventful.journal
+
+
+def test_lines_are_numbered(eventful) -> None:
+    numbers = [journal.decode(line)['line'] for line in eventful.journal]
+    assert numbers == list(range(len(numbers)))
+
+
+def test_journal_has_all_inputs_with_their_steps(start) -> None:
+    run = start()
+    run.go(7)
+    run.session.request_throw()
+    run.go(5)
+    run.session.change({'gravity': 1.62})
+    run.session.reset()
+    run.go(1)
+    inputs = [(entry['step'], entry['input']) for entry in run.entries('input')]
+    assert inputs == [(7, 'throw'), (12, 'parameters'), (12, 'reset')]
+    assert run.entries('input')[1]['values'] == {'gravity': 1.62}
+    (begin,) = run.entries('start')
+    assert begin['settings'] == TWIN.defaults()
+    assert set(begin['versions']) >= {'soft_throw_ros', 'numpy', 'numba', 'python'}
+
+
+# checksums and results
+
+
+def test_checksums_are_those_of_the_states_and_fields(eventful) -> None:
+    checksums = eventful.entries('checksum')
+    assert checksums[0]['first'] == 0
+    assert checksums[-1]['step'] == eventful.session.step
+    for earlier, later in pairwise(checksums):
+        assert later['first'] == earlier['step']
+    assert max(entry['step'] - entry['first'] for entry in checksums) == 1000
+    assert set(eventful.starts()) < {entry['first'] for entry in checksums}
+    for entry in checksums:
+        outputs = eventful.outputs[entry['first'] : entry['step']]
+        assert entry['states'] == crc32(b''.join(STATE.pack(*item.state) for item in outputs))
+        fields = b''
+        for item in outputs:
+            fields += b''.join(array.tobytes() for array in item.layer or ())
+            if item.throw_field is not None:
+                times, strain = item.throw_field[:2]
+                fields += crc32(times.tobytes() + strain.tobytes()).to_bytes(4, 'little')
+        assert entry['fields'] == crc32(fields)
+
+
+def test_results_are_in_the_journal_with_all_digits_and_the_checksums_of_their_throws(
+    eventful,
+) -> None:
+    results = [result for outputs in eventful.outputs for result in outputs.results]
+    entries = eventful.entries('result')
+    assert len(entries) == len(results) > 10
+    begins = dict(enumerate(eventful.starts(), 1))
+    for entry, result in zip(entries, results, strict=True):
+        values = entry['result']
+        assert (values['throw'], values['stage']) == (result.throw, result.stage)
+        for name in ('peak_strain', 'plate_work', 'apex_height', 'recontacts', 'landings'):
+            assert values[name] == getattr(result, name)
+        if result.first is not None:
+            assert values['first.speed'] == result.first.speed
+        assert ('states' in entry) == (result.stage == 'final')
+        if result.stage == 'final':
+            outputs = eventful.outputs[begins[result.throw] : entry['step']]
+            assert entry['states'] == crc32(b''.join(STATE.pack(*o.state) for o in outputs))
+
+
+def test_infinite_apex_is_none_in_the_journal(start) -> None:
+    run = start(throw__period=0.1, gravity=0)
+    run.go(250)
+    values = run.entries('result')[0]['result']
+    assert run.results('release')[0].apex_height == math.inf
+    assert values['apex_height'] is None
+
+
+# samples and onsets
+
+numbers = st.floats(allow_nan=False)
+samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers, numbers)
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2**40), st.lists(samples, min_size=1, max_size=5)),
+        min_size=1,
+        max_size=6,
+        unique_by=lambda batch: batch[0],
+    ).map(sorted)
+)
+def test_samples_come_back_to_the_last_bit(batches) -> None:
+    entry = {'kind': 'samples', 'step': batches[-1][0], **journal.encode_samples(batches)}
+    entry = journal.decode(journal.encode(entry))
+    assert journal.entry_samples(entry) == batches
+    assert entry['count'] == sum(len(batch) for _, batch in batches)
+
+
+@pytest.mark.parametrize('projectile', [0.5, math.nan])
+def test_onsets_come_back(projectile) -> None:
+    onset = Onset(
+        onset_ns=10**18,
+        plate_rest=0.3,
+        projectile_rest=projectile,
+        samples=tuple(Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)),
+    )
+    schedule = TickSchedule(step=0, time_ns=5, rate=1e3)
+    entry = {
+        'kind': 'throw',
+        'step': 7,
+        'schedule': journal.encode_schedule(schedule),
+        'onset': journal.encode_onset(onset),
+    }
+    entry = journal.decode(journal.encode(entry))
+    assert repr(journal.decode_onset(entry['onset'])) == repr(onset)
+    assert journal.entry_schedule(entry) == schedule
+
+
+def test_journals_from_before_the_renaming_are_read() -> None:
+    line = '{"kind":"pace","step":3,"anchor_step":0,"anchor_time_ns":1000,"rate":500.0}'
+    schedule = journal.entry_schedule(journal.decode(line))
+    assert schedule == TickSchedule(step=0, time_ns=1000, rate=500.0)
+    onset = journal.decode('{"kind":"throw","step":3,"departure":{"onset_ns":7}}')['onset']
+    assert onset == {'onset_ns': 7}
+
+
+# what does not fit
+
+SCHEDULE = {
+    'kind': 'tick_schedule',
+    'step': 3,
+    **journal.encode_schedule(TickSchedule(step=0, time_ns=1_000, rate=1000.0)),
+}
+
+
+@pytest.mark.parametrize(
+    'values', [{'anchor_time_ns': 0.5}, {'rate': 0.0}, {'rate': '1'}, {'anchor_step': None}]
+)
+def test_schedule_that_is_none_is_refused_with_the_value(values) -> None:
+    (value,) = values.values()
+    with pytest.raises(journal.JournalError, match=str(value)):
+        journal.entry_schedule({**SCHEDULE, **values})
+    broken = {name: value for name, value in SCHEDULE.items() if name not in values}
+    with pytest.raises(journal.JournalError, match=next(iter(values))):
+        journal.entry_schedule(broken)
+
+
+@pytest.mark.parametrize(
+    ('line', 'value'),
+    [
+        ('nonsense', 'nonsense'),
+        ('[1, 2]', '1, 2'),
+        ('{"kind": "throw"}', 'step'),
+        ('{"kind": "throw", "step": 0.5}', '0.5'),
+        ('{"kind": "throw", "step": 7, "throw": "one"}', 'one'),
+        ('{"kind": "throw", "step": 7, "versions": 6}', '6'),
+    ],
+)
+def test_line_that_is_no_entry_is_refused_with_it(line, value) -> None:
+    with pytest.raises(journal.JournalError, match=value):
+        journal.decode(line)
+
+
+def test_what_does_not_fit_a_session_is_refused_with_it(eventful) -> None:
+    begin = eventful.entries('throw')[0]
+    with pytest.raises(journal.JournalError, match='throw 99'):
+        next(replay(eventful.journal, until=10_000, throw=99))
+    with pytest.raises(journal.JournalError, match='settings'):
+        Session.from_entry({'kind': 'throw', 'step': 3})
+    with pytest.raises(journal.JournalError, match="'input'"):
+        Session.from_entry({**begin, 'kind': 'input'})
+    with pytest.raises(journal.JournalError, match='thick'):
+        Session.from_entry(
+            {**begin, 'settings': {**begin['settings'], 'layer.thickness': 'thick'}}
+        )
+    measured = {**begin['settings'], 'engine.motion': 'measured'}
+    with pytest.raises(journal.JournalError, match='None'):
+        Session.from_entry({**begin, 'settings': measured, 'onset': None})
+    session = Session(TWIN.defaults())
+    with pytest.raises(journal.JournalError, match='before step 0'):
+        apply_input(session, {'kind': 'input', 'step': 5, 'input': 'throw'})
+    with pytest.raises(journal.JournalError, match='sing'):
+        apply_input(session, {'kind': 'input', 'step': 0, 'input': 'sing'})
+    with pytest.raises(journal.JournalError, match='no samples'):
+        journal.entry_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})

@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Throws of a measured plate, in the session: samples in, predictions out, and once more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.twin.core_adapter import (
+    make_stepper,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+)
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.results import Phase
+from soft_throw_ros.twin.session import RequestRejected
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+ONSET = 0.0512345
+MEASURED = {'engine__motion': 'measured'}
+
+
+def follow(rig: Any, times: Sequence[float]) -> np.ndarray:
+    """Return position and velocity of the projectile of a rig of its own."""
+    stepper = make_stepper(rig, 'travelling_wave', None, field_points=2)
+    rows = []
+    for time in times:
+        stepper.advance_to(max(time, 0.0))
+        rows.append(stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]].copy())
+    return np.array(rows)
+
+
+@pytest.fixture(scope='module')
+def quiet(start) -> Any:
+    """One throw, measured without noise."""
+    run = start(**MEASURED)
+    run.measure(duration=0.4, onset=ONSET)
+    return run
+
+
+# prediction
+
+
+def test_throw_starts_with_the_plate(quiet) -> None:
+    assert quiet.phases()[:3] == [Phase.REST, Phase.CONTACT, Phase.FLIGHT]
+    (entry,) = quiet.entries('throw')
+    assert entry['onset']['onset_ns'] - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
+    assert entry['step'] <= 55  # nothing is lost, though it is seen after 3 ms
+
+
+def test_release_is_predicted_as_it_is(quiet) -> None:
+    exact = simulate(quiet.rig)
+    (predicted,), (release,) = quiet.results('predicted'), quiet.results('release')
+    for result in (predicted, release):
+        assert result.first.time == pytest.approx(exact.ejection_time, abs=1e-5)
+        assert result.first.speed == pytest.approx(exact.ejection_speed, rel=1e-3)
+        assert result.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=1e-3)
+        assert result.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
+        assert result.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=0.02)
+    assert predicted.step < release.step
+    assert predicted.lead == release.lead
+    assert predicted.apex_height == pytest.approx(release.apex_height, rel=1e-3)
+    assert predicted.ended_by == ''
+
+
+def test_lead_is_the_crossing_time_less_filter_and_transport(quiet) -> None:
+    crossing = quiet.rig.crossing_time
+    leads = [outputs.prediction.lead_ns for outputs in quiet.outputs if outputs.prediction]
+    latest = 0.5e-3 + 0.25e-3 + 0.2e-3 + 0.15e-3 + 0.05e-3  # window, states, sample, transport
+    assert crossing - latest < min(leads) / SECOND <= max(leads) / SECOND < crossing - 0.5e-3
+    (predicted,) = quiet.results('predicted')
+    assert 0.0 < predicted.lead < max(leads) / SECOND
+    assert predicted.is_ahead
+    assert f'{1e3 * predicted.lead:.2f} ms' in predicted.describe_lead()
+
+
+def test_projectile_is_where_it_is_predicted_and_state_is_that_of_the_rig(quiet) -> None:
+    flying = [outputs for outputs in quiet.outputs if outputs.prediction][:20]
+    predictions = [outputs.prediction for outputs in flying]
+    times = [(item.stamp_ns - quiet.begin_ns) / SECOND - ONSET for item in predictions]
+    position, velocity = follow(quiet.rig, times).T
+    assert [item.position for item in predictions] == pytest.approx(position, abs=2e-6)
+    assert [item.velocity for item in predictions] == pytest.approx(velocity, abs=3e-3)
+    times = [1e-3 * outputs.step - ONSET for outputs in flying]
+    states = [outputs.state for outputs in flying]
+    position, _ = follow(quiet.rig, times).T
+    assert [state.projectile_position for state in states] == pytest.approx(position, abs=2e-6)
+    # what the last millisecond has brought is extrapolated
+    plate = Underdamped.of(quiet.rig.engine).position(times)
+    assert [state.plate_position for state in states] == pytest.approx(plate, abs=5e-5)
+
+
+def test_residual_without_noise_is_none(quiet) -> None:
+    residuals = [outputs.residual for outputs in quiet.outputs if outputs.residual]
+    aloft = [item for item in residuals if item.stamp_ns < quiet.begin_ns + 0.08 * SECOND]
+    assert len(aloft) > 20
+    assert max(max(abs(item.projectile), abs(item.plate)) for item in aloft) < 1e-6
+    result = (quiet.results('final') or quiet.results('release'))[0]
+    assert result.comparison.position_rms < 1e-6
+
+
+def test_throw_field_is_that_of_the_throw(quiet, start) -> None:
+    (field,) = (outputs.throw_field for outputs in quiet.outputs if outputs.throw_field)
+    exact = start(throw__period=0.0)
+    exact.session.request_throw()
+    exact.go(60)
+    (expected,) = (outputs.throw_field for outputs in exact.outputs if outputs.throw_field)
+    assert field.times == pytest.approx(expected.times, rel=2e-3)
+    assert np.abs(field.strain - expected.strain).max() < 5e-3
+    assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_noise_and_jitter_leave_the_release_to_a_percent(start, seed) -> None:
+    run = start(**MEASURED, layer__name='gelatin_29.1mm')
+    run.measure(noise=5e-6, jitter=0.3, seed=seed, onset=0.0501)
+    exact = simulate(run.rig)
+    (predicted,) = run.results('predicted')
+    assert predicted.first.speed == pytest.approx(exact.ejection_speed, rel=0.01)
+    assert predicted.first.time == pytest.approx(exact.ejection_time, rel=0.01)
+    assert predicted.lead > 0.25 * run.rig.crossing_time
+
+
+@pytest.mark.parametrize(
+    ('model', 'loss', 'is_ahead'),
+    [
+        ('finite_difference', 0.0, True),
+        ('finite_difference', 0.02, True),
+        ('finite_difference_elastic', 0.0, True),
+        ('finite_difference_glued', 0.0, False),  # it leaves at the plate
+        ('spring_mass', 0.0, False),  # waves need no time
+    ],
+)
+def test_other_models_are_as_far_ahead_as_their_waves(start, model, loss, is_ahead) -> None:
+    run = start(**MEASURED, model=model, layer__loss_tangent=loss)
+    run.measure(Rig())
+    theirs = start(model=model, layer__loss_tangent=loss, throw__period=0.0)
+    theirs.session.request_throw()
+    theirs.go(60)
+    (predicted,), (expected,) = run.results('predicted'), theirs.results('release')
+    assert predicted.first.time == pytest.approx(expected.first.time, rel=2e-3)
+    assert predicted.first.speed == pytest.approx(expected.first.speed, rel=2e-3)
+    assert predicted.is_ahead == is_ahead
+
+
+def test_without_a_projectile_there_is_no_residual(start) -> None:
+    run = start(**MEASURED)
+    run.measure(has_projectile=False)
+    assert not any(outputs.residual for outputs in run.outputs)
+    assert run.results('release')[0].comparison is None
+
+
+@pytest.mark.parametrize(('factor', 'noise'), [(0.93, 5e-6), (0.97, 0.0)])
+def test_layer_that_has_aged_is_beyond_the_threshold_by_its_errors(
+    start, rigs, factor, noise
+) -> None:
+    run = start(**MEASURED, measured__band=5e-5)
+    other = rigs['aged'](run.rig, factor)
+    run.measure(other, noise=noise)
+    run.session.reset()
+    run.go(3)
+    comparison = run.results('final')[0].comparison
+    assert not comparison.is_within_threshold
+    assert comparison.threshold == 5e-5
+    assert '50 um' in comparison.describe()
+    # errors are those at the height of the release by the model
+    ours = simulate(run.rig)
+    begin, end = follow(run.rig, [0.0, ours.ejection_time])[:, 0]
+    times = np.linspace(0.5, 1.5, 20001) * ours.ejection_time
+    track, speeds = follow(other, [0.0, *times]).T
+    passed = np.searchsorted(track[1:] - track[0], end - begin)
+    assert comparison.ejection_time_error == pytest.approx(
+        ours.ejection_time - times[passed], abs=5e-6 if not noise else 5e-5
+    )
+    assert comparison.ejection_speed_error == pytest.approx(
+        ours.ejection_speed - speeds[1:][passed], abs=1e-3 if not noise else 1e-2
+    )
+
+
+# what goes wrong
+
+
+@pytest.mark.parametrize(('gap', 'is_valid'), [(2.4e6, False), (1.6e6, True)])
+def test_gap_longer_than_a_crossing_makes_the_throw_invalid(start, rigs, gap, is_valid) -> None:
+    run = start(**MEASURED)
+    onset = run.begin_ns + SECOND // 20
+    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns)
+    run.send(item for item in samples if not 4.0e6 <= item.stamp_ns - onset < 4.0e6 + gap)
+    run.receive()
+    if is_valid:
+        (release,) = run.results('release')
+        exact = simulate(run.rig)
+        assert release.is_valid
+        assert release.first.speed == pytest.approx(exact.ejection_speed, rel=0.01)
+    else:
+        (final,) = run.results('final')
+        assert (final.ended_by, final.is_valid) == ('gap', False)
+        assert 'throw 1' in final.describe()
+
+
+def test_plate_that_is_not_measured_any_more_is_lost(start) -> None:
+    run = start(**MEASURED)
+    run.measure(duration=0.056)
+    assert run.session.throws == 1
+    run.go(900)
+    assert not run.results('final')  # nothing is concluded from messages that are late
+    run.go(150)
+    assert not run.results('final')[0].is_valid
+    assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
+
+
+@pytest.mark.parametrize(
+    ('rate', 'request_', 'reason'),
+    [
+        (1200.0, {'measured__window': 3e-3}, 'crossing'),
+        (1700.0, {'layer__thickness': 0.05, 'measured__window': 2e-3}, 'measured.window'),
+    ],
+)
+def test_rate_that_is_too_low_is_told_with_the_number(start, rate, request_, reason) -> None:
+    run = start(**MEASURED, **request_)
+    run.measure(rate=rate, duration=0.3, onset=0.2)
+    assert run.session.throws == 0
+    assert run.notices()
+    assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
+
+
+def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
+    run = start(**MEASURED)
+    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=2e-6)
+    random = np.random.default_rng(6)
+    for index, sample in enumerate(samples):
+        arriving = [sample]
+        if index % 10 == 3:
+            arriving.append(sample)
+        elif index % 10 == 7:
+            arriving = [sample._replace(plate=math.nan)]
+        elif index % 50 == 5:
+            arriving.append(sample._replace(stamp_ns=sample.stamp_ns + SECOND))
+            arriving.append(sample._replace(stamp_ns=sample.stamp_ns - 2 * SECOND))
+        for item in arriving:
+            run.send([item], [sample.stamp_ns - item.stamp_ns + random.integers(1e5, 1.5e5)])
+    run.receive()
+    counts = run.session.sample_counts
+    assert counts.refused == {'doubled': 60, 'not finite': 60, 'future': 12, 'past': 12}
+    assert counts.taken == len(samples) - 60
+    (release,) = run.results('release')
+    assert release.first.speed == pytest.approx(simulate(run.rig).ejection_speed, rel=0.01)
+
+
+def test_throw_cannot_be_requested(start) -> None:
+    with pytest.raises(RequestRejected, match='measured'):
+        start(**MEASURED).session.request_throw()
+
+
+# from throw to throw
+
+
+def test_next_jump_after_a_rest_starts_the_next_throw_with_what_waits(start, rigs) -> None:
+    run = start(**MEASURED, layer__thickness=0.0095)
+    run.measure(duration=0.15)
+    run.session.change({'layer.thickness': 0.0168})
+    assert run.session.pending == {'layer.thickness': 0.0168}
+    flat = {'begin_ns': run.begin_ns + 150_000_000, 'onset': 1.0, 'duration': 0.05}
+    run.send(rigs['measured_throw'](run.rig, **flat))
+    run.measure(begin_ns=run.begin_ns + 200_000_000)
+    assert run.session.throws == 2
+    thicknesses = [result.rig.layer.thickness for result in run.results('release')]
+    assert thicknesses == [0.0095, 0.0168]
+    assert run.session.pending == {}
+    assert run.results('final')[0].ended_by in ('next', 'rest', 'max_events')
+
+
+@pytest.mark.parametrize('is_flying', [False, True])
+def test_jump_takes_over_another_motion_that_waits(start, rigs, same, is_flying) -> None:
+    run = start(**MEASURED, throw__period=0.0)
+    if is_flying:
+        run.measure()
+        flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
+        run.send(rigs['measured_throw'](run.rig, **flat))
+        run.receive()
+    throws = run.session.throws
+    run.session.change({'engine.motion': 'underdamped'})
+    run.measure()
+    assert run.session.throws == throws
+    assert not run.session.is_measured
+    assert run.phases()[-1] is Phase.RETURNING
+    run.go(200)
+    assert run.phases()[-2:] == [Phase.RETURNING, Phase.REST]
+    assert all(map(same, run.repeat(), run.outputs))
+
+
+def test_plate_at_rest_is_shown_where_it_is_measured(start) -> None:
+    run = start(**MEASURED)
+    run.measure(duration=0.2)
+    run.session.reset()
+    run.go(2)
+    assert run.results('final')[0].ended_by == 'reset'
+    state, rest = run.outputs[-1].state, run.outputs[0].state
+    plate = float(Underdamped.of(run.rig.engine).position(0.15))
+    assert state.plate_position == pytest.approx(plate, abs=2e-5)
+    gap = rest.projectile_position
+    assert state.projectile_position - state.plate_position == pytest.approx(gap)
+
+
+def test_measurement_can_be_switched_on_and_off(start, same) -> None:
+    run = start(throw__period=0.0)
+    run.session.measure([Sample(run.begin_ns, 0.0)])  # nobody listens
+    run.session.change({'engine.motion': 'measured'})
+    run.session.request_throw()  # which takes over what was pending first, and then there is none
+    run.measure()
+    assert run.session.is_measured
+    assert (run.session.throws, len(run.results('release'))) == (1, 1)
+    run.session.change({'engine.motion': 'underdamped'})
+    run.session.reset()
+    run.go(200)
+    assert not run.session.is_measured
+    run.session.request_throw()
+    run.go(20)
+    assert len(run.results('release')) == 2
+    assert all(map(same, run.repeat(), run.outputs))
+
+
+# once more
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 1000), throw=st.integers(0, 2), rate=st.sampled_from([10.0, 1000.0]))
+def test_measured_run_is_repeated_to_the_bit_from_any_throw(
+    start, rigs, same, seed, throw, rate
+) -> None:
+    run = start(**MEASURED, rate__field=rate)
+    random = np.random.default_rng(seed)
+    for number in range(2):
+        samples = rigs['measured_throw'](
+            run.rig,
+            begin_ns=run.schedule.deadline(run.session.step),
+            noise=5e-6,
+            jitter=0.4,
+            seed=seed + number,
+        )
+        run.send(samples, random.integers(0, 2_000_000, len(samples)).tolist())
+        run.receive()
+        run.session.reset()
+    run.go(5)
+    again = list(run.repeat(throw if throw <= run.session.throws else 0))
+    assert again
+    assert all(map(same, again, run.outputs[again[0].step :]))
+
+
+SPOILT = {
+    'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
+    'plate_velocity': st.sampled_from([0.0, 10.0, -999.0, math.inf]),
+    'projectile': st.sampled_from([math.nan, 5.0, -99.0, math.inf]),
+}
+
+
+@settings(max_examples=15)
+@given(
+    model=st.sampled_from(['travelling_wave', 'finite_difference_glued', 'spring_mass']),
+    rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
+    wait=st.sampled_from([0.0, 1e-3]),
+    spoilt=st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=SPOILT)), max_size=20
+    ),
+    moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
+    gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
+)
+def test_whatever_is_measured_is_followed_or_refused_and_repeated(
+    start, rigs, same, model, rate, wait, spoilt, moved, gap
+) -> None:
+    run = start(**MEASURED, model=model, measured__wait=wait)
+    samples = rigs['measured_throw'](
+        run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
+    )
+    last = len(samples) - 1
+    for place, values in spoilt:
+        samples[int(place * last)] = samples[int(place * last)]._replace(**values)
+    delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
+    for place, shift in moved:
+        index = int(place * last)
+        samples[index] = samples[index]._replace(stamp_ns=samples[index].stamp_ns + shift)
+        delays[index] -= shift
+    first = int(gap[0] * last)
+    del samples[first : first + gap[1]]
+    del delays[first : first + gap[1]]
+    run.send(samples, delays)
+    run.receive()
+    run.go(10)
+    counts = run.session.sample_counts
+    assert counts.taken + sum(counts.refused.values()) == len(samples)
+    assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
+    assert all(map(same, run.repeat(), run.outputs))
+
+
+def test_journal_of_samples_is_small_and_tells_that_nothing_is_measured(start) -> None:
+    run = start(**MEASURED)
+    run.measure(duration=0.4)
+    assert sum(map(len, run.journal)) < 25 * run.session.sample_counts.taken + 25_000
+    silent = start(**MEASURED)
+    silent.go(450)
+    told = silent.entries('samples')
+    assert [entry['step'] for entry in told] == [101, 202, 303, 404]
+    assert [entry['count'] for entry in told] == [0] * 4

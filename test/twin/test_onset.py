@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a throw of a measured plate begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.onset import (
+    first_states,
+    Onset,
+    OnsetDetector,
+    peak_speed,
+    time_since_start,
+)
+from soft_throw_ros.twin.plate_estimator import PlateEstimator, Sample
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+BEGIN = 1_700_000_000 * SECOND
+INTERVAL = 200_000  # of the samples [ns]
+PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+
+
+def detect(config: MeasurementConfig, samples: list[Sample]) -> tuple[Onset | None, int]:
+    """Find the first onset, and how many samples that took."""
+    estimator = PlateEstimator(config)
+    detector = OnsetDetector(estimator)
+    for count, sample in enumerate(samples, 1):
+        estimator.take([sample], sample.stamp_ns)
+        onset = detector.detect(estimator.advance(sample.stamp_ns))
+        if onset is not None:
+            return onset, count
+    return None, len(samples)
+
+
+@pytest.mark.parametrize(('noise', 'accuracy'), [(0.0, 5e-6), (5e-6, 2e-5)])
+@pytest.mark.parametrize('start', [0.02, 0.0301234])
+def test_start_is_found_soon_after_it(make_samples, measurement, start, noise, accuracy) -> None:
+    onset, count = detect(measurement, make_samples(400, onset=start, noise=noise))
+    assert onset is not None
+    assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=accuracy)
+    assert onset.plate_rest == pytest.approx(0.3, abs=2e-6)
+    assert onset.projectile_rest == 0.5
+    assert count * INTERVAL / SECOND < start + 3.5e-3
+
+
+def test_slow_motion_and_downward_jumps_start_nothing(make_samples, measurement) -> None:
+    samples = make_samples(1000)
+    time = np.array([(sample.stamp_ns - BEGIN) / SECOND for sample in samples])
+    creeping = 0.3 + 0.06 * np.maximum(time - 0.05, 0.0)
+    falling = 0.3 - PLATE.position(time - 0.05) * (time < 0.05 + 0.9 * 0.5 / PLATE.frequency)
+    for heights in (creeping, falling):
+        moved = [
+            sample._replace(plate=height)
+            for sample, height in zip(samples, heights.tolist(), strict=True)
+        ]
+        assert detect(measurement, moved)[0] is None
+
+
+def test_start_without_a_rest_before_it_is_none(make_samples, measurement) -> None:
+    assert detect(measurement, make_samples(400, onset=0.005))[0] is None
+
+
+def test_start_after_a_gap_needs_another_rest(make_samples, measurement) -> None:
+    samples = make_samples(400, onset=0.04)
+    assert detect(measurement, samples)[0] is not None
+    del samples[120:150]  # up to 10 ms before it
+    assert detect(measurement, samples)[0] is None
+
+
+@given(
+    zeta=st.floats(0.0, 0.99),
+    share=st.floats(0.01, 0.8),
+    amplitude=st.floats(1e-4, 1e-2),
+)
+def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, amplitude) -> None:
+    plate = Underdamped(frequency=63.2, amplitude=amplitude, damping_ratio=zeta)
+    since = share * plate.peak_velocity_time
+    reference = replace(plate, amplitude=1.0)
+    found = time_since_start(plate.position(since), plate.velocity(since), reference)
+    assert found == pytest.approx(since, rel=1e-6)
+
+
+def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -> None:
+    found = []
+    for seed in range(100):
+        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
+        samples = [
+            sample._replace(plate=sample.plate + error)
+            for sample, error in zip(make_samples(400, onset=0.025), noise.tolist(), strict=True)
+        ]
+        onset, _ = detect(measurement, samples)
+        assert onset is not None
+        found.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
+    since = np.arange(0.0, 2.6e-3, 2e-4)
+    sensitivity = np.column_stack((PLATE.velocity(since), PLATE.position(since)))
+    bound = 5e-6 * math.sqrt(np.linalg.inv(sensitivity.T @ sensitivity)[0, 0])
+    assert np.mean(found) == pytest.approx(0.0, abs=4e-6)
+    assert np.std(found) < 1.5 * bound
+
+
+def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
+    make_samples, measurement
+) -> None:
+    onset, _ = detect(measurement, make_samples(400, onset=0.02))
+    assert onset is not None
+    onset = replace(onset, onset_ns=BEGIN + SECOND // 50)
+    times, states = first_states(onset, measurement)
+    assert times == pytest.approx(0.25e-3 * np.arange(6))
+    assert states[:, 0] == pytest.approx(PLATE.position(times), abs=1e-12)
+    assert states[:, 1] == pytest.approx(PLATE.velocity(times), abs=1e-8)
+    start = PLATE.amplitude * (2.0 * math.pi * PLATE.frequency) ** 2
+    assert states[0] == pytest.approx([0.0, 0.0, start])
+
+
+def test_first_states_follow_a_plate_of_another_frequency(measurement) -> None:
+    plate = replace(PLATE, frequency=70.0)
+    since = 2e-4 * np.arange(1, 16)
+    onset = Onset(
+        onset_ns=BEGIN,
+        plate_rest=0.0,
+        projectile_rest=math.nan,
+        samples=tuple(
+            Sample(BEGIN + round(time * SECOND), height, speed)
+            for time, height, speed in zip(
+                since.tolist(),
+                plate.position(since).tolist(),
+                plate.velocity(since).tolist(),
+                strict=True,
+            )
+        ),
+    )
+    times, states = first_states(onset, measurement)
+    assert states[:, 0] == pytest.approx(plate.position(times), abs=2e-6)
+    assert states[:, 1] == pytest.approx(plate.velocity(times), abs=5e-3)
+
+
+def test_peak_speed_is_that_without_the_noise() -> None:
+    times = 2.5e-4 * np.arange(60)
+    exact = PLATE.velocity(times)
+    assert peak_speed(times, exact, 1.0 / 63.2) == pytest.approx(PLATE.peak_velocity, rel=1e-3)
+    random = np.random.default_rng(5)
+    found, largest = [], []
+    for _ in range(200):
+        noisy = exact + 7e-3 * random.standard_normal(times.size)
+        found.append(peak_speed(times, noisy, 1.0 / 63.2))
+        largest.append(noisy.max())
+    assert np.mean(found) == pytest.approx(PLATE.peak_velocity, rel=3e-3)
+    assert np.mean(largest) > 1.005 * PLATE.peak_velocity
+
+
+def test_peak_speed_while_it_still_grows_is_the_last() -> None:
+    times = 2.5e-4 * np.arange(10)
+    assert peak_speed(times, PLATE.velocity(times), 1.0 / 63.2) == PLATE.velocity(times)[-1]

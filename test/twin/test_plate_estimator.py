@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a rig, from disorder to the motion of its plate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from soft_throw_ros.core.smoothing import AHEAD, smooth
+from soft_throw_ros.twin.plate_estimator import (
+    FUTURE,
+    least_rate,
+    PAST,
+    PlateEstimator,
+    PlateStates,
+    Sample,
+)
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+BEGIN = 1_700_000_000 * SECOND
+INTERVAL = 200_000  # of the samples [ns]
+
+
+def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> PlateStates:
+    """Have an estimator take samples, and put together what it knows of the plate."""
+    found = []
+    for first in range(0, len(samples), batch):
+        now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
+        estimator.take(samples[first : first + batch], now_ns)
+        found.append(estimator.advance(now_ns))
+    times, states, errors = (np.concatenate([motion[k] for motion in found]) for k in range(3))
+    return PlateStates(times, states, errors, max(motion.gap for motion in found))
+
+
+def same(ours: PlateStates, theirs: PlateStates) -> bool:
+    return [array.tobytes() for array in ours[:3]] == [array.tobytes() for array in theirs[:3]]
+
+
+def test_plate_is_smoothed_by_local_fits_an_eighth_of_the_window_apart(
+    make_samples, measurement
+) -> None:
+    samples = make_samples(onset=0.01, noise=5e-6)
+    motion = run(PlateEstimator(measurement), samples)
+    assert np.diff(motion.times) == pytest.approx(0.25e-3, rel=1e-9)
+    assert motion.gap == pytest.approx(2e-4)
+    fit = smooth(
+        motion.times,
+        [(sample.stamp_ns - BEGIN) / SECOND for sample in samples],
+        [sample.plate for sample in samples],
+        window=2e-3,
+        position_noise=5e-6,
+    )
+    assert motion.states == pytest.approx(fit.states, rel=1e-9, abs=1e-9)
+    assert motion.errors == pytest.approx(fit.errors)
+
+
+def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark(
+    make_samples, measurement
+) -> None:
+    for wait_ns in (0, 1_000_000):
+        estimator = PlateEstimator(replace(measurement, wait_ns=wait_ns))
+        samples = make_samples()
+        motion = run(estimator, samples, batch=1)
+        newest = (samples[-1].stamp_ns - BEGIN) / SECOND
+        behind = newest - motion.times[-1]
+        least = AHEAD * measurement.smoothing_window + wait_ns / SECOND
+        assert least <= behind < least + 0.25e-3
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    batch=st.integers(1, 30),
+    doubled=st.sets(st.integers(0, 99), max_size=10),
+)
+def test_order_of_arrival_within_the_wait_changes_no_bit(
+    make_samples, measurement, seed, batch, doubled
+) -> None:
+    config = replace(measurement, wait_ns=2_000_000)
+    samples = make_samples(onset=0.008, noise=5e-6)
+    random = np.random.default_rng(seed)
+    delays = random.uniform(0.0, config.wait_ns, len(samples))
+    delays[0] = 0.0
+    arrivals = np.array([sample.stamp_ns - BEGIN for sample in samples]) + delays
+    order = np.argsort(arrivals).tolist()
+    shuffled = [samples[k] for k in order]
+    for k in doubled:
+        shuffled.insert(shuffled.index(samples[k]) + 1, samples[k])
+    ordered, mixed = PlateEstimator(config), PlateEstimator(config)
+    assert same(run(ordered, samples), run(mixed, shuffled, batch=batch))
+    assert mixed.refused == ({'doubled': len(doubled)} if doubled else {})
+    assert ordered.refused == {}
+
+
+def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) -> None:
+    samples = make_samples(onset=0.01, noise=5e-6)
+    late = samples.pop(50)
+    without, with_late = PlateEstimator(measurement), PlateEstimator(measurement)
+    expected = run(without, samples, batch=1)
+    before = run(with_late, samples[:60], batch=1)
+    assert with_late.take([late], samples[59].stamp_ns) == []
+    after = run(with_late, samples[60:], batch=1)
+    assert same(
+        expected, PlateStates(*map(np.concatenate, zip(before[:3], after[:3], strict=True)))
+    )
+    assert with_late.refused == {'late': 1}
+
+
+@pytest.mark.parametrize(
+    ('sample', 'reason'),
+    [
+        (Sample(BEGIN, math.nan), 'not finite'),
+        (Sample(BEGIN, math.inf), 'not finite'),
+        (Sample(BEGIN, 0.0, math.inf), 'not finite'),
+        (Sample(BEGIN, 0.0, 0.0, -math.inf), 'not finite'),
+        (Sample(BEGIN, 100.1), 'out of range'),
+        (Sample(BEGIN, 0.0, -1001.0), 'out of range'),
+        (Sample(BEGIN, 0.0, 0.0, 1e300), 'out of range'),
+        (Sample(BEGIN + FUTURE + 1, 0.0), 'future'),
+        (Sample(BEGIN - PAST - 1, 0.0), 'past'),
+        (Sample(0, 0.0), 'past'),
+    ],
+)
+def test_bad_samples_are_refused_with_a_reason(measurement, sample, reason) -> None:
+    estimator = PlateEstimator(measurement)
+    assert estimator.take([sample], BEGIN) == []
+    assert estimator.refused == {reason: 1}
+    assert estimator.advance(BEGIN).times.size == 0
+
+
+def test_missing_samples_are_bridged_and_the_gap_told(make_samples, measurement) -> None:
+    samples = make_samples(onset=0.005)
+    whole = run(PlateEstimator(measurement), samples)
+    samples = [sample for k, sample in enumerate(samples) if k % 3 and not 60 <= k < 66]
+    motion = run(PlateEstimator(measurement, origin_ns=BEGIN), samples)
+    assert motion.gap == pytest.approx(8 * INTERVAL / SECOND)
+    shared = np.isin(whole.times, motion.times)
+    assert shared.sum() > 60
+    late = whole.times[shared] > 0.008  # with the start out of the window
+    assert motion.states[np.isin(motion.times, whole.times), 1][late] == pytest.approx(
+        whole.states[shared, 1][late], abs=3e-3
+    )
+
+
+def test_gap_is_told_once_even_if_longer_than_the_window(make_samples, measurement) -> None:
+    samples = make_samples(200)
+    del samples[80:140]
+    estimator = PlateEstimator(measurement)
+    gaps = []
+    for sample in samples:
+        estimator.take([sample], sample.stamp_ns)
+        gaps.append(estimator.advance(sample.stamp_ns).gap)
+    assert sum(gap > 1e-3 for gap in gaps) == 1
+    assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)
+
+
+def test_memory_does_not_grow(make_samples, measurement) -> None:
+    estimator = PlateEstimator(measurement)
+    run(estimator, make_samples(5000))
+    assert len(estimator.samples(0)) < 400
+    later = BEGIN + 3600 * SECOND  # after an hour of nothing
+    estimator.take([Sample(later, 0.3)], later)
+    assert estimator.advance(later).times.size == 0
+
+
+def test_velocities_that_were_measured_are_used(make_samples, measurement) -> None:
+    samples = make_samples(onset=0.004, noise=5e-6)
+    since = [(sample.stamp_ns - BEGIN) / SECOND - 0.004 for sample in samples]
+    exact = measurement.plate.velocity(since).tolist()
+    both = [
+        sample._replace(plate_velocity=speed) for sample, speed in zip(samples, exact, strict=True)
+    ]
+    errors = []
+    for measured in (samples, both):
+        motion = run(PlateEstimator(measurement), measured)
+        late = motion.times > 0.008
+        errors.append(
+            np.std(motion.states[late, 1] - measurement.plate.velocity(motion.times[late] - 0.004))
+        )
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_rate_is_that_of_most_samples(make_samples, measurement) -> None:
+    estimator = PlateEstimator(measurement)
+    assert estimator.rate() == 0.0
+    run(estimator, [sample for k, sample in enumerate(make_samples()) if k % 9])
+    assert estimator.rate() == pytest.approx(5000.0)
+
+
+@pytest.mark.parametrize(
+    ('frequency', 'crossing_time', 'rate', 'reason'),
+    [
+        (63.2, 1e-4, 30_000.0, 'crossing'),
+        (63.2, 1e-2, 2000.0, 'measured.window'),
+        (200.0, 1e-2, 4000.0, 'period'),
+    ],
+)
+def test_least_rate_has_a_reason(measurement, frequency, crossing_time, rate, reason) -> None:
+    plate = replace(measurement.plate, frequency=frequency)
+    least, why = least_rate(replace(measurement, plate=plate), crossing_time)
+    assert least == pytest.approx(rate)
+    assert reason in why

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is made ready before a throw, by any model."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from numba.core import event
+import numpy as np
+import pytest
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.models import MODELS
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.travelling_wave import first_release
+from soft_throw_ros.twin.core_adapter import first_throws
+from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig, warm_up
+from soft_throw_ros.twin.scheduled_throw import time_until_over
+from soft_throw_ros.twin.throw_tracker import ThrowTracker
+
+CASES = [
+    {'model': 'travelling_wave'},
+    {'layer__loss_tangent': 0.05},
+    {'model': 'finite_difference'},
+    {'model': 'finite_difference_elastic', 'projectile__youngs_modulus': 1e6},
+    {'model': 'finite_difference_glued', 'layer__loss_tangent': 0.1},
+    {'model': 'spring_mass', 'layer__loss_tangent': 0.1},
+]
+ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
+
+
+def prepare(values) -> PreparedRig:
+    return PreparedRig.from_config(TwinConfig.from_settings(values))
+
+
+@pytest.mark.parametrize('loss', [1e-6, 0.05, 2.0])
+def test_internal_loss_takes_finite_differences(settings, loss) -> None:
+    assert prepare(settings()).config.model == 'travelling_wave'
+    assert prepare(settings(layer__loss_tangent=loss)).config.model == 'finite_difference'
+
+
+@ANY_MODEL
+def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, request_) -> None:
+    values = settings(**request_)
+    prepared = prepare(values)
+    exact = simulate(rig_of(values), model=prepared.config.model)
+    tracker = ThrowTracker(prepared, number=1)
+    release, tick = None, 0
+    while not tracker.ended_by:
+        tick += 1
+        tracker.advance(tick * prepared.tick, max_events=2)
+        if tracker.first_release and release is None:
+            release = tracker.result('release', tick, 0.1)
+    final = tracker.result('final', tick, 0.1)
+    assert release.first.time == pytest.approx(exact.ejection_time, rel=3e-4)
+    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=1e-3)
+    assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
+    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=2e-3)
+    assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=2e-2)
+    assert final.apex_height == pytest.approx(exact.apex_height, rel=2e-2)
+    assert final.landings >= 1
+    foretold = time_until_over(prepared, 0.1, max_events=2)
+    assert foretold == pytest.approx(tick * prepared.tick - 0.1, abs=1e-9)
+    field = prepared.throw_field
+    assert field.times[-1] == pytest.approx(1.5 * release.first.time, rel=1e-9)
+
+
+@ANY_MODEL
+def test_throw_field_is_what_the_layer_does(settings, request_) -> None:
+    prepared = prepare(settings(**request_))
+    field, stepper = prepared.throw_field, prepared.stepper
+    layer = np.empty((3, 64))
+    spacing = prepared.rig.layer.thickness / 63
+    for row in (0, 77, 199):
+        stepper.reset()
+        stepper.advance_to(field.times[row])
+        stepper.read_layer(layer)
+        rise = 0.5 * (field.strain[row, 1:] + field.strain[row, :-1])
+        np.testing.assert_allclose(np.diff(layer[0]) / spacing - 1.0, rise, atol=2e-3)
+
+
+@ANY_MODEL
+def test_at_rest_the_layer_bears_the_weight(settings, request_) -> None:
+    prepared = prepare(settings(**request_))
+    weight = prepared.rig.projectile.mass * prepared.rig.gravity
+    is_glued = 'glued' in prepared.config.model
+    load = weight + is_glued * prepared.rig.layer.mass * prepared.rig.gravity
+    assert prepared.rest.projectile_force == pytest.approx(weight, rel=1e-12)
+    assert prepared.rest.plate_force == pytest.approx(-load, rel=1e-12)
+    assert prepared.rest.projectile_velocity == prepared.rest.plate_velocity == 0.0
+    assert not prepared.rest_layer.velocity.any()
+    assert (prepared.rest_layer.force > 0.0).all()
+    assert all(lower < upper for lower, upper in pairwise(prepared.rest_layer.height))
+
+
+def test_other_models_predict_the_first_release(settings) -> None:
+    rig = rig_of(TWIN.defaults())
+    frequency = rig.engine.frequency
+    ratios = {
+        'mass_ratio': rig.mass_ratio,
+        'speed_ratio': rig.speed_ratio,
+        'damping_ratio': rig.engine.damping_ratio,
+        'gravity_ratio': rig.gravity_ratio,
+    }
+    expected = {
+        'travelling_wave': first_release(**ratios),
+        'finite_difference_elastic': first_throws(**ratios, crossing_ratio=rig.crossing_ratio),
+        'finite_difference_glued': first_throws(**ratios, glued_to='projectile'),
+        'spring_mass': spring_mass.first_release(
+            frequency_ratio=rig.natural_frequency / frequency
+        ),
+    }
+    for model in MODELS:
+        models = prepare(settings(model=model)).models
+        assert set(models) == set(expected) - {model}
+        for name, release in models.items():
+            phase, alpha = expected[name].ejection_phase, expected[name].energy_transfer
+            assert release.time * frequency == pytest.approx(float(phase), rel=1e-4)
+            assert release.energy_transfer == pytest.approx(float(alpha), rel=1e-3)
+    lossy = prepare(settings(layer__loss_tangent=0.1)).models
+    assert 'travelling_wave' not in lossy
+    weak = prepare(settings(gravity=30.0, engine__amplitude=1e-5)).models
+    assert weak['finite_difference_elastic'] is weak['finite_difference_glued'] is None
+
+
+@pytest.mark.parametrize(
+    ('request_', 'value'),
+    [
+        (
+            {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1},
+            '200',
+        ),
+        (
+            {'layer__diameter': 0.2, 'projectile__mass': 1e-5, 'model': 'spring_mass'},
+            r'Hz',
+        ),
+    ],
+)
+def test_what_real_time_cannot_do_is_refused_with_the_number(settings, request_, value) -> None:
+    values = settings(**request_)
+    with pytest.raises(ValueError, match=value):
+        check_settings(values)
+    with pytest.raises(ValueError, match=value):
+        prepare(values)
+
+
+def test_window_that_is_too_long_for_the_plate_is_refused_with_both(settings) -> None:
+    values = settings(engine__motion='measured', measured__window=4e-3)
+    with pytest.raises(ValueError, match=r'0\.003165.* 0\.004'):
+        check_settings(values)
+    check_settings({**values, 'engine.motion': 'underdamped'})
+
+
+@ANY_MODEL
+def test_session_by_any_model_is_repeated_to_the_bit(start, same, request_) -> None:
+    run = start(throw__period=0.6, **request_)
+    run.go(700)
+    run.session.change({'layer.thickness': 0.012})
+    run.go(800)
+    assert len(run.starts()) == 2
+    assert len(run.events()) >= 4
+    assert all(map(same, run.repeat(), run.outputs))
+
+
+def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
+    warm_up()
+    with event.install_recorder('numba:compiler_lock') as recorder:
+        for request_ in CASES:
+            run = start(throw__period=0.3, **request_)
+            run.go(700)
+        run = start(engine__motion='measured')
+        run.measure()
+    assert run.session.throws == 1
+    assert recorder.buffer == []
