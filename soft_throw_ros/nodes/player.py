@@ -268,15 +268,15 @@ class Player(Program):
 
     def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        pace = self._clock_schedule
-        if pace is None or self._clock_publisher is None:
+        schedule = self._clock_schedule
+        if schedule is None or self._clock_publisher is None:
             return None
-        if pace.deadline(self._clock_ticks) <= now:
+        if schedule.deadline(self._clock_ticks) <= now:
             clock = Clock(clock=time_to_msg(schedule.time(now)))
             self._clock_publisher.publish(clock)
-            passed = (now - pace.time_ns) * pace.rate / SECOND
+            passed = (now - schedule.time_ns) * schedule.rate / SECOND
             self._clock_ticks = max(self._clock_ticks, math.floor(passed)) + 1
-        return pace.deadline(self._clock_ticks)
+        return schedule.deadline(self._clock_ticks)
 
     def _wait_for_acknowledgement(self) -> None:
         """Give those who acknowledge messages a moment."""

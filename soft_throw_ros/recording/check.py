@@ -21,7 +21,7 @@ import struct
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from soft_throw_ros.recording.bag import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal

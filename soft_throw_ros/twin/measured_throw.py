@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.twin.core_adapter import (
+from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
+from soft_throw_ros.core.stepper import (
     Event,
     EventLimitError,
-    FEED_SEGMENTS,
     PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
@@ -138,7 +138,7 @@ class MeasuredThrow:
         times, states = motion.times[later], motion.states[later]
         states[:, 0] -= self._onset.plate_rest
         self._stepper.append_plate_states(times, states)
-        if len(self._times) + times.size < FEED_SEGMENTS:
+        if len(self._times) + times.size < MAX_PIECES_AHEAD:
             self._times += times.tolist()
             self._states += states.tolist()
 

@@ -11,18 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core import smoothing, spring_mass
+from soft_throw_ros.core import cell_stepper, smoothing, spring_mass, wave_stepper
+from soft_throw_ros.core.cell_stepper import cells_per_layer, CellStepper, first_throws
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.travelling_wave import first_release, ThrowUnresolvedError
-from soft_throw_ros.twin import core_adapter
-from soft_throw_ros.twin.core_adapter import (
-    cells_per_layer,
-    first_throws,
-    make_stepper,
-    Stepper,
-    steps_per_crossing,
-)
+from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.wave_stepper import steps_per_crossing, WaveStepper
 from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
 
 FIELD_POINTS = 64
@@ -147,7 +142,9 @@ def stepper_of(config: TwinConfig) -> Stepper:
 
     """
     motion: Literal['measured'] | None = 'measured' if config.is_measured else None
-    return make_stepper(config.rig, config.model, motion, field_points=FIELD_POINTS)
+    if config.model == 'travelling_wave':
+        return WaveStepper(config.rig, motion, field_points=FIELD_POINTS)
+    return CellStepper(config.rig, motion, model=config.model, field_points=FIELD_POINTS)
 
 
 def check_settings(settings: Settings) -> None:
@@ -177,7 +174,8 @@ def check_settings(settings: Settings) -> None:
 def warm_up() -> None:
     """Compile or load the kernels of all models, so that no change of settings has to."""
     smoothing.warm_up()
-    core_adapter.warm_up()
+    wave_stepper.warm_up()
+    cell_stepper.warm_up()
     _other_models(Rig(), '')
 
 

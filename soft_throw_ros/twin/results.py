@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.twin.core_adapter import Event
+from soft_throw_ros.core.stepper import Event
 
 Floats = NDArray[np.float64]
 

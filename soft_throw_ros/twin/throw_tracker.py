@@ -6,13 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from soft_throw_ros.twin.core_adapter import (
-    apex_height,
-    ejections,
-    Event,
-    EventLimitError,
-    Stepper,
-)
+from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
+from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 from soft_throw_ros.twin.results import Prediction, Release, Residual, State, ThrowResult
 

@@ -15,8 +15,8 @@ import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.core_adapter import Event
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.replay import replay
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult

@@ -9,9 +9,10 @@ import math
 import numpy as np
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.stepping import PLATE_POSITION, PROJECTILE_POSITION
-from soft_throw_ros.twin.plate_estimator import Sample, SECOND
+from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 """What the sensors show at height 0. [m]"""
@@ -56,7 +57,7 @@ def measured_throw(
     count = round(duration * rate)
     since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
     stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
-    model = Stepper(rig)
+    model = WaveStepper(rig)
     rows = np.zeros((count, 2))
     for row, stamp in zip(rows, stamps.tolist(), strict=True):
         model.advance_to(max((stamp - begin_ns) / SECOND - onset, 0.0))

@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import PROJECTILE_POSITION, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.twin.core_adapter import (
-    make_stepper,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-)
+from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.session import RequestRejected
@@ -30,7 +27,7 @@ MEASURED = {'engine__motion': 'measured'}
 
 def follow(rig: Any, times: Sequence[float]) -> np.ndarray:
     """Return position and velocity of the projectile of a rig of its own."""
-    stepper = make_stepper(rig, 'travelling_wave', None, field_points=2)
+    stepper = WaveStepper(rig)
     rows = []
     for time in times:
         stepper.advance_to(max(time, 0.0))

@@ -11,10 +11,9 @@ import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.travelling_wave import first_release
-from soft_throw_ros.twin.core_adapter import first_throws
+from soft_throw_ros.core.cell_stepper import first_throws
+from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.throw import MODELS, simulate
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig, warm_up
 from soft_throw_ros.twin.scheduled_throw import time_until_over
 from soft_throw_ros.twin.throw_tracker import ThrowTracker
