@@ -87,7 +87,7 @@ class Twin(RealTimeNode):
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
-        self.session = Session(self.parameters.settings, on_entry=self._on_entry)
+        self.session = Session(self.parameters.settings, on_entry=self.on_entry)
         self.steps = MeasuredSteps(self, self.session)
         self.drive(self.steps)
         self._diagnostics = DiagnosticsPublisher(
@@ -148,7 +148,8 @@ class Twin(RealTimeNode):
         self._jobs.append(job)
         self._wake.trigger()
 
-    def _on_entry(self, line: str) -> None:
+    def on_entry(self, line: str) -> None:
+        """Publish a line of the journal, soon."""
         self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
 
     def _on_recommendation(self, found: RecommendationFor) -> None:

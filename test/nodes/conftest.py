@@ -178,6 +178,7 @@ class DrivenTwin(Twin):
     def __init__(self, **kwargs: Any) -> None:
         self.clock = GivenClock()
         self.outputs: list[Outputs] = []
+        self.lines: list[str] = []
         super().__init__(system_clock=self.clock, **kwargs)
         self.ticker.run_due()  # the first step
 
@@ -185,11 +186,15 @@ class DrivenTwin(Twin):
         self.outputs.append(outputs)
         super().on_step(outputs, due)
 
-    def go(self, milliseconds: int, at_once: int = 10) -> None:
+    def on_entry(self, line: str) -> None:
+        self.lines.append(line)
+        super().on_entry(line)
+
+    def go(self, milliseconds: int) -> None:
         """Let so much time pass, in moments of 10 ms."""
         end = self.clock.time + milliseconds * MILLISECOND
         while self.clock.time < end:
-            self.clock.time = min(end, self.clock.time + at_once * MILLISECOND)
+            self.clock.time = min(end, self.clock.time + 10 * MILLISECOND)
             self.ticker.run_due()
 
     @property
