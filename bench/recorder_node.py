@@ -106,7 +106,8 @@ def _record_plainly(folder: str) -> None:
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from rclpy.node import Node
-    from soft_throw_ros.nodes import topics
+    from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
+    from soft_throw_ros.nodes.topics import load_type, qos_profile
 
     rclpy.init(args=[])
     node = Node('plain')
@@ -115,18 +116,20 @@ def _record_plainly(folder: str) -> None:
         writer = Writer(stream, chunk_size=256 * 1024)
         writer.start('ros2', 'plain')
 
-        def record(topic: topics.Topic) -> None:
-            name = topic.name.replace('~', '/twin')
-            schema = writer.register_schema(topic.type_name, 'ros2msg', b'')
+        def record(topic: Topic) -> None:
+            name = topic.at('/twin').name
+            schema = writer.register_schema(topic.type, 'ros2msg', b'')
             channel = writer.register_channel(name, 'cdr', schema)
 
             def on_message(data: bytes) -> None:
                 now = time.time_ns()
                 writer.add_message(channel, now, data, now)
 
-            node.create_subscription(topic.type, name, on_message, topic.qos, raw=True)
+            node.create_subscription(
+                load_type(topic.type), name, on_message, qos_profile(topic), raw=True
+            )
 
-        for topic in topics.TOPICS:
+        for topic in TWIN_TOPICS:
             record(topic)
         try:
             rclpy.spin(node)

@@ -167,8 +167,8 @@ def _publish_by_twin(seconds: float) -> dict[str, Any]:
     class Noting(twin.Twin):
         """A twin that notes for when its ticks were due."""
 
-        def _on_step(self, outputs: Any, due_ns: int) -> None:
-            super()._on_step(outputs, due_ns)
+        def on_step(self, outputs: Any, due_ns: int) -> None:
+            super().on_step(outputs, due_ns)
             due.append(due_ns)
 
     def advance() -> Any:
@@ -176,8 +176,8 @@ def _publish_by_twin(seconds: float) -> dict[str, Any]:
         return original()
 
     rclpy.init(args=[])
-    twin.prepare_process()
     node = Noting()
+    node.prepare()
     original, node.session.advance = node.session.advance, advance  # type: ignore[method-assign]
     node.ticker.start()
     first, last, processor = _watch(node, lambda: len(due), seconds)
@@ -191,7 +191,8 @@ def _publish_by_timer(seconds: float) -> dict[str, Any]:
     from rclpy.node import Node
     from rclpy.time import Time
     from sensor_msgs.msg import JointState
-    from soft_throw_ros.nodes import topics
+    from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
+    from soft_throw_ros.nodes.topics import qos_profile
 
     ticks: list[tuple[int, int, int]] = []
 
@@ -200,9 +201,11 @@ def _publish_by_timer(seconds: float) -> dict[str, Any]:
 
         def __init__(self) -> None:
             super().__init__('twin')
-            self._joint_states = topics.JOINT_STATES.publisher(self)
-            self._msg = JointState(name=list(topics.JOINTS))
-            self._msg.header.frame_id = topics.FRAME
+            self._joint_states = self.create_publisher(
+                JointState, TOPIC, qos_profile(TWIN_TOPICS.joint_states)
+            )
+            self._msg = JointState(name=list(JOINTS))
+            self._msg.header.frame_id = FRAME
             self._timer = self.create_timer(1.0 / RATE, self._on_timer)
 
         def _on_timer(self) -> None:
@@ -245,7 +248,9 @@ def _subscribe(_: float) -> dict[str, Any]:
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
-    from soft_throw_ros.nodes import topics
+    from sensor_msgs.msg import JointState
+    from soft_throw_ros.configuration.interface import TWIN_TOPICS
+    from soft_throw_ros.nodes.topics import qos_profile
 
     rclpy.init(args=[])
     node = Node('subscriber')
@@ -255,8 +260,8 @@ def _subscribe(_: float) -> dict[str, Any]:
         stamp, nanoseconds = struct.unpack_from('<iI', data, 4)
         stamps.append(stamp * SECOND + nanoseconds)
 
-    topic = topics.JOINT_STATES
-    node.create_subscription(topic.type, TOPIC, on_message, topic.qos, raw=True)
+    qos = qos_profile(TWIN_TOPICS.joint_states)
+    node.create_subscription(JointState, TOPIC, on_message, qos, raw=True)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     end = time.monotonic() + PATIENCE

@@ -102,7 +102,7 @@ def test_set_to_the_same_changes_nothing(ros, twin) -> None:
     assert unchanged(twin)
 
 
-@pytest.mark.parametrize('value', [math.nan, math.inf, -0.01, 0, 'soft', True, [0.01], ['a'], None])
+@pytest.mark.parametrize('value', [math.nan, math.inf, -0.01, 0, 'soft', True, ['a'], None])
 def test_bad_value_is_refused_with_its_name_and_value(ros, twin, value) -> None:
     client = ros.parameters(twin)
     (reason,) = client.set(layer__thickness=value)

@@ -184,9 +184,7 @@ def test_worker_computes_few_of_a_storm_of_requests() -> None:
         begun.append(request)
         return request
 
-    worker = LatestOnlyWorker(
-        compute, lambda answer: answer == 99 and is_last.set(), interval=0.2
-    )
+    worker = LatestOnlyWorker(compute, lambda answer: answer == 99 and is_last.set(), interval=0.2)
     for request in range(100):
         worker.submit(request)
         time.sleep(1e-3)

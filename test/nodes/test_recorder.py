@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import resolve, RECORDER_SERVICES, RECORDER_TOPICS
+from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, resolve
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.topics import create_subscription
@@ -223,7 +223,9 @@ def test_recorder_takes_the_twin_in_its_own_namespace(ros, recorder, tmp_path, n
 
     def has_all() -> bool:
         received.update({tap.channel.topic: tap.received for tap in node.recording.taps})
-        states, results = (received.get(f'{name}/{one}') for one in ('joint_states', 'throw_result'))
+        states, results = (
+            received.get(f'{name}/{one}') for one in ('joint_states', 'throw_result')
+        )
         return states == twin.session.step and results >= 2
 
     ros.spin_until(has_all, 'all joint states and two results')

@@ -25,8 +25,15 @@ class Driven(Rig):
         super().__init__(system_clock=clock, **kwargs)
         self.stamps: list[int] = []
         self.positions: list[tuple[float, float]] = []
-        self.send = lambda stamp, values: (self.stamps.append(stamp), self.positions.append(values))
+        self.send = lambda stamp, values: (
+            self.stamps.append(stamp),
+            self.positions.append(values),
+        )
         self.ticker.run_due()  # the first step
+
+    def _remember(self, stamp: int, positions: tuple[float, float]) -> None:
+        self.stamps.append(stamp)
+        self.positions.append(positions)
 
     def go(self, seconds: float) -> None:
         self.clock.time += round(seconds * SECOND)

@@ -479,7 +479,11 @@ def test_diagnostics_tell_how_time_is_kept(ros, twin, listener) -> None:
     pending = listener.status(
         TWIN_TOPICS.diagnostics, 'parameters', lambda status: len(status.values) > 1
     )
-    assert msg_to_values(pending) == {'pending': 2, 'layer.name': 'custom', 'layer.thickness': 0.01}
+    assert msg_to_values(pending) == {
+        'pending': 2,
+        'layer.name': 'custom',
+        'layer.thickness': 0.01,
+    }
     assert pending.hardware_id == '/twin'
     timing = msg_to_values(listener.status(TWIN_TOPICS.diagnostics, 'timing'))
     assert timing['ticks'] == 501
@@ -539,9 +543,7 @@ def test_clock_may_be_changed_for_the_topic(ros, twin, listener) -> None:
 
 
 def test_two_twins_in_two_namespaces_do_not_meet(start_twin, listen_to) -> None:
-    twins = [
-        start_twin('-r', f'__ns:=/rig{k}', '-p', f'layer.thickness:=0.0{k}') for k in (1, 2)
-    ]
+    twins = [start_twin('-r', f'__ns:=/rig{k}', '-p', f'layer.thickness:=0.0{k}') for k in (1, 2)]
     listeners = [listen_to(twin) for twin in twins]
     for listener in listeners:
         listener.listen(TWIN_TOPICS.joint_states, TWIN_TOPICS.diagnostics)
