@@ -32,7 +32,7 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.taps import distribution, Taps
+from soft_throw_ros.nodes.taps import distribution, is_wanted, Taps
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.recording.background import BackgroundWriter
 from soft_throw_ros.recording.bag import BagWriter
@@ -44,6 +44,9 @@ from std_srvs.srv import Trigger
 
 DRAIN_TIME = 0.01
 """How often messages are taken. [s]"""
+
+PUBLISHER_TIMEOUT = 2.0
+"""After this it is said what is wanted and published by nobody. [s]"""
 
 DISCOVERY_TIME = 0.2
 """How often it is looked for new topics. [s]"""
@@ -72,7 +75,9 @@ class Recording:
     """
 
     def __init__(self, recorder: Node, settings: Settings) -> None:
-        self.taps = Taps(recorder, [_resolve(recorder, name) for name in settings['topics']])
+        self._wanted = [_resolve(recorder, name) for name in settings['topics']]
+        self._is_silence_told = False
+        self.taps = Taps(recorder, self._wanted)
         self.writer: BackgroundWriter | None = None
         self.feed: Feed | None = None
         self._settings = settings
@@ -109,6 +114,14 @@ class Recording:
     def received(self) -> int:
         """How many messages came."""
         return sum(tap.received for tap in self.taps)
+
+    def take_silent(self) -> list[str]:
+        """Return, once and after a while, what is wanted and published by nobody."""
+        if self._is_silence_told or time.monotonic() - self._began < PUBLISHER_TIMEOUT:
+            return []
+        self._is_silence_told = True
+        topics = [tap.channel.topic for tap in self.taps]
+        return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
     def losses(self) -> dict[str, int]:
         """Return how many messages of which topics were published and are not in the bag."""
@@ -359,7 +372,11 @@ class Recorder(RunnableNode):
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
         recording = self.recording
-        if recording is not None and recording.writer is not None and recording.trouble:
+        if recording is None:
+            return
+        if silent := recording.take_silent():
+            self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
+        if recording.writer is not None and recording.trouble:
             lost = sum(recording.losses().values())
             self.get_logger().error(
                 f'{recording.trouble}; {recording.writer.waiting} messages wait, {lost} are lost'

@@ -248,6 +248,20 @@ def test_recorder_takes_the_twin_in_its_own_namespace(ros, recorder, tmp_path, n
     assert 'name: bag' in files['recorder.yaml']
 
 
+def test_topic_that_nobody_publishes_is_told(ros, recorder, talker, tmp_path, capfd) -> None:
+    node = recorder(name='bag', topics=['/talk', '/silence'])
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
+    told: list[str] = []
+
+    def is_told() -> bool:
+        told.extend(line for line in capfd.readouterr().err.splitlines() if 'nothing is' in line)
+        return bool(told)
+
+    ros.spin_until(is_told, 'the warning')
+    assert '/silence' in told[0]
+    assert '/talk' not in told[0]
+
+
 @pytest.mark.parametrize(
     'line',
     ['', '[]', '{"kind":"throw","step":1,"settings":5,"versions":[]}', '{"kind":1,"step":null}'],
