@@ -16,6 +16,8 @@ from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 
+_MANY = 8  # joints, from which on arrays are quicker than single values
+
 
 def load_type(name: str) -> Any:
     """Import the class of a message or service type, such as `std_msgs/msg/String`."""
@@ -79,8 +81,8 @@ class Publishers:
         Return what publishes on a topic.
 
         It takes what fills a message of the topic's type: a stamp [ns] and the values of one
-        quantity after another for joint states, a stamp and statuses for diagnostics, an array, a
-        number or a text for the others.
+        quantity after another for joint states, or an array for each where there are many joints;
+        a stamp and statuses for diagnostics; an array, a number or a text for the others.
 
         """
         return self._senders[topic.name]
@@ -95,7 +97,8 @@ def _make_sender(publisher: Publisher, topic: Topic) -> Callable[..., None]:
     publish = publisher.publish
     message_type: Any = publisher.msg_type
     if topic.type == interface.JOINT_STATE:
-        encode = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities)).encode
+        encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
+        encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         return lambda stamp_ns, values: publish(encode(stamp_ns, values))
     if topic.type == interface.MULTI_ARRAY:
         return lambda array: publish(_encode_array(topic, array))

@@ -29,7 +29,7 @@ from soft_throw_ros.nodes.recommendations import (
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.plan import check
-from soft_throw_ros.twin.results import Field, Outputs, State, ThrowResult
+from soft_throw_ros.twin.results import Field, Floats, Outputs, State, ThrowResult
 from soft_throw_ros.twin.session import Refused, Session
 from std_srvs.srv import Trigger
 
@@ -130,8 +130,8 @@ class Twin(RealTimeNode):
         if outputs.phases or outputs.results or outputs.notices or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
-    def _layer_state(self, state: State, field: Field) -> Sequence[float]:
-        """Return heights, velocities and forces of the layer, one after the other."""
+    def _layer_state(self, state: State, field: Field) -> Sequence[Floats]:
+        """Return heights, velocities and forces of the layer."""
         strain, velocity = field
         settings = self.parameters.settings
         step = settings['layer.thickness'] / (len(strain) - 1)
@@ -139,7 +139,7 @@ class Twin(RealTimeNode):
         height = state.plate_position + np.concatenate(([0.0], np.cumsum(growth)))
         area = 0.25 * np.pi * settings['layer.diameter'] ** 2
         stiffness = area * settings['layer.density'] * settings['layer.wave_speed'] ** 2
-        return tuple(np.concatenate((height, velocity, -stiffness * strain)).tolist())
+        return height, velocity, -stiffness * strain
 
     # in any thread
 
