@@ -36,7 +36,7 @@ from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import make_main, RunnableNode
 from soft_throw_ros.nodes.taps import Tap
 from soft_throw_ros.nodes.topics import create_subscription, qos_profile
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
@@ -294,19 +294,4 @@ class _Measured:
         self._tap.close()
 
 
-def main(args: list[str] | None = None) -> int:
-    """
-    Keep a twin true to its rig until SIGINT, SIGTERM or SIGHUP.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused.
-
-    """
-    return run('calibrator', lambda arguments: Calibrator(arguments=arguments), args)
+main = make_main('calibrator', lambda arguments: Calibrator(arguments=arguments))

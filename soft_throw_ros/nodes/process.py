@@ -128,6 +128,27 @@ def run(
     return code
 
 
+def make_main(
+    name: str, make: Callable[[Sequence[str]], RunnableNode], *, notice: str = ''
+) -> Callable[[list[str] | None], int]:
+    """
+    Make the `main` of a node.
+
+    Its argument are the arguments of ROS, those of the process if None; it returns the exit code.
+
+    Parameters
+    ----------
+    name, make, notice
+        As for `run`.
+
+    """
+
+    def main(args: list[str] | None = None) -> int:
+        return run(name, make, args, notice=notice)
+
+    return main
+
+
 def _on_signals(handler: Any) -> None:
     """
     Handle the signals that ask a process to end.

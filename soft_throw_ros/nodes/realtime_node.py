@@ -8,13 +8,14 @@ then.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import gc
 import sys
 from typing import Any
 
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import make_main, RunnableNode
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, Steps, SystemClock, Ticker
 from soft_throw_ros.twin.plan import warm_up
 from soft_throw_ros.twin.results import Outputs
@@ -94,11 +95,10 @@ class RealTimeNode(RunnableNode):
         return self._node_clock if self._node_clock.is_active else self._system_clock
 
 
-def run_in_real_time(name: str, kind: type[Any], args: list[str] | None) -> int:
-    """Run a node that is derived from `RealTimeNode`, and say it if kernels are compiled."""
-    return run(
+def make_real_time_main(name: str, kind: type[Any]) -> Callable[[list[str] | None], int]:
+    """Make the `main` of a node derived from `RealTimeNode`; see `process.make_main`."""
+    return make_main(
         name,
         lambda arguments: kind(arguments=arguments),
-        args,
         notice='compiling, once; takes half a minute',
     )

@@ -31,7 +31,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import make_main, RunnableNode
 from soft_throw_ros.nodes.taps import distribution, is_wanted, Taps
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.recording.background import BackgroundWriter
@@ -465,20 +465,4 @@ def _texts(values: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(value) for name, value in values.items()}
 
 
-def main(args: list[str] | None = None) -> int:
-    """
-    Record until SIGINT, SIGTERM or SIGHUP.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, 1 if recording
-        has come to an end by itself.
-
-    """
-    return run('recorder', lambda given: Recorder(arguments=given), args)
+main = make_main('recorder', lambda arguments: Recorder(arguments=arguments))

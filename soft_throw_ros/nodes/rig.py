@@ -10,7 +10,7 @@ import numpy as np
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.realtime_node import RealTimeNode, run_in_real_time
+from soft_throw_ros.nodes.realtime_node import make_real_time_main, RealTimeNode
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.twin import plan
 from soft_throw_ros.twin.results import Outputs
@@ -104,20 +104,4 @@ class Rig(RealTimeNode):
         )
 
 
-def main(args: list[str] | None = None) -> int:
-    """
-    Play a rig until SIGINT, SIGTERM or SIGHUP.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, 1 if the ticks
-        have come to an end by themselves.
-
-    """
-    return run_in_real_time('rig', Rig, args)
+main = make_real_time_main('rig', Rig)

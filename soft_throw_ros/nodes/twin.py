@@ -19,7 +19,7 @@ from soft_throw_ros.nodes.conversions import throw_result_to_msg
 from soft_throw_ros.nodes.diagnostics import DiagnosticsPublisher
 from soft_throw_ros.nodes.measured import MeasuredSteps
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.realtime_node import RealTimeNode, run_in_real_time, STOP_TIMEOUT
+from soft_throw_ros.nodes.realtime_node import make_real_time_main, RealTimeNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.recommendations import (
     matters,
     recommend_for,
@@ -278,20 +278,4 @@ class Twin(RealTimeNode):
         self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
 
 
-def main(args: list[str] | None = None) -> int:
-    """
-    Run the twin until SIGINT, SIGTERM or SIGHUP.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, 1 if the ticks
-        have come to an end by themselves.
-
-    """
-    return run_in_real_time('twin', Twin, args)
+main = make_real_time_main('twin', Twin)

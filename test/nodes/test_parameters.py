@@ -8,7 +8,7 @@ import pytest
 from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER, Table, TWIN
+from soft_throw_ros.configuration import files, ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
@@ -97,11 +97,6 @@ def test_number_is_taken_in_whatever_form_it_comes(ros, twin, name, given, value
     assert (tuple(got) if isinstance(value, tuple) else got) == value
 
 
-def test_set_to_the_same_changes_nothing(ros, twin) -> None:
-    assert ros.parameters(twin).set(gravity=9.81) == ['']
-    assert unchanged(twin)
-
-
 @pytest.mark.parametrize('value', [math.nan, math.inf, -0.01, 0, 'soft', True, ['a'], None])
 def test_bad_value_is_refused_with_its_name_and_value(ros, twin, value) -> None:
     client = ros.parameters(twin)
@@ -143,21 +138,6 @@ def test_twice_the_same_name_in_one_request_is_refused(twin) -> None:
     )
     assert '1.0 and 2.0' in result.reason
     assert unchanged(twin)
-
-
-def test_one_by_one_keeps_what_is_good(ros, twin) -> None:
-    reasons = ros.parameters(twin).set(gravity=1.0, layer__thickness=-1.0, time_scale=0.1)
-    assert [bool(reason) for reason in reasons] == [False, True, False]
-    assert twin.changes == [{'gravity': 1.0}, {'time_scale': 0.1}]
-
-
-def test_layer_name_sets_all_of_the_layer(ros, twin) -> None:
-    client = ros.parameters(twin)
-    assert client.set(layer__thickness=0.01, layer__name='gelatin_5.6mm') == ['', '']
-    assert client.get('layer.thickness') == 5.6e-3
-    assert twin.parameters.settings == {
-        **TWIN.defaults(), 'layer.name': 'gelatin_5.6mm', **LAYERS['gelatin_5.6mm'],
-    }  # fmt: skip
 
 
 def test_set_accepts_what_is_not_ours(ros, twin) -> None:
@@ -224,11 +204,6 @@ def test_start_takes_arguments_over_a_file(start) -> None:
     assert not twin.changes
 
 
-def test_start_takes_overrides_of_a_launching_program(ros) -> None:
-    twin = ros.node(Watched, parameter_overrides=[Parameter('gravity', value=1)])
-    assert twin.parameters.settings['gravity'] == 1.0
-
-
 @pytest.mark.parametrize(
     ('rule', 'message'),
     [
@@ -260,11 +235,6 @@ def test_what_rclpy_refuses_is_one_line(start, argument, words) -> None:
     with pytest.raises((ParameterError, RuntimeError)) as refused:
         start(*argument)
     assert all(word in str(refused.value) for word in words)
-
-
-def test_contradicting_arguments_are_refused(start) -> None:
-    with pytest.raises(ParameterError, match=r'is 0\.002, got 0\.01'):
-        start('-p', 'layer.name:=gelatin_2.0mm', '-p', 'layer.thickness:=0.01')
 
 
 @pytest.mark.parametrize('pattern', ['/**', 'twin', '/twin', '/**/twin'])

@@ -184,12 +184,6 @@ def test_recorder_with_nothing_to_do_is_refused(recorder) -> None:
         recorder(storage='none')
 
 
-def test_bag_that_exists_is_refused_at_the_start(recorder, tmp_path) -> None:
-    (tmp_path / 'bag').mkdir()
-    with pytest.raises(ParameterError, match='never overwritten'):
-        recorder(name='bag')
-
-
 def test_file_is_split_by_time(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='bag', split__duration=1.0)
     publisher = talker.create_publisher(String, '/talk', 100)

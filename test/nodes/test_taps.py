@@ -11,9 +11,11 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from soft_throw_ros.nodes import taps, topics
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes import taps
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.taps import fitting_profile, is_wanted, message_type, Tap, Taps
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from std_msgs.msg import String
 
@@ -68,7 +70,9 @@ def test_messages_are_the_bytes_that_were_published(ros, talker, listener) -> No
 
 
 def test_topics_of_the_twin_are_known_in_full(ros, talker, listener) -> None:
-    publisher = talker.create_publisher(String, '/rig1/twin/journal', topics.JOURNAL.qos)
+    publisher = talker.create_publisher(
+        String, '/rig1/twin/journal', qos_profile(TWIN_TOPICS.journal)
+    )
     publisher.publish(String())
     tapped = Taps(listener, ['/rig1'])
     (message,) = take(ros, tapped, listener, 1)

@@ -12,12 +12,9 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from soft_throw_ros.configuration import ParameterError, rig_of, TWIN
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import FRAME, TWIN_SERVICES, TWIN_TOPICS
-from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.design.objective import Limits, Robust, Versatile
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import (
@@ -30,7 +27,7 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.session import replay, Session
+from soft_throw_ros.twin.session import replay
 
 SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
@@ -54,17 +51,6 @@ def test_joint_states_come_once_per_tick_with_its_stamp(twin, listener) -> None:
     assert max(message.position[1] for message in messages) > 0.1
 
 
-def test_node_publishes_what_the_session_gives(twin, listener) -> None:
-    session = Session({**TWIN.defaults(), 'throw.period': 0.0})
-    session.advance()
-    listener.trigger(TWIN_SERVICES.throw)
-    session.ask_throw()
-    twin.go(500)
-    assert [outputs.state for outputs in twin.outputs[1:]] == [
-        session.advance().state for _ in range(500)
-    ]
-
-
 def test_layer_has_heights_velocities_and_forces_at_its_rate(twin, listener) -> None:
     listener.listen(TWIN_TOPICS.layer_joint_states)
     listener.trigger(TWIN_SERVICES.throw)
@@ -79,14 +65,6 @@ def test_layer_has_heights_velocities_and_forces_at_its_rate(twin, listener) -> 
         assert message.effort[0] == pytest.approx(-state.plate_force, abs=1e-9)
     stamps = [msg_to_time(message.header.stamp) for message in messages]
     assert set(np.diff(stamps)) == {20 * MILLISECOND}
-
-
-def test_rate_may_change(ros, twin, listener) -> None:
-    assert ros.parameters(twin).set(rate__state=500.0) == ['']
-    listener.trigger(TWIN_SERVICES.reset)
-    twin.go(1000)
-    assert len(twin.outputs) == 501  # one, one at the reset, and every 2 ms one
-    assert twin.ticker.statistics.skipped == 0
 
 
 # contract
@@ -149,22 +127,6 @@ def test_whatever_has_a_header_names_the_frame(twin, listener) -> None:
     assert {listener.hear(topic)[0].header.frame_id for topic in listed} == {FRAME}
 
 
-def test_throw_beyond_the_linear_range_is_a_warning(ros, twin, listener) -> None:
-    listener.listen(TWIN_TOPICS.throw_result)
-    for limit, level in ((0.05, DiagnosticStatus.WARN), (0.9, DiagnosticStatus.OK)):
-        assert ros.parameters(twin).set(max_strain=limit) == ['']
-        listener.trigger(TWIN_SERVICES.reset)
-        twin.go(150)
-        listener.trigger(TWIN_SERVICES.throw)
-        twin.go(150)
-        status = listener.status(
-            TWIN_TOPICS.throw_result,
-            'throw',
-            lambda status, limit=limit: msg_to_values(status)['max_strain'] == limit,
-        )
-        assert status.level == level
-
-
 def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     listener.listen(TWIN_TOPICS.journal)
     client = ros.parameters(twin)
@@ -180,16 +142,6 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     again = list(replay(lines, until=twin.session.step, throw=1))
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05
-
-
-def test_layer_with_loss_is_followed_by_finite_differences(ros, twin, listener) -> None:
-    assert ros.parameters(twin).set(layer__loss_tangent=0.05) == ['']
-    listener.trigger(TWIN_SERVICES.throw)
-    twin.go(300)
-    (result,) = twin.results
-    lossy = simulate(result.rig, model='finite_difference', cells=400).energy_transfer
-    assert result.first.energy_transfer == pytest.approx(lossy, rel=2e-3)
-    assert result.first.energy_transfer < 0.95 * simulate(Rig()).energy_transfer
 
 
 def test_both_stages_are_published(ros, twin, listener) -> None:
@@ -227,28 +179,7 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     assert heard == ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
 
 
-def test_throws_come_by_themselves(start_twin) -> None:
-    twin = start_twin()
-    twin.go(3500)
-    assert twin.session.throws == 3
-
-
 # parameters
-
-
-def test_changes_wait_for_the_next_throw(ros, twin, listener) -> None:
-    client = ros.parameters(twin)
-    twin.go(10)
-    assert client.set(layer__thickness=0.01, layer__wave_speed=9) == ['', '']
-    assert client.get('layer.wave_speed') == 9.0
-    changes = {'layer.name': 'custom', 'layer.thickness': 0.01, 'layer.wave_speed': 9.0}
-    assert twin.session.pending == changes
-    twin.go(100)
-    listener.trigger(TWIN_SERVICES.throw)
-    twin.go(300)
-    assert twin.session.pending == {}
-    (result,) = twin.results
-    assert (result.rig.layer.thickness, result.rig.layer.wave_speed) == (0.01, 9.0)
 
 
 @pytest.mark.parametrize(
@@ -271,11 +202,6 @@ def test_refused_request_changes_nothing(ros, twin, listener, values, reasons) -
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(50)
     assert len(twin.outputs) == steps + 50  # it runs on
-
-
-def test_twin_refuses_to_start_with_what_cannot_be_stepped(start_twin) -> None:
-    with pytest.raises(ParameterError, match='steps per'):
-        start_twin('-p', 'layer.wave_speed:=200.0', '-p', 'layer.thickness:=5e-4')
 
 
 def test_storm_of_changes_is_logged_in_few_lines(ros, twin, capfd) -> None:
@@ -359,24 +285,6 @@ def test_recommendation_can_be_applied(ros, twin, listener, vary) -> None:
     assert result.first.energy_transfer == pytest.approx(best.energy_transfer, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ('request_', 'expected'),
-    [
-        ({'objective': 'robust', 'vary': 'thickness', 'quantile': 0.05},
-         {'objective': Robust(quantile=0.05), 'vary': 'thickness'}),
-        ({'objective': 'versatile', 'masses': [1e-3, 4e-3], 'frequencies': [50.0]},
-         {'objective': Versatile(masses=(1e-3, 4e-3), frequencies=(50.0,))}),
-        ({'vary': 'library', 'max_loss_tangent': 0.1},
-         {'vary': 'library', 'materials': library().materials,
-          'limits': Limits(max_loss_tangent=0.1)}),
-        ({'thickness_max': 0.02, 'max_strain': 0.12, 'max_acceleration': 400.0},
-         {'limits': Limits(thickness_max=0.02, max_strain=0.12, max_acceleration=400.0)}),
-    ],
-)  # fmt: skip
-def test_recommendation_is_what_is_asked_for(ros, twin, request_, expected) -> None:
-    assert ask(ros, twin, **request_) == recommend(Rig(), **expected)
-
-
 JELLY = """\
 jelly:
   description: Firm jelly
@@ -394,17 +302,6 @@ def jelly(tmp_path) -> str:
     path = tmp_path / 'mine.yaml'
     path.write_text(JELLY)
     return str(path)
-
-
-def test_layer_of_one_s_own_library_is_thrown_with(ros, twin, listener, jelly) -> None:
-    client = ros.parameters(twin)
-    assert client.set_atomically(layer__library=jelly, layer__name='jelly_20.0mm') == ''
-    assert client.set(layer__name='jelly_40.0mm') == ['']
-    assert client.get('layer.thickness') == 0.04
-    listener.trigger(TWIN_SERVICES.throw)
-    twin.go(150)
-    (result,) = twin.results
-    assert result.rig.layer == Layer(thickness=0.04, wave_speed=22.0, density=1050.0)
 
 
 def test_layer_picked_from_a_library_can_be_applied(ros, twin, listener, jelly) -> None:
