@@ -19,7 +19,7 @@ EXECUTABLES = runpy.run_path(f'{NAME}/__main__.py')['EXECUTABLES']
 
 # colcon (and a ROS build farm) runs `setup.py install` or `develop`, pip never does.
 if {'install', 'develop'}.intersection(sys.argv):
-    scripts = [f'{name} = {module}:main' for name, (module, _) in EXECUTABLES.items()]
+    scripts = [f'{name} = {NAME}.__main__:run_{name}' for name in EXECUTABLES]
 else:
     scripts = [f'soft-throw = {NAME}.__main__:main']
 

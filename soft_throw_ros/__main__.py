@@ -7,7 +7,11 @@ lays the plain names into lib/soft_throw_ros, for ``ros2 run``.
 
 """
 
+from collections.abc import Callable, Iterator
+import contextlib
 import importlib
+import os
+import signal
 import sys
 
 # Name: module with a main(args), and what it is for. The only such list: setup.py reads it too,
@@ -54,15 +58,50 @@ def main(args: list[str] | None = None) -> int | None:
             file=sys.stderr,
         )
         return 2
+    sys.argv = [f'soft-throw {name}', *rest]  # what the executable calls itself in its messages
+    return _run(name, rest)
+
+
+def __getattr__(name: str) -> Callable[[], int | None]:
+    """Return the function behind a plain name that colcon lays: `run_twin` and the like."""
+    executable = name.removeprefix('run_')
+    if executable == name or executable not in EXECUTABLES:
+        raise AttributeError(f'no executable is named {name!r}')
+    return lambda: _run(executable, sys.argv[1:])
+
+
+def _run(name: str, arguments: list[str]) -> int | None:
+    """Import the module of an executable, and run it."""
     module_name, _ = EXECUTABLES[name]
     try:
-        module = importlib.import_module(module_name)
+        with _ended_by_signals(is_node='.nodes.' in module_name):
+            module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         print(f'soft-throw: {name} needs what is not installed: {error}', file=sys.stderr)
         return 1
-    sys.argv = [f'soft-throw {name}', *rest]  # what the executable calls itself in its messages
-    exit_code: int | None = module.main(rest)
+    exit_code: int | None = module.main(arguments)
     return exit_code
+
+
+@contextlib.contextmanager
+def _ended_by_signals(*, is_node: bool) -> Iterator[None]:
+    """
+    Let a signal end the process at once and quietly, as it may while nothing has begun.
+
+    An import that is interrupted halfway would say so in dozens of lines. Nodes then end as they
+    do later, with 0.
+
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    for number, handler in handlers.items():
+        if handler != signal.SIG_IGN:
+            signal.signal(number, lambda number, _: os._exit(0 if is_node else 128 + number))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def _usage() -> str:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.check import JOINTS
 from urdf_parser_py.urdf import URDF
 import yaml
 
@@ -27,9 +27,8 @@ def test_model_can_be_the_value_of_a_parameter():
 
 
 def test_joints_are_those_of_the_twin(robot):
-    topics = pytest.importorskip('soft_throw_ros.nodes.topics', reason='needs rclpy')
-    assert robot.get_root() == topics.FRAME
-    assert tuple(joint.name for joint in robot.joints) == topics.JOINTS == JOINTS
+    assert robot.get_root() == FRAME
+    assert tuple(joint.name for joint in robot.joints) == JOINTS
 
 
 @pytest.mark.parametrize('name', JOINTS)

@@ -38,6 +38,12 @@ def _parameter_file(table: Table) -> str:
 def _parameters_page() -> Iterator[str]:
     yield '# Parameters\n'
     yield f'SI units. Written from the tables by `{_COMMAND}`.\n'
+    yield (
+        'A number may also be given as text, since tools that read YAML 1.1 take `5e-06` for one. '
+        'A\nparameter that is a result keeps its value whatever it is set to, so that '
+        '`ros2 param load` takes\nwhat `ros2 param dump` has written. What is set in one request '
+        'must not contradict itself;\nevery single change within its range is accepted.\n'
+    )
     for table in _TABLES:
         yield f'## {table.node}\n'
         yield from _markdown(

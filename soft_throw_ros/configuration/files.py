@@ -17,10 +17,10 @@ import re
 import textwrap
 from typing import Any
 
-from soft_throw_ros.configuration import markup
+from soft_throw_ros.configuration import located_yaml
+from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.configuration.table import ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
-import yaml
 
 _KEY = 'ros__parameters'
 
@@ -161,7 +161,7 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
             node, _, name = target.rpartition(':')
             if separator and text:  # what is no rule is refused by ROS
                 where = f'-p {argument}'
-                value = markup.value_of(markup.compose(text, where))
+                value = located_yaml.parse(text, where)
                 given = Given(value=value, where=where, order=order, in_file=False)
                 sections.setdefault(_pattern(node or '/**'), {})[name] = given
     return sections
@@ -231,34 +231,33 @@ def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def _add_file(sections: Sections, path: Path, *, order: int) -> None:
-    root = markup.read(path)
+    root = located_yaml.read(path)
     if root is not None:
-        for pattern, parameters in _nodes(root, path):
-            for name, node in _parameters(parameters):
-                given = Given(
-                    value=markup.value_of(node), where=markup.place(path, node), order=order
-                )
-                sections.setdefault(_pattern(pattern), {})[name] = given
+        for pattern, parameters in _nodes(root):
+            section = sections.setdefault(_pattern(pattern), {})
+            for name, found in _parameters(parameters):
+                section[name] = Given(value=found.value, where=found.where, order=order)
 
 
-def _nodes(tree: yaml.Node, path: Path, parent: str = '') -> Iterator[tuple[str, yaml.Node]]:
+def _nodes(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:
     """Yield every `ros__parameters` with the pattern above it."""
-    if not isinstance(tree, yaml.MappingNode):
+    if tree.items is None:
         raise ParameterError(
-            f'{markup.place(path, tree)}: expected NODE: {_KEY}: NAME: VALUE, '
-            f'got {getattr(tree, "value", "")!r} before any {_KEY}'
+            f'{tree.where}: expected NODE: {_KEY}: NAME: VALUE, got {tree.value!r} before any '
+            f'{_KEY}'
         )
-    for key, value in tree.value:
-        if str(key.value) == _KEY:
+    for key, value in tree.items:
+        if key == _KEY:
             yield parent, value
         else:
-            yield from _nodes(value, path, f'{parent}/{key.value}')
+            yield from _nodes(value, f'{parent}/{key}')
 
 
-def _parameters(tree: yaml.Node, parent: str = '') -> Iterator[tuple[str, yaml.Node]]:
-    if isinstance(tree, yaml.MappingNode):
-        for key, value in tree.value:
-            yield from _parameters(value, f'{parent}.{key.value}' if parent else str(key.value))
+def _parameters(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:
+    """Yield every parameter with its full name."""
+    if tree.items is not None:
+        for key, value in tree.items:
+            yield from _parameters(value, f'{parent}.{key}' if parent else key)
     elif parent:
         yield parent, tree
 

@@ -17,9 +17,9 @@ from pathlib import Path
 import re
 from types import MappingProxyType
 
-from soft_throw_ros.configuration import markup
-from soft_throw_ros.configuration.table import ParameterError
-import yaml
+from soft_throw_ros.configuration import located_yaml
+from soft_throw_ros.configuration.located_yaml import Located
+from soft_throw_ros.configuration.table import ParameterError, row
 
 CUSTOM = 'custom'
 """Name of a layer that is in no library."""
@@ -184,127 +184,111 @@ def _library(path: str, _changed_ns: int) -> Library:
 
 def _materials(path: Path, known: Mapping[str, Material]) -> Iterator[tuple[str, Material]]:
     """Read the materials of a file one after another."""
-    root = markup.read(path)
+    root = located_yaml.read(path)
     if root is None:
         raise ParameterError(f'{path}: no material in it')
-    seen = set(known)
-    for name, node in _items(path, root, 'NAME: {density: ..., ...}'):
-        where = markup.place(path, node)
+    for name, node in _parts(root, 'NAME: {density: ..., ...}').items():
         if not re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name) or name == CUSTOM:
             raise ParameterError(
-                f'{where}: the name of a material is letters, digits, points, dashes and '
+                f'{node.where}: the name of a material is letters, digits, points, dashes and '
                 f'underlines, and not {CUSTOM!r}, got {name!r}'
             )
-        if name in seen:
-            raise ParameterError(f'{where}: there is a material named {name} already')
-        seen.add(name)
-        yield name, _material(path, name, node)
+        if name in known:
+            raise ParameterError(f'{node.where}: there is a material named {name} already')
+        yield name, _material(name, node)
 
 
-def _material(path: Path, name: str, node: yaml.Node) -> Material:
-    parts = dict(_items(path, node, 'PROPERTY: VALUE'))
-    where = markup.place(path, node)
+def _material(name: str, node: Located) -> Material:
+    parts = _parts(node, 'PROPERTY: VALUE')
     for key, part in parts.items():
         if key not in _KEYS:
             close = difflib.get_close_matches(key, _KEYS, n=1)
-            advice = f'; did you mean {close[0]}?' if close else f'; it has {", ".join(_KEYS)}'
-            raise ParameterError(f'{markup.place(path, part)}: no {key!r} in a material{advice}')
+            advice = f'did you mean {close[0]}?' if close else f'it has {", ".join(_KEYS)}'
+            raise ParameterError(f'{part.where}: no {key!r} in a material; {advice}')
     missing = [key for key in _REQUIRED if key not in parts]
     if missing:
-        raise ParameterError(f'{where}: {name} has no {", no ".join(missing)}')
-    if len([key for key in _STIFFNESS if key in parts]) != 1:
+        raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
+    stiffness = [key for key in _STIFFNESS if key in parts]
+    if len(stiffness) != 1:
         raise ParameterError(
-            f'{where}: {name} must have either wave_speed or youngs_modulus, got '
-            f'{"both" if "wave_speed" in parts else "neither"}'
+            f'{node.where}: {name} must have either wave_speed or youngs_modulus, got '
+            f'{"both" if stiffness else "neither"}'
         )
-    density = _quantity(path, 'density', parts['density'])
-    if 'wave_speed' in parts:
-        wave_speed = _quantity(path, 'wave_speed', parts['wave_speed'])
-    else:
-        modulus = _quantity(path, 'youngs_modulus', parts['youngs_modulus'])
-        speeds = (math.sqrt(x / density.value) for x in (modulus.value, modulus.low, modulus.high))
-        wave_speed = Quantity(**dict(zip(('value', 'low', 'high'), speeds, strict=True)))
-        _check(path, 'wave_speed', wave_speed.value, parts['youngs_modulus'])
-    thicknesses: tuple[float, ...] = ()
-    if 'thicknesses' in parts:
-        thicknesses = tuple(_numbers(path, 'thickness', parts['thicknesses']))
-    diameter = parts.get('diameter')
+    density = _quantity('density', parts['density'])
+    wave_speed = _quantity(stiffness[0], parts[stiffness[0]])
+    if 'youngs_modulus' in parts:
+        moduli = (wave_speed.value, wave_speed.low, wave_speed.high)
+        value, low, high = (math.sqrt(modulus / density.value) for modulus in moduli)
+        _number('wave_speed', value, parts['youngs_modulus'])
+        wave_speed = Quantity(value=value, low=low, high=high)
     return Material(
         name=name,
-        description=_text(path, 'description', parts['description']),
-        source=_text(path, 'source', parts['source']),
+        description=_text('description', parts['description']),
+        source=_text('source', parts['source']),
         density=density,
         wave_speed=wave_speed,
-        loss_tangent=_quantity(path, 'loss_tangent', parts['loss_tangent']),
-        thicknesses=thicknesses,
-        diameter=None if diameter is None else _number(path, 'diameter', diameter),
+        loss_tangent=_quantity('loss_tangent', parts['loss_tangent']),
+        thicknesses=_numbers('thickness', parts['thicknesses']) if 'thicknesses' in parts else (),
+        diameter=(
+            _number('diameter', parts['diameter'].value, parts['diameter'])
+            if 'diameter' in parts
+            else None
+        ),
     )
 
 
-def _items(path: Path, node: yaml.Node, form: str) -> Iterator[tuple[str, yaml.Node]]:
-    """Yield the keys of a mapping with their values; a key may not come twice."""
-    if not isinstance(node, yaml.MappingNode):
-        raise ParameterError(
-            f'{markup.place(path, node)}: expected {form}, got {markup.value_of(node)!r}'
-        )
-    seen = set()
-    for key, value in node.value:
-        name = str(key.value)
-        if name in seen:
-            raise ParameterError(f'{markup.place(path, key)}: {name} is given twice')
-        seen.add(name)
-        yield name, value
+def _parts(node: Located, form: str) -> dict[str, Located]:
+    """Return the values of a mapping; a key may not come twice."""
+    if node.items is None:
+        raise ParameterError(f'{node.where}: expected {form}, got {node.value!r}')
+    parts: dict[str, Located] = {}
+    for key, value in node.items:
+        if key in parts:
+            raise ParameterError(f'{value.where}: {key} is given twice')
+        parts[key] = value
+    return parts
 
 
-def _text(path: Path, key: str, node: yaml.Node) -> str:
-    value = str(node.value).strip() if isinstance(node, yaml.ScalarNode) else ''
-    if not value:
-        raise ParameterError(
-            f'{markup.place(path, node)}: {key} must be a text, got {markup.value_of(node)!r}'
-        )
-    return value
+def _text(key: str, node: Located) -> str:
+    if not isinstance(node.value, str) or not node.value.strip():
+        raise ParameterError(f'{node.where}: {key} must be a text, got {node.value!r}')
+    return node.value.strip()
 
 
-def _quantity(path: Path, key: str, node: yaml.Node) -> Quantity:
+def _quantity(key: str, node: Located) -> Quantity:
     """Read a number, or a number and its range."""
-    if not isinstance(node, yaml.MappingNode):
-        value = _number(path, key, node)
+    if node.items is None:
+        value = _number(key, node.value, node)
         return Quantity(value=value, low=value, high=value)
-    parts = dict(_items(path, node, '{value: ..., range: [..., ...]}'))
+    parts = _parts(node, '{value: ..., range: [..., ...]}')
     if set(parts) != {'value', 'range'}:
         raise ParameterError(
-            f'{markup.place(path, node)}: {key} must be a number or '
-            f'{{value: ..., range: [..., ...]}}, got {", ".join(parts) or "nothing"}'
+            f'{node.where}: {key} must be a number or {{value: ..., range: [..., ...]}}, got '
+            f'{", ".join(parts) or "nothing"}'
         )
-    value = _number(path, key, parts['value'])
-    bounds = _numbers(path, key, parts['range'])
+    value = _number(key, parts['value'].value, node)
+    bounds = _numbers(key, parts['range'])
     if len(bounds) != 2 or not bounds[0] <= value <= bounds[1]:
         raise ParameterError(
-            f'{markup.place(path, parts["range"])}: the range of {key} must be two numbers around '
-            f'{value:g}, got {bounds}'
+            f'{node.where}: the range of {key} must be two numbers around {value:g}, got '
+            f'{list(bounds)}'
         )
     return Quantity(value=value, low=bounds[0], high=bounds[1])
 
 
-def _numbers(path: Path, key: str, node: yaml.Node) -> list[float]:
-    if not isinstance(node, yaml.SequenceNode) or not node.value:
+def _numbers(key: str, node: Located) -> tuple[float, ...]:
+    if not isinstance(node.value, list) or not node.value:
         raise ParameterError(
-            f'{markup.place(path, node)}: expected a list of numbers for {key}, '
-            f'got {markup.value_of(node)!r}'
+            f'{node.where}: expected a list of numbers for {key}, got {node.value!r}'
         )
-    return [_number(path, key, item) for item in node.value]
+    return tuple(_number(key, item, node) for item in node.value)
 
 
-def _number(path: Path, key: str, node: yaml.Node) -> float:
-    return _check(path, key, markup.value_of(node), node)
-
-
-def _check(path: Path, key: str, value: object, node: yaml.Node) -> float:
+def _number(key: str, value: object, node: Located) -> float:
     """Return a number within its bounds, or refuse it."""
     unit, low, high = BOUNDS[key]
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ParameterError(
-            f'{markup.place(path, node)}: {key} must be a number from {low:g} to {high:g}'
-            f'{f" {unit}" if unit else ""}, got {value!r}'
-        )
-    return float(value)
+    entry = row(key, low, '', unit=unit, low=low, high=high)
+    number = entry.convert(value)
+    if not isinstance(number, float):
+        raise ParameterError(f'{node.where}: {key} must be {entry.rule}, got {value!r}')
+    return number

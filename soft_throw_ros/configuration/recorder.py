@@ -3,37 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Iterator
 
-from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table
+from soft_throw_ros.configuration.table import NAME, ParameterError, row, Settings, Table
 
 
-def check_together(settings: Settings, changed: Collection[str]) -> None:
+def contradictions(settings: Settings) -> Iterator[ParameterError]:
     """
-    Refuse to record nothing, if that was asked for at once.
+    Find settings with which nothing would be recorded nor shown.
 
-    Raises
-    ------
-    ParameterError
-        Quoting both values.
-
-    """
-    if {'storage', 'rerun.sink'} <= set(changed):
-        refuse_nothing(settings)
-
-
-def refuse_nothing(settings: Settings) -> None:
-    """
-    Refuse settings with which nothing would be recorded nor shown.
-
-    Raises
+    Yields
     ------
     ParameterError
         Quoting both values.
 
     """
     if settings['storage'] == settings['rerun.sink'] == 'none':
-        raise ParameterError(
+        yield ParameterError(
             "storage and rerun.sink are both 'none', so that nothing would be recorded nor "
             "shown; set storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
             'storage',
@@ -44,9 +30,10 @@ def refuse_nothing(settings: Settings) -> None:
 RECORDER = Table(
     node='recorder',
     entries=(
-        row('topics', ('/twin', '/diagnostics', '/parameter_events', '/rosout'),
-              'Topics to record, and namespaces of which all are recorded; `/` records everything',
-              pattern='/'),
+        row('topics', ('twin', '/diagnostics', '/parameter_events', '/rosout'),
+              'Topics to record, and namespaces of which all are recorded, below the namespace of '
+              'the recorder unless they begin with /; `/` records everything',
+              kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
         row('storage', 'mcap', 'Whether to write a bag, or to show only',
               choices=('mcap', 'none')),
         row('folder', '.', 'Where bags are put'),
@@ -73,6 +60,6 @@ RECORDER = Table(
         row('rerun.python', '',
               'Python that has Rerun and this package; empty for the one that runs the recorder'),
     ),
-    check_together=check_together,
+    contradictions=contradictions,
 )  # fmt: skip
 """The parameters of the recorder; all take effect when recording is started."""

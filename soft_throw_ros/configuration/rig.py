@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table
+from soft_throw_ros.configuration.table import NAME, row, Settings, Table
 from soft_throw_ros.configuration.twin import TWIN
 
 _LIKE_THE_TWIN = (
@@ -37,10 +37,13 @@ RIG = Table(
 CALIBRATOR = Table(
     node='calibrator',
     entries=(
-        row('twin', '/twin', 'The twin that is kept true to its rig'),
+        row('twin', 'twin',
+             'The twin that is kept true to its rig, below the namespace of the calibrator unless '
+             'it begins with /', kind='the name of a node', pattern=NAME),
         row('rig', '',
-             'A node `rig` that is given the layer which the twin recommends; without, the layer '
-             'is left alone'),
+             'A node `rig` that is given the layer which the twin recommends, named likewise; '
+             'without, the layer is left alone',
+             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
              'How many throws in a row have to be beyond `measured.band` of the twin; from those '
              'the rig is identified', low=1, high=100),
@@ -58,22 +61,3 @@ def to_twin(settings: Settings) -> dict[str, Any]:
         'rate.state': settings['rate'],
         **{name: settings[name] for name in _LIKE_THE_TWIN},
     }
-
-
-def check_calibrator(settings: Settings) -> None:
-    """
-    Refuse names that are no full names of nodes.
-
-    Raises
-    ------
-    ParameterError
-        Quoting the name.
-
-    """
-    for parameter in ('twin', 'rig'):
-        name = settings[parameter]
-        if not name.startswith('/') and (name or parameter == 'twin'):
-            raise ParameterError(
-                f'{parameter} must be the full name of a node, as /{parameter}, got {name!r}',
-                parameter,
-            )

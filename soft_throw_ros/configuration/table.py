@@ -13,14 +13,18 @@ list one by one; refused are values out of range and contradictions inside one r
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 import difflib
 from functools import cached_property
 import math
+import re
 from typing import Any, TypeAlias
 
 Value: TypeAlias = bool | float | int | str | tuple[str, ...] | tuple[float, ...]
+
+NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
+"""Names of nodes, topics and namespaces in ROS."""
 
 Settings: TypeAlias = Mapping[str, Any]
 
@@ -63,13 +67,13 @@ class Entry:
     or_zero : bool
         Whether 0 is allowed besides.
     choices : tuple of str
-        The texts allowed; without, any text is.
-    kind : str
-        What a text is that is checked elsewhere, in words.
+        The texts allowed; without, any text is that matches `pattern`.
     pattern : str
-        What the texts of a list begin with.
-    hint : str
-        What to add when a value is refused.
+        Regular expression that a text matches.
+    kind : str
+        What a text is, in words.
+    max_length : int
+        Of a list.
 
     """
 
@@ -81,9 +85,9 @@ class Entry:
     high: float = math.inf
     or_zero: bool = False
     choices: tuple[str, ...] = ()
-    kind: str = ''
-    pattern: str = ''
-    hint: str = ''
+    pattern: str = '.*'
+    kind: str = 'a text'
+    max_length: int = 1000
 
     @property
     def group(self) -> str:
@@ -110,51 +114,53 @@ class Entry:
         if isinstance(self.default, bool):
             return 'true or false'
         if isinstance(self.default, str):
-            return self.kind or 'a text'
-        if isinstance(self.default, tuple) and not self._is_of_numbers:
-            return f'a list of texts, each beginning with {self.pattern}'
+            return self.kind
+        if isinstance(self.default, tuple) and isinstance(self.default[0], str):
+            return f'a list, each {self.kind}'
         if self.low == self.high:
             return f'{self.low:g}'
         kind = 'a whole number' if isinstance(self.default, int) else 'a number'
         if isinstance(self.default, tuple):
-            kind = 'a list of numbers'
+            kind = f'a list of at most {self.max_length} numbers'
         unit = f' {self.unit}' if self.unit else ''
         zero = ', or 0' if self.or_zero else ''
         return f'{kind} from {self.low:g} to {self.high:g}{unit}{zero}'
 
-    def allows(self, value: Any) -> bool:
-        """Tell whether `value` obeys the rule; a whole number is taken for a float."""
-        if self.choices:
-            return isinstance(value, str) and value in self.choices
+    def convert(self, value: Any) -> Value | None:
+        """
+        Return `value` in the parameter's own type, or None if the rule does not allow it.
+
+        A whole number is taken for a float, and a text that is a number for that number: tools
+        that read YAML 1.1 take `5e-06` for a text.
+
+        """
         if isinstance(self.default, tuple):
-            allows = self._allows_number if self._is_of_numbers else self._allows_text
-            return (
-                isinstance(value, (array, list, tuple))
-                and len(value) > 0
-                and all(map(allows, value))
-            )
-        if isinstance(self.default, (bool, str)):
-            return type(value) is type(self.default)
-        return self._allows_number(value)
+            is_list = isinstance(value, (array, list, tuple))
+            if not is_list or not 0 < len(value) <= self.max_length:
+                return None
+            items = [self._convert_item(item, self.default[0]) for item in value]
+            return None if None in items else tuple(items)  # type: ignore[return-value]
+        return self._convert_item(value, self.default)
 
-    @property
-    def _is_of_numbers(self) -> bool:
-        return isinstance(self.default, tuple) and isinstance(self.default[0], float)
+    def allows(self, value: Any) -> bool:
+        """Tell whether `value` obeys the rule."""
+        return self.convert(value) is not None
 
-    def _allows_text(self, value: Any) -> bool:
-        return isinstance(value, str) and value.startswith(self.pattern)
-
-    def _allows_number(self, value: Any) -> bool:
-        numbers = int if isinstance(self.default, int) else (int, float)
+    def _convert_item(self, value: Any, default: float | str) -> float | str | None:
+        """Convert a value, or one of a list, to the type of `default`."""
+        if isinstance(default, bool):
+            return value if isinstance(value, bool) else None
+        if isinstance(default, str):
+            is_text = isinstance(value, str) and re.fullmatch(self.pattern, value, re.DOTALL)
+            return value if is_text and (not self.choices or value in self.choices) else None
+        if isinstance(value, str):
+            value = _number(value)
+        numbers = int if isinstance(default, int) else (int, float)
         if isinstance(value, bool) or not isinstance(value, numbers):
-            return False
-        return self.low <= value <= self.high or (self.or_zero and value == 0)
-
-    def converted(self, value: Any) -> Value:
-        """Return a value that is allowed in the parameter's own type."""
-        if self._is_of_numbers:
-            return tuple(map(float, value))
-        return type(self.default)(value)
+            return None
+        if self.low <= value <= self.high or (self.or_zero and value == 0):
+            return type(default)(value)
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,9 +179,9 @@ class Table:
     imply : callable
         Adds to the changes of settings (its arguments are both) what they imply. What was asked
         for is never replaced.
-    check_together : callable
-        Refuses contradictions among values that were set at once: given the complete settings
-        after the change, and the names of what was set.
+    contradictions : callable
+        Finds values in complete settings that contradict each other, as errors with the names of
+        the values; they are refused if they were all set at once.
 
     """
 
@@ -183,7 +189,7 @@ class Table:
     entries: tuple[Entry, ...]
     hints: Mapping[str, str] = field(default_factory=dict)
     imply: Callable[[Settings, Settings], Settings] = lambda _settings, changes: changes
-    check_together: Callable[[Settings, Collection[str]], None] = lambda _settings, _names: None
+    contradictions: Callable[[Settings], Iterable[ParameterError]] = lambda _settings: ()
 
     @cached_property
     def by_name(self) -> Mapping[str, Entry]:
@@ -203,7 +209,7 @@ class Table:
         name : str
             Full name of a parameter.
         value : bool, float, int, str or sequence of str or of numbers
-            A whole number is taken for a float, nothing else is converted.
+            See `Entry.convert`.
 
         Raises
         ------
@@ -225,10 +231,10 @@ class Table:
             raise ParameterError(
                 f'{name} is a result; {setting}call ~/apply_recommendation (got {value!r})', name
             )
-        if not entry.allows(value):
-            hint = f'; {entry.hint}' if entry.hint else ''
-            raise ParameterError(f'{name} must be {entry.rule}, got {value!r}{hint}', name)
-        return entry.converted(value)
+        converted = entry.convert(value)
+        if converted is None:
+            raise ParameterError(f'{name} must be {entry.rule}, got {_shown(value)}', name)
+        return converted
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
         """
@@ -249,10 +255,31 @@ class Table:
         """
         checked = {name: self.check_value(name, value) for name, value in request.items()}
         changes = dict(self.imply(settings, checked))
-        self.check_together({**settings, **changes}, checked.keys())
+        for error in self.contradictions({**settings, **changes}):
+            if set(error.names) <= checked.keys():
+                raise error
         return changes
 
 
 def row(name: str, default: Value, meaning: str, **rest: Any) -> Entry:
     """Make an entry, so that a table can be read in columns."""
     return Entry(name=name, default=default, meaning=meaning, **rest)
+
+
+def _number(text: str) -> float | None:
+    """Return the number that a text is, None if it is none."""
+    for kind in (int, float):
+        try:
+            return None if '_' in text else kind(text)
+        except ValueError:
+            pass
+    return None
+
+
+def _shown(value: Any) -> str:
+    """Quote a value; of a very long one the beginning."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]}... ({len(text)} characters)'
+
+
+_LONGEST = 200

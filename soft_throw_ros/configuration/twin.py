@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterator, Mapping
 import difflib
 import math
 from typing import Any
@@ -83,7 +83,7 @@ _ENTRIES = (
          'Contacts after which a throw is over; a lossless bounce has no end',
          low=1, high=1000),
     row('rate.state', 1000.0, 'Rate of `~/joint_states`', unit='Hz', low=10.0, high=5000.0),
-    row('rate.field', 50.0, 'Rate of `~/layer/strain` and `~/layer/velocity`, at most rate.state',
+    row('rate.field', 50.0, 'Rate of `~/layer/joint_states`, at most rate.state',
          unit='Hz', low=0.1, high=1000.0),
     row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
          low=1e-4, high=10.0),
@@ -130,9 +130,9 @@ _ENTRIES = (
          'Which case counts when robust: 0 is the worst, 0.05 is worse than 95 % of all',
          low=0.0, high=0.5),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
-         unit='kg', low=1e-5, high=1.0),
+         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
-         unit='Hz', low=1.0, high=1000.0),
+         unit='Hz', low=1.0, high=1000.0, max_length=16),
     row('recommendation.target_height', 0.1,
          'How far the projectile is to rise when aiming; 0 aims at a speed',
          unit='m', low=1e-4, high=1000.0, or_zero=True),
@@ -205,58 +205,55 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
     return {**changes, **{name: implied[name] for name in implied if name not in changes}}
 
 
-def check_together(settings: Settings, changed: Collection[str]) -> None:
+def contradictions(settings: Settings) -> Iterator[ParameterError]:
     """
-    Refuse contradictions among values that were set at once.
+    Find values that contradict each other.
+
+    Any of them may come about by single changes, which are all accepted; refused is what is asked
+    for at once.
 
     Parameters
     ----------
     settings : mapping of str to value
-        The complete settings after the change.
-    changed : collection of str
-        What was set at once; a pair counts only if both are in it.
+        Complete settings.
 
-    Raises
+    Yields
     ------
     ParameterError
-        Quoting both values.
+        Quoting two values, with the names of both.
 
     """
-    if 'layer.name' in changed:
-        layers, layer = _layers(settings), settings['layer.name']
-        for name in _departures(layers, settings, {name: settings[name] for name in changed}):
-            raise ParameterError(
-                f'{name} of {layer} is {layers[layer][name]:g}, got {settings[name]:g}; '
-                f'leave one of the two out, or set layer.name to {CUSTOM!r}',
-                name,
-                'layer.name',
-            )
-    if set(_TARGETS) <= set(changed) and all(settings[name] for name in _TARGETS):
-        height, speed = (settings[name] for name in _TARGETS)
-        raise ParameterError(
+    layers, layer = _layers(settings), settings['layer.name']
+    for name in _departures(layers, settings, settings):
+        yield ParameterError(
+            f'{name} of {layer} is {layers[layer][name]:g}, got {settings[name]:g}; '
+            f'leave one of the two out, or set layer.name to {CUSTOM!r}',
+            name,
+            'layer.name',
+        )
+    height, speed = (settings[name] for name in _TARGETS)
+    if height and speed:
+        yield ParameterError(
             f'one of {" and ".join(_TARGETS)} must be 0, got {height:g} and {speed:g}', *_TARGETS
         )
-    if {'engine.motion', 'engine.damping_ratio'} <= set(changed):
-        damping = settings['engine.damping_ratio']
-        if settings['engine.motion'] == 'harmonic' and damping > 0.0:
-            raise ParameterError(
-                f"engine.motion 'harmonic' has no damping, got engine.damping_ratio {damping:g}; "
-                "leave one of the two out, or set engine.motion to 'underdamped'",
-                'engine.damping_ratio',
-                'engine.motion',
-            )
-    for low, high, together in (
-        ('recommendation.thickness_min', 'recommendation.thickness_max', False),
-        ('recommendation.wave_speed_min', 'recommendation.wave_speed_max', False),
-        ('rate.field', 'rate.state', True),
+    damping = settings['engine.damping_ratio']
+    if settings['engine.motion'] == 'harmonic' and damping > 0.0:
+        yield ParameterError(
+            f"engine.motion 'harmonic' has no damping, got engine.damping_ratio {damping:g}; "
+            "leave one of the two out, or set engine.motion to 'underdamped'",
+            'engine.damping_ratio',
+            'engine.motion',
+        )
+    for low, high, bound in (
+        ('recommendation.thickness_min', 'recommendation.thickness_max', 'below'),
+        ('recommendation.wave_speed_min', 'recommendation.wave_speed_max', 'below'),
+        ('rate.field', 'rate.state', 'at most'),
     ):
-        if {low, high} <= set(changed):
-            smaller, larger = settings[low], settings[high]
-            if smaller > larger or (smaller == larger and not together):
-                bound = 'at most' if together else 'below'
-                raise ParameterError(
-                    f'{low} must be {bound} {high}, got {smaller:g} and {larger:g}', low, high
-                )
+        smaller, larger = settings[low], settings[high]
+        if smaller > larger or (smaller == larger and bound == 'below'):
+            yield ParameterError(
+                f'{low} must be {bound} {high}, got {smaller:g} and {larger:g}', low, high
+            )
 
 
 TWIN = Table(
@@ -267,7 +264,7 @@ TWIN = Table(
         'set layer.wave_speed'
     },
     imply=imply,
-    check_together=check_together,
+    contradictions=contradictions,
 )
 """The parameters of the twin."""
 

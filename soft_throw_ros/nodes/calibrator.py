@@ -22,16 +22,23 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.time import Time
-from soft_throw_ros.configuration.rig import CALIBRATOR, check_calibrator, RIG
+from soft_throw_ros.configuration.interface import (
+    JOINTS,
+    resolve,
+    Topic,
+    TWIN_SERVICES,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import Program, run
+from soft_throw_ros.nodes.process import make_main, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.topics import create_subscription, qos_profile
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Channel
 from soft_throw_ros.twin.results import ThrowResult
@@ -39,16 +46,14 @@ from std_srvs.srv import Trigger
 
 Floats = NDArray[np.float64]
 
-USAGE = 'usage: calibrator [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]'
-
-_DRAIN = 0.02  # between looks at what was measured [s]
+_DRAIN_PERIOD = 0.02  # between looks at what was measured [s]
 _KEPT_NS = 10_000_000_000  # of what was measured
 _BEFORE = 1.0  # plate periods of rest with which a track begins, ...
 _AFTER = 6.0  # and for which it goes on after the release
-_PATIENCE = 10.0  # with an answer [s]
+_ANSWER_TIMEOUT = 10.0  # of other nodes [s]
 _PAUSE = 0.5  # before the recommendation is asked for again, ...
-_ASKED = 120  # so many times
-_STOP_TIME = 0.3  # for the thread to end [s]
+_MAX_ATTEMPTS = 120  # so many times
+_STOP_TIMEOUT = 0.3  # for the thread to end [s]
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
@@ -56,7 +61,7 @@ class _Unanswered(Exception):
     """Another node refused something, or did not answer; the message says which, and what."""
 
 
-class Calibrator(Program):
+class Calibrator(RunnableNode):
     """
     Identifies a rig anew when its twin is no longer true to it.
 
@@ -76,33 +81,25 @@ class Calibrator(Program):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('calibrator', **kwargs)
-        try:
-            self.parameters = NodeParameters(
-                self, CALIBRATOR, _ignore, check=check_calibrator, arguments=arguments
-            )
-            twin, rig = (self.parameters.settings[name] for name in ('twin', 'rig'))
-            self._twin, self._rig = twin, rig
-            self._measured = _Measured(self, topics.MEASURED.at(twin))
-            result = topics.THROW_RESULT.at(twin)
-            self.create_subscription(result.type, result.name, self._on_results, result.qos)
-            self._get = self.create_client(GetParameters, f'{twin}/get_parameters')
-            self._set = {
-                node: self.create_client(
-                    SetParametersAtomically, f'{node}/set_parameters_atomically'
-                )
-                for node in (twin, rig)
-                if node
-            }
-            self._apply = self.create_client(
-                Trigger, topics.APPLY_RECOMMENDATION.replace('~', twin)
-            )
-            self.create_timer(_DRAIN, self._measured.take)
-        except BaseException:
-            super().destroy_node()
-            raise
+        self.parameters = NodeParameters(self, CALIBRATOR, arguments=arguments)
+        settings = self.parameters.settings
+        self._twin = self._full_name(settings['twin'])
+        self._rig = self._full_name(settings['rig']) if settings['rig'] else ''
+        self._measured = _Measured(self, TWIN_TOPICS.measured_joint_states.at(self._twin))
+        create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
+        self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
+        self._set = {
+            node: self.create_client(SetParametersAtomically, f'{node}/set_parameters_atomically')
+            for node in (self._twin, self._rig)
+            if node
+        }
+        self._apply = self.create_client(
+            Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, self._twin)
+        )
+        self.create_timer(_DRAIN_PERIOD, self._measured.take)
         self._released: dict[int, tuple[int, float]] = {}
-        self._doubtful: list[ThrowTracks] = []
-        self._rig_of_doubtful: Rig | None = None
+        self._mispredicted: list[ThrowTracks] = []
+        self._rig_of_mispredicted: Rig | None = None
         self._is_busy = False
         self._closing = threading.Event()
         self._tasks: queue.SimpleQueue[tuple[list[ThrowTracks], Rig] | None] = queue.SimpleQueue()
@@ -118,9 +115,13 @@ class Calibrator(Program):
         self._closing.set()
         self._tasks.put(None)
         if self._thread.is_alive():
-            self._thread.join(_STOP_TIME)
+            self._thread.join(_STOP_TIMEOUT)
         self._measured.close()
         super().destroy_node()
+
+    def _full_name(self, name: str) -> str:
+        """Return the full name of a node, below the calibrator's namespace if it is short."""
+        return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
 
     # in the executor's thread
 
@@ -139,9 +140,9 @@ class Calibrator(Program):
         comparison = result.comparison
         if released is None or comparison is None or not result.is_valid or self._is_busy:
             return
-        if comparison.is_within_threshold or result.rig != self._rig_of_doubtful:
-            self._doubtful.clear()  # what is identified together has to be of one rig
-            self._rig_of_doubtful = result.rig
+        if comparison.is_within_threshold or result.rig != self._rig_of_mispredicted:
+            self._mispredicted.clear()  # what is identified together has to be of one rig
+            self._rig_of_mispredicted = result.rig
         if comparison.is_within_threshold:
             return
         self._measured.take()
@@ -155,15 +156,15 @@ class Calibrator(Program):
         except TrackError as error:
             self.get_logger().warning(f'throw {result.throw} is of no use: {error}')
             return
-        self._doubtful.append(tracks)
-        if len(self._doubtful) >= self.parameters.settings['throws']:
+        self._mispredicted.append(tracks)
+        if len(self._mispredicted) >= self.parameters.settings['throws']:
             self.get_logger().info(
-                f'the last {len(self._doubtful)} throws were not what the twin predicted, by '
+                f'the last {len(self._mispredicted)} throws were not what the twin predicted, by '
                 f'{1e3 * comparison.position_rms:.3g} mm rms in the last one; identifying'
             )
             self._is_busy = True
-            self._tasks.put((self._doubtful, result.rig))
-            self._doubtful = []
+            self._tasks.put((self._mispredicted, result.rig))
+            self._mispredicted = []
 
     # in the thread of the work
 
@@ -171,18 +172,18 @@ class Calibrator(Program):
         """Identify, and tell the twin."""
         while (task := self._tasks.get()) is not None:
             try:
-                self._tell(fit_rig(task[0], task[1]))
+                self._apply_fit(fit_rig(task[0], task[1]))
             except (_Unanswered, ValueError) as error:
                 if not self._closing.is_set():
                     self.get_logger().warning(f'nothing has been changed: {error}')
             finally:
                 self._is_busy = False
 
-    def _tell(self, found: RigFit) -> None:
+    def _apply_fit(self, found: RigFit) -> None:
         """Give the twin what was found, and the rig the layer that it then recommends."""
         for warning in found.fit.warnings():
             self.get_logger().warning(warning)
-        if found.fit.is_mismatch:
+        if found.fit.is_misfit:
             raise ValueError('no parameters of the model make it do what the projectile does')
         values = {name: found.fit[name] for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
@@ -206,7 +207,7 @@ class Calibrator(Program):
 
     def _apply_recommendation(self) -> str:
         """Have the twin take over the layer it recommends, and return what that is."""
-        for _ in range(_ASKED):
+        for _ in range(_MAX_ATTEMPTS):
             response = self._call(self._apply, Trigger.Request())
             if response.success:
                 return str(response.message)
@@ -226,12 +227,12 @@ class Calibrator(Program):
 
     def _call(self, client: Client, request: Any) -> Any:
         """Call a service, and wait for the answer, which the executor gets."""
-        if not client.wait_for_service(_PATIENCE):
+        if not client.wait_for_service(_ANSWER_TIMEOUT):
             raise _Unanswered(f'{client.srv_name} is not there')
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(_PATIENCE):
+        if not answered.wait(_ANSWER_TIMEOUT):
             client.remove_pending_request(future)
             raise _Unanswered(f'{client.srv_name} does not answer')
         return future.result()
@@ -240,10 +241,10 @@ class Calibrator(Program):
 class _Measured:
     """What was measured lately."""
 
-    def __init__(self, node: Program, topic: topics.Topic) -> None:
-        channel = Channel(topic=topic.name, type=topic.type_name, schema='')
+    def __init__(self, node: RunnableNode, topic: Topic) -> None:
+        channel = Channel(topic=topic.name, type=topic.type, schema='')
         self._log = node.get_logger()
-        self._subscription = RawSubscription(node, channel, topic.qos)
+        self._subscription = RawSubscription(node, channel, qos_profile(topic))
         self._parts: deque[tuple[NDArray[np.int64], Floats]] = deque()
 
     def take(self) -> None:
@@ -253,7 +254,7 @@ class _Measured:
             return
         try:
             states = decode_joint_states(datas)
-            columns = [states.names.index(joint) for joint in topics.JOINTS]
+            columns = [states.names.index(joint) for joint in JOINTS]
         except (MessageError, ValueError) as error:
             self._log.warning(
                 f'{len(datas)} messages are no positions of plate and projectile: {error}',
@@ -293,23 +294,4 @@ class _Measured:
         self._subscription.close()
 
 
-def _ignore(_changes: dict[str, Any]) -> None:
-    """Do nothing: parameters are looked up when they are needed."""
-
-
-def main(args: list[str] | None = None) -> int:
-    """
-    Keep a twin true to its rig until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused.
-
-    """
-    return run('calibrator', lambda arguments: Calibrator(arguments=arguments), args, usage=USAGE)
+main = make_main('calibrator', lambda arguments: Calibrator(arguments=arguments))

@@ -18,11 +18,11 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.uncertainty import PredictionUncertainty
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.twin.results import Comparison, Floats, Release, ThrowResult
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 
 _SECOND = 1_000_000_000
 
@@ -89,17 +89,17 @@ def msg_to_array(msg: Float64MultiArray) -> tuple[list[str], Floats]:
 
 
 def status_to_msg(
-    name: str,
-    *,
-    hardware_id: str,
+    node_name: str,
+    task: str,
     message: str,
     values: Mapping[str, Any],
+    *,
     level: bytes = DiagnosticStatus.OK,
 ) -> DiagnosticStatus:
-    """Make a status; numbers are written with all their digits."""
+    """Make a status of a node, by its full name; numbers are written with all their digits."""
     return DiagnosticStatus(
-        name=name,
-        hardware_id=hardware_id,
+        name=f'{node_name}: {task}',
+        hardware_id=node_name,
         message=message,
         level=level,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
@@ -113,19 +113,19 @@ def msg_to_values(msg: DiagnosticStatus) -> dict[str, Any]:
 
 def statuses_to_msg(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
     """Put statuses under one stamp."""
-    msg = DiagnosticArray(status=list(statuses))
-    msg.header.stamp = time_to_msg(stamp_ns)
-    return msg
+    header = Header(stamp=time_to_msg(stamp_ns), frame_id=FRAME)
+    return DiagnosticArray(header=header, status=list(statuses))
 
 
 def throw_result_to_msg(
-    result: ThrowResult,
-    *,
-    name: str,
-    hardware_id: str,
-    uncertainty: PredictionUncertainty | None = None,
+    result: ThrowResult, node_name: str, uncertainty: Mapping[str, float] | None = None
 ) -> DiagnosticStatus:
-    """Make a status of what a throw gave; what has not happened, or is not known, is left out."""
+    """
+    Make a status of what a throw gave; what has not happened, or is not known, is left out.
+
+    It is a warning if the layer left its linear range, or the plate was not measured.
+
+    """
     values: dict[str, Any] = {
         item.name: getattr(result, item.name)
         for item in dataclasses.fields(result)
@@ -136,21 +136,15 @@ def throw_result_to_msg(
     values.update(_release_to_values(result.last, 'last_'))
     for model, release in result.models.items():
         values.update(_release_to_values(release, f'{model}.'))
-    if uncertainty is not None:
-        values.update({f'uncertainty.{key}': value for key, value in uncertainty.values().items()})
+    values.update(uncertainty or {})
     if result.lead is not None:
         values['lead'] = result.lead
     if result.comparison is not None:
         values.update(_comparison_to_values(result.comparison))
-    return status_to_msg(
-        name,
-        hardware_id=hardware_id,
-        message=result.describe(),
-        values={**values, **rig_to_values(result.rig)},
-        level=(
-            DiagnosticStatus.OK if result.is_linear and result.is_valid else DiagnosticStatus.WARN
-        ),
-    )
+    values.update(rig_to_values(result.rig))
+    is_good = result.is_linear and result.is_valid
+    level = DiagnosticStatus.OK if is_good else DiagnosticStatus.WARN
+    return status_to_msg(node_name, 'throw', result.describe(), values, level=level)
 
 
 def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:

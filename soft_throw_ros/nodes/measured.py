@@ -13,8 +13,9 @@ import math
 from typing import NamedTuple
 
 from rclpy.node import Node
-from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.taps import Tap
+from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
 from soft_throw_ros.recording.message import Channel
 from soft_throw_ros.twin.plate_estimator import Sample
@@ -23,9 +24,9 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
-class Account(NamedTuple):
+class MeasurementStatistics(NamedTuple):
     """
-    How the measurement went, since the last account.
+    How the measurement went, since the statistics were last taken.
 
     Attributes
     ----------
@@ -68,13 +69,13 @@ class MeasuredSteps:
     def __init__(self, node: Node, session: Session) -> None:
         self._node = node
         self._session = session
-        topic = topics.MEASURED
+        topic = TWIN_TOPICS.measured_joint_states
         name = node.resolve_topic_name(topic.name)
-        channel = Channel(topic=name, type=topic.type_name, schema='')
-        self._tap = Tap(node, channel, topic.qos)
+        channel = Channel(topic=name, type=topic.type, schema='')
+        self._subscription = RawSubscription(node, channel, qos_profile(topic))
         self._read = JointStateReader().read
         self._leads: list[int] = []
-        self._told = (0, 0, 0, 0)
+        self._counts = (0, 0, 0, 0)
         self._refused: Counter[str] = Counter()
 
     @property
@@ -87,14 +88,14 @@ class MeasuredSteps:
         """Steps per second, now. [Hz]"""
         return self._session.rate
 
-    def set_tick_schedule(self, pace: TickSchedule) -> None:
+    def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
-        self._session.set_tick_schedule(pace)
+        self._session.set_tick_schedule(schedule)
 
     def take(self) -> None:
         """Hand on all that has been measured until now."""
         if self._session.is_measured:
-            messages = self._tap.drain()
+            messages = self._subscription.drain()
             if messages:
                 self._session.measure(self._samples([message.data for message in messages]))
 
@@ -106,26 +107,25 @@ class MeasuredSteps:
             self._leads.append(outputs.prediction.lead_ns)
         return outputs
 
-    def account(self) -> Account:
+    def take_statistics(self) -> MeasurementStatistics:
         """Sum up since the last call; it may come from another thread."""
-        publishers = self._node.get_publishers_info_by_topic(self._tap.channel.topic)
-        self._tap.is_shared = len(publishers) > 1
-        self._tap.listen()
+        publishers = self._node.get_publishers_info_by_topic(self._subscription.channel.topic)
+        self._subscription.is_shared = len(publishers) > 1
+        self._subscription.read_loss_event()
         leads, self._leads = self._leads, []
-        session, tap = self._session, self._tap
-        counts = session.sample_counts
-        now = (tap.received, counts.taken, counts.out_of_order, tap.lost)
-        before, self._told = self._told, now
+        counts, subscription = self._session.sample_counts, self._subscription
+        now = (subscription.received, counts.taken, counts.out_of_order, subscription.lost)
+        before, self._counts = self._counts, now
         refused = Counter(counts.refused)
         news, self._refused = refused - self._refused, refused
         received, taken, disordered, lost = (
             later - earlier for earlier, later in zip(before, now, strict=True)
         )
-        return Account(received, taken, disordered, lost, news, leads)
+        return MeasurementStatistics(received, taken, disordered, lost, news, leads)
 
     def close(self) -> None:
         """Unsubscribe."""
-        self._tap.close()
+        self._subscription.close()
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
         """Read messages, and refuse and count what cannot be read."""
@@ -158,4 +158,4 @@ def _to_sample(values: JointValues) -> Sample | None:
     )
 
 
-_PLATE, _PROJECTILE = topics.JOINTS
+_PLATE, _PROJECTILE = JOINTS

@@ -13,9 +13,14 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table
+
+LOG_PERIOD = 0.5
+"""How often changes are logged at most. [s]"""
 
 
 class _Refusal(Parameter):
@@ -40,6 +45,9 @@ class NodeParameters:
         What there is.
     on_changed : callable
         Called with what has really changed, by name, after `settings` has been replaced.
+    describe : callable, optional
+        Says of a changed parameter, by its name, when the change takes effect; what it returns
+        follows the new value in the log.
     check : callable, optional
         Called with complete settings before they are accepted; refuses them by ValueError.
     arguments : sequence of str
@@ -75,8 +83,9 @@ class NodeParameters:
         self,
         node: Node,
         table: Table,
-        on_changed: Callable[[dict[str, Any]], None],
+        on_changed: Callable[[dict[str, Any]], None] = lambda _changes: None,
         *,
+        describe: Callable[[str], str] = lambda _name: '',
         check: Callable[[Settings], None] | None = None,
         arguments: Sequence[str] = (),
     ) -> None:
@@ -84,6 +93,7 @@ class NodeParameters:
         self._table = table
         self._on_changed = on_changed
         self._check = check
+        self._log = _ChangeLog(node, describe)
         # rclpy has no public way to see values for names that are not declared: the typos
         overrides = node._parameter_overrides.values()
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
@@ -132,7 +142,7 @@ class NodeParameters:
                 raise ParameterError(
                     f'no result is named {last_name!r}, got {value!r} for it', last_name
                 )
-            values[name] = entries[name].converted(value)
+            values[name] = value if isinstance(value, str) else float(value)
         self._set([_Result(name, value=value) for name, value in values.items()])
 
     def _set(self, parameters: list[Parameter]) -> None:
@@ -167,8 +177,11 @@ class NodeParameters:
         request: dict[str, Any] = {}
         for parameter in parameters:
             name, value = parameter.name, parameter.value
+            entry = self._table.by_name.get(name)
             if isinstance(parameter, _Result) or self._is_foreign(name):
                 passed.append(parameter)
+            elif entry is not None and entry.is_result:
+                passed.append(self._node.get_parameter(name))  # as it is, so that a dump loads
             elif name in request:
                 raise ParameterError(f'{name} is given twice, {request[name]!r} and {value!r}')
             else:
@@ -193,6 +206,43 @@ class NodeParameters:
         if changes:
             self.settings = {**self.settings, **changes}
             self._on_changed(changes)
+            self._log.add(changes)
+
+
+class _ChangeLog:
+    """
+    Says in the log what has changed, at once, but of a storm of changes only every half a second.
+
+    Parameters
+    ----------
+    node : Node
+        Whose log it is.
+    describe : callable
+        Says of a parameter, by its name, when a change takes effect.
+
+    """
+
+    def __init__(self, node: Node, describe: Callable[[str], str]) -> None:
+        self._logger = node.get_logger()
+        self._describe = describe
+        self._waiting: dict[str, Any] = {}
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOG_PERIOD, self._flush, clock=steady)
+        self._timer.cancel()
+
+    def add(self, changes: Mapping[str, Any]) -> None:
+        """Take note of changes, later values in place of earlier ones."""
+        self._waiting.update(changes)
+        if self._timer.is_canceled():
+            self._flush()
+            self._timer.reset()
+
+    def _flush(self) -> None:
+        for name, value in self._waiting.items():
+            self._logger.info(f'{name} is now {value}{self._describe(name)}')
+        if not self._waiting:
+            self._timer.cancel()
+        self._waiting.clear()
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

@@ -22,9 +22,9 @@ from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
-from soft_throw_ros.nodes.process import POLL, Program
+from soft_throw_ros.nodes.process import POLL, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
-from soft_throw_ros.nodes.realtime import be_punctual
+from soft_throw_ros.nodes.realtime import set_realtime_priority
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
@@ -89,7 +89,7 @@ class PlaybackOptions:
     clock_rate: float = 0.0
 
 
-class Player(Program):
+class Player(RunnableNode):
     """
     Plays a bag.
 
@@ -234,7 +234,7 @@ class Player(Program):
     # in the thread that plays
 
     def _run(self) -> None:
-        be_punctual()
+        set_realtime_priority()
         schedule = self._schedule
         assert schedule is not None
         while not (self._is_stopping or self._has_failed or schedule.is_over):

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+import contextlib
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ import threading
 from typing import Any
 
 import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
@@ -24,14 +26,41 @@ POLL = 0.1
 EXIT_TIME = 0.6
 """After this the process ends, whatever the middleware still waits for. [s]"""
 
+NOTICE_TIME = 2.0
+"""Preparations that take longer than this are announced. [s]"""
 
-class Program(Node):
-    """A node that is more than its callbacks; to be derived from."""
+
+class RunnableNode(Node):
+    """
+    A node that is more than its callbacks; to be derived from.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    **kwargs
+        As for `rclpy.node.Node`.
+
+    Raises
+    ------
+    ParameterError
+        If the name, the namespace or a parameter of rclpy's own is refused.
+
+    """
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        try:
+            super().__init__(name, **kwargs)
+        except (InvalidParameterTypeException, NameValidationException) as error:
+            raise ParameterError(' '.join(str(error).split())) from error
 
     @property
     def exit_code(self) -> int | None:
         """What to end with, None to go on."""
         return None
+
+    def prepare(self) -> None:
+        """Do what takes long before the node starts."""
 
     def start(self) -> None:
         """Begin with what does not happen in the executor."""
@@ -42,13 +71,14 @@ class Program(Node):
 
 def run(
     name: str,
-    make: Callable[[Sequence[str]], Program],
+    make: Callable[[Sequence[str]], RunnableNode],
     args: Sequence[str] | None,
     *,
-    usage: str,
+    usage: str = '',
+    notice: str = '',
 ) -> int:
     """
-    Run a node until SIGINT or SIGTERM, or until it comes to an end by itself.
+    Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
 
     Parameters
     ----------
@@ -59,7 +89,10 @@ def run(
     args : sequence of str or None
         The arguments of ROS, or the request for help; those of the process if None.
     usage : str
-        What to say if there is something else among them, or if help is asked for.
+        What to say if there is something else among them, or if help is asked for; by default
+        how ROS arguments are given.
+    notice : str
+        What to say if making and preparing the node takes long.
 
     Returns
     -------
@@ -68,16 +101,21 @@ def run(
         if it has come to an end by itself.
 
     """
+    usage = usage or (
+        f'usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
+    )
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         print(usage)
         return 0
-    on_signals(signal.default_int_handler)  # until the node runs
+    _on_signals(signal.default_int_handler)  # until the node runs
     node = None
     code = 0
     try:
         _init(name, arguments, usage)
-        node = make(arguments)
+        with _noticed(f'{name}: {notice}' if notice else ''):
+            node = make(arguments)
+            node.prepare()
         code = _spin(node)
     except KeyboardInterrupt:
         pass
@@ -85,15 +123,54 @@ def run(
         print(f'{name}: {error}', file=sys.stderr)
         code = 2
     finally:
-        on_signals(signal.SIG_IGN)
+        _on_signals(signal.SIG_IGN)
         code = _shut_down(node, code)
     return code
 
 
-def on_signals(handler: Any) -> None:
-    """Handle both signals that ask a process to end."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handler)
+def make_main(
+    name: str, make: Callable[[Sequence[str]], RunnableNode], *, notice: str = ''
+) -> Callable[[list[str] | None], int]:
+    """
+    Make the `main` of a node.
+
+    Its argument are the arguments of ROS, those of the process if None; it returns the exit code.
+
+    Parameters
+    ----------
+    name, make, notice
+        As for `run`.
+
+    """
+
+    def main(args: list[str] | None = None) -> int:
+        return run(name, make, args, notice=notice)
+
+    return main
+
+
+def _on_signals(handler: Any) -> None:
+    """
+    Handle the signals that ask a process to end.
+
+    SIGHUP is one, which a terminal sends when it is closed; below `nohup` it stays ignored.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _noticed(text: str) -> Iterator[None]:
+    """Print a line if what is done meanwhile takes long."""
+    timer = threading.Timer(NOTICE_TIME, print, (text,), {'flush': True})
+    timer.daemon = True
+    if text:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _init(name: str, arguments: Sequence[str], usage: str) -> None:
@@ -112,10 +189,10 @@ def _init(name: str, arguments: Sequence[str], usage: str) -> None:
         raise ParameterError(f'no such argument: {" ".join(left)}; {usage}')
 
 
-def _spin(node: Program) -> int:
+def _spin(node: RunnableNode) -> int:
     """Serve until a signal comes, or the node has an exit code."""
     is_stopping = threading.Event()
-    on_signals(lambda *_: is_stopping.set())
+    _on_signals(lambda *_: is_stopping.set())
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.start()
@@ -126,7 +203,7 @@ def _spin(node: Program) -> int:
     return code or 0
 
 
-def _shut_down(node: Program | None, code: int) -> int:
+def _shut_down(node: RunnableNode | None, code: int) -> int:
     """
     Let go of everything, and return the exit code, also of what fails only now.
 

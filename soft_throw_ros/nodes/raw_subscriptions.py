@@ -22,7 +22,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from soft_throw_ros.nodes import topics
+from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.nodes.conversions import profile_to_qos
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
@@ -322,8 +322,7 @@ def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> Qos:
     qos = profile_to_qos(publisher.qos_profile)
     if qos.history != 'unknown':
         return qos
-    for known in topics.TOPICS:
-        type_name = known.type_name
-        if topic.endswith(known.name.lstrip('~')) and kind == type_name:
-            return replace(qos, history='keep_last', depth=known.qos.depth)
-    return qos
+    known = find_topic(topic, kind)
+    if known is None:
+        return qos
+    return replace(qos, history='keep_last', depth=known.topic.depth)

@@ -58,7 +58,7 @@ class Steps(Protocol):
     def advance(self) -> Any:
         """Go one step on."""
 
-    def set_tick_schedule(self, pace: TickSchedule) -> None:
+    def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
 
 
@@ -138,7 +138,7 @@ class NodeClock:
 
 
 @dataclass
-class Account:
+class TickStatistics:
     """
     How well time was kept.
 
@@ -176,10 +176,10 @@ class Ticker:
 
     Attributes
     ----------
-    account : Account
+    statistics : TickStatistics
         How well time was kept.
     scheduler : str
-        What the kernel schedules the thread by.
+        What the operating system schedules the thread by, 'fifo' or 'other'.
 
     Notes
     -----
@@ -193,13 +193,13 @@ class Ticker:
         on_step: Callable[[Any, int], None],
         clock: Callable[[], Clock],
     ) -> None:
-        self.account = Account()
+        self.statistics = TickStatistics()
         self.scheduler = ''
         self._steps = steps
         self._on_step = on_step
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
-        self._pace: TickSchedule | None = None
+        self._schedule: TickSchedule | None = None
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
@@ -230,45 +230,45 @@ class Ticker:
         """
         clock = self._clock()
         now = clock.now()
-        pace = self._pace_of(clock, now)
-        if pace is None:
+        schedule = self._schedule_of(clock, now)
+        if schedule is None:
             return now + 1
-        steps, account = self._steps, self.account
-        skipped = pace.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
+        steps, statistics = self._steps, self.statistics
+        skipped = schedule.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
         if skipped:
-            account.skipped += skipped
-            steps.set_tick_schedule(pace)
-        due = pace.deadline(steps.step)
+            statistics.skipped += skipped
+            steps.set_tick_schedule(schedule)
+        due = schedule.deadline(steps.step)
         is_first = True
         while due <= now:
             begin = time.perf_counter_ns()
             self._on_step(steps.advance(), due)
-            account.compute.append(time.perf_counter_ns() - begin)
-            account.lateness.append(now - due)
-            account.ticks += 1
-            account.late += now - due > clock.tolerance
-            account.caught_up += not is_first
+            statistics.compute.append(time.perf_counter_ns() - begin)
+            statistics.lateness.append(now - due)
+            statistics.ticks += 1
+            statistics.late += now - due > clock.tolerance
+            statistics.caught_up += not is_first
             is_first = False
-            if steps.rate != pace.rate:
-                pace.change_rate(step=steps.step - 1, rate=steps.rate)
-                steps.set_tick_schedule(pace)
-            due = pace.deadline(steps.step)
+            if steps.rate != schedule.rate:
+                schedule.change_rate(step=steps.step - 1, rate=steps.rate)
+                steps.set_tick_schedule(schedule)
+            due = schedule.deadline(steps.step)
         return due
 
-    def _pace_of(self, clock: Clock, now: int) -> TickSchedule | None:
+    def _schedule_of(self, clock: Clock, now: int) -> TickSchedule | None:
         """Return when steps are due by a clock, or None if it does not go yet."""
         followed = (clock, clock.epoch)
         if followed != self._followed:
-            self.account.jumps += self._pace is not None
+            self.statistics.jumps += self._schedule is not None
             self._followed = followed
-            self._pace = None
-        if self._pace is None and now > 0:
-            self._pace = TickSchedule(step=self._steps.step, time_ns=now, rate=self._steps.rate)
-            self._steps.set_tick_schedule(self._pace)
-        return self._pace
+            self._schedule = None
+        if self._schedule is None and now > 0:
+            self._schedule = TickSchedule(step=self._steps.step, time_ns=now, rate=self._steps.rate)
+            self._steps.set_tick_schedule(self._schedule)
+        return self._schedule
 
     def _run(self) -> None:
-        self.scheduler = be_punctual()
+        self.scheduler = set_realtime_priority()
         while not self._is_stopping.is_set():
             due = self.run_due()
             self._clock().wait_until(due)
@@ -290,9 +290,9 @@ def percentiles(values: Sequence[int]) -> tuple[float, float, float]:
     return float(p50), float(p99), float(largest)
 
 
-def be_punctual() -> str:
+def set_realtime_priority() -> str:
     """
-    Have the kernel wake this thread on time.
+    Have the operating system wake this thread on time.
 
     Sleeps end when they should, instead of up to 50 us later. And, where the user may (as root, or
     with an `rtprio` in limits.conf), the thread goes before whatever else the machine does: it

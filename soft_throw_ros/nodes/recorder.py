@@ -23,12 +23,17 @@ from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from soft_throw_ros.configuration import files, ParameterError, RECORDER, Settings, TWIN
-from soft_throw_ros.configuration.recorder import refuse_nothing
-from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.conversions import status_to_msg, statuses_to_msg
+from soft_throw_ros.configuration.interface import (
+    find_topic,
+    RECORDER_SERVICES,
+    RECORDER_TOPICS,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import Program, run
-from soft_throw_ros.nodes.raw_subscriptions import distribution, RawSubscriptions
+from soft_throw_ros.nodes.process import make_main, RunnableNode
+from soft_throw_ros.nodes.raw_subscriptions import distribution, is_wanted, RawSubscriptions
+from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.live_stream import LiveStream
@@ -40,10 +45,11 @@ from std_srvs.srv import Trigger
 DRAIN_TIME = 0.01
 """How often messages are taken. [s]"""
 
+PUBLISHER_TIMEOUT = 2.0
+"""After this it is said what is wanted and published by nobody. [s]"""
+
 DISCOVERY_TIME = 0.2
 """How often it is looked for new topics. [s]"""
-
-USAGE = 'usage: recorder [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 
 
 class Recording:
@@ -69,7 +75,9 @@ class Recording:
     """
 
     def __init__(self, recorder: Node, settings: Settings) -> None:
-        self.subscriptions = RawSubscriptions(recorder, settings['topics'])
+        self._wanted = [_resolve(recorder, name) for name in settings['topics']]
+        self._is_silence_told = False
+        self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
         self.live_stream: LiveStream | None = None
         self._settings = settings
@@ -106,6 +114,14 @@ class Recording:
     def received(self) -> int:
         """How many messages came."""
         return sum(item.received for item in self.subscriptions)
+
+    def take_silent(self) -> list[str]:
+        """Return, once and after a while, what is wanted and published by nobody."""
+        if self._is_silence_told or time.monotonic() - self._began < PUBLISHER_TIMEOUT:
+            return []
+        self._is_silence_told = True
+        topics = [item.channel.topic for item in self.subscriptions]
+        return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
     def losses(self) -> dict[str, int]:
         """Return how many messages of which topics were published and are not in the bag."""
@@ -187,10 +203,11 @@ class Recording:
         if self.writer is not None:
             self.writer.put(messages)
             for message in messages:
-                if message.channel.topic.endswith('/journal'):
-                    self._read_journal(self.writer, message)
+                found = find_topic(message.channel.topic, message.channel.type)
+                if found is not None and found.topic == TWIN_TOPICS.journal:
+                    self._read_journal(self.writer, found.node, message)
 
-    def _read_journal(self, writer: WriterThread, message: Message) -> None:
+    def _read_journal(self, writer: WriterThread, node: str, message: Message) -> None:
         """Write down what a twin tells of itself, at first and on change."""
         channel = message.channel
         try:
@@ -202,7 +219,6 @@ class Recording:
         told = (settings, versions)
         if self._twins.get(channel.topic) == told or not all(isinstance(x, dict) for x in told):
             return
-        node = channel.topic.removesuffix('/journal')
         if channel.topic not in self._twins:
             text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
             writer.attach(
@@ -228,7 +244,7 @@ class Recording:
         return [*command, '--sink', settings['rerun.sink'], '--port', str(settings['rerun.port'])]
 
 
-class Recorder(Program):
+class Recorder(RunnableNode):
     """
     What records.
 
@@ -256,20 +272,21 @@ class Recorder(Program):
         self.recording: Recording | None = None
         self._is_bag_gone = False
         self._last = 'nothing has been recorded yet'
-        try:
-            self.parameters = NodeParameters(self, RECORDER, self._on_changed, arguments=arguments)
-            if self.parameters.settings['start']:
-                self._check(self.parameters.settings)
-            self._status = topics.STATUS.publisher(self)
-            self._diagnostics = topics.DIAGNOSTICS.publisher(self)
-            self.create_service(Trigger, topics.START, self._on_start)
-            self.create_service(Trigger, topics.STOP, self._on_stop)
-            steady = RosClock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(DISCOVERY_TIME, self._on_discovery, clock=steady)
-            self.create_timer(1.0, self._on_second, clock=steady)
-        except BaseException:
-            super().destroy_node()
-            raise
+        when = ', when recording is started again'
+        self.parameters = NodeParameters(
+            self,
+            RECORDER,
+            describe=lambda _name: when if self.recording is not None else '',
+            arguments=arguments,
+        )
+        if self.parameters.settings['start']:
+            _check(self.parameters.settings)
+        self._outgoing = Publishers(self, RECORDER_TOPICS)
+        create_service(self, RECORDER_SERVICES.start, self._on_start)
+        create_service(self, RECORDER_SERVICES.stop, self._on_stop)
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DISCOVERY_TIME, self._on_discovery, clock=steady)
+        self.create_timer(1.0, self._on_second, clock=steady)
 
     @property
     def exit_code(self) -> int | None:
@@ -309,7 +326,7 @@ class Recorder(Program):
             If there would be nothing to do, or the bag that is named is there already.
 
         """
-        self._check(self.parameters.settings)
+        _check(self.parameters.settings)
         self.recording = Recording(self, self.parameters.settings)
         self._on_discovery()
         self._report()
@@ -330,28 +347,11 @@ class Recorder(Program):
         self._report()
         self.get_logger().info(self._last)
 
-    def _check(self, settings: Settings) -> None:
-        refuse_nothing(settings)
-        name = settings['name']
-        if name and (name != Path(name).name or name in ('.', '..')):
-            raise ParameterError(
-                f'the name of a bag must be that of a folder, got {name!r}', 'name'
-            )
-        if settings['storage'] == 'mcap' and settings['name'] and _path(settings).exists():
-            raise ParameterError(
-                f'{_path(settings)} exists, and a bag is never overwritten; choose another name, '
-                f'or none, got name {settings["name"]!r}',
-                'name',
-            )
-
-    def _on_changed(self, changes: dict[str, Any]) -> None:
-        when = ', when recording is started again' if self.recording is not None else ''
-        for name, value in changes.items():
-            self.get_logger().info(f'{name} is now {value}{when}')
-
     def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.recording is not None:
-            response.message = f'already {self._message()}; call {topics.STOP} first'
+            response.message = (
+                f'already {self._message()}; call {RECORDER_SERVICES.stop.name} first'
+            )
             return response
         try:
             self.begin()
@@ -381,9 +381,13 @@ class Recorder(Program):
     def _on_second(self) -> None:
         """Publish how recording goes, and say what is wrong."""
         now = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(statuses_to_msg(now, self._statuses()))
+        self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
         recording = self.recording
-        if recording is not None and recording.writer is not None and recording.error:
+        if recording is None:
+            return
+        if silent := recording.take_silent():
+            self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
+        if recording.writer is not None and recording.error:
             lost = sum(recording.losses().values())
             self.get_logger().error(
                 f'{recording.error}; {recording.writer.waiting} messages wait, {lost} are lost'
@@ -392,7 +396,7 @@ class Recorder(Program):
     def _report(self) -> None:
         """Publish whether it records; late subscribers get it too."""
         now = self.get_clock().now().nanoseconds
-        self._status.publish(statuses_to_msg(now, self._statuses()[:1]))
+        self._outgoing.send(RECORDER_TOPICS.status, now, self._statuses()[:1])
 
     def _message(self) -> str:
         """Say what is going on."""
@@ -421,15 +425,15 @@ class Recorder(Program):
             ),
             self._status_of('losses', f'{lost} messages lost', bad=lost > 0, lost=lost, **losses),
         ]
-        live_stream = recording.live_stream
-        if live_stream is not None:
+        stream = recording.live_stream
+        if stream is not None:
             statuses.append(
                 self._status_of(
                     'viewer',
-                    live_stream.error or f'{live_stream.dropped} messages not shown',
-                    bad=bool(live_stream.error or live_stream.dropped),
-                    dropped=live_stream.dropped,
-                    starts=live_stream.starts,
+                    stream.error or f'{stream.dropped} messages not shown',
+                    bad=bool(stream.error or stream.dropped),
+                    dropped=stream.dropped,
+                    starts=stream.starts,
                 )
             )
         return statuses
@@ -437,13 +441,28 @@ class Recorder(Program):
     def _status_of(
         self, task: str, message: str, *, bad: bool = False, **values: Any
     ) -> DiagnosticStatus:
-        return status_to_msg(
-            f'{self.get_name()}: {task}',
-            hardware_id=self.get_fully_qualified_name(),
-            message=message,
-            values=values,
-            level=DiagnosticStatus.WARN if bad else DiagnosticStatus.OK,
+        level = DiagnosticStatus.WARN if bad else DiagnosticStatus.OK
+        return status_to_msg(self.get_fully_qualified_name(), task, message, values, level=level)
+
+
+def _check(settings: Settings) -> None:
+    """Refuse settings with which nothing can be recorded."""
+    for error in RECORDER.contradictions(settings):
+        raise error
+    name = settings['name']
+    if name and (name != Path(name).name or name in ('.', '..')):
+        raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')
+    if settings['storage'] == 'mcap' and name and _path(settings).exists():
+        raise ParameterError(
+            f'{_path(settings)} exists, and a bag is never overwritten; choose another name, '
+            f'or none, got name {settings["name"]!r}',
+            'name',
         )
+
+
+def _resolve(node: Node, name: str) -> str:
+    """Return the full name of a topic or namespace, below the node's namespace if it is short."""
+    return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
 
 
 def _path(settings: Settings) -> Path:
@@ -460,20 +479,4 @@ def _texts(values: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(value) for name, value in values.items()}
 
 
-def main(args: list[str] | None = None) -> int:
-    """
-    Record until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, 1 if recording
-        has come to an end by itself.
-
-    """
-    return run('recorder', lambda given: Recorder(arguments=given), args, usage=USAGE)
+main = make_main('recorder', lambda arguments: Recorder(arguments=arguments))

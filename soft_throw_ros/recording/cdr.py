@@ -98,6 +98,7 @@ class JointStateEncoder:
             places.insert(first, series * count)
         self._arrange = itemgetter(*places)
         self._data = template.data
+        self._arrays = [np.frombuffer(self._data, '<f8', count, begin) for begin in begins]
         self._pack_stamp = struct.Struct('<iI').pack_into
         self._pack_values = struct.Struct('<' + 'I4x'.join([f'{count}d'] * series)).pack_into
 
@@ -111,6 +112,13 @@ class JointStateEncoder:
         self._pack_stamp(data, self._stamp, *divmod(stamp_ns, _SECOND))
         self._pack_values(data, self._begin, *self._arrange((*values, self._count)))
         return bytes(data)
+
+    def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
+        """Return a message made of an array per series, which is quick with many joints."""
+        self._pack_stamp(self._data, self._stamp, *divmod(stamp_ns, _SECOND))
+        for array, values in zip(self._arrays, series, strict=True):
+            array[:] = values
+        return bytes(self._data)
 
 
 class ArrayEncoder:

@@ -5,22 +5,13 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import (
-    files,
-    LAYERS,
-    ParameterError,
-    RECORDER,
-    Table,
-    TWIN,
-)
+from soft_throw_ros.configuration import LAYERS, ParameterError, RECORDER, TWIN
+from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 
-TABLES = (TWIN, RECORDER)
+TABLES = (TWIN, RECORDER, RIG, CALIBRATOR)
 SETTINGS = [(table, entry) for table in TABLES for entry in table.entries if not entry.is_result]
 NUMBERS = [(table, entry) for table, entry in SETTINGS if type(entry.default) in (int, float)]
-all_settings = st.sampled_from(SETTINGS)
-by_name = pytest.mark.parametrize(
-    ('table', 'entry'), SETTINGS, ids=lambda value: getattr(value, 'name', '')
-)
+by_name = {'ids': lambda value: getattr(value, 'name', '')}
 anything = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.lists(st.floats()),
     st.lists(st.text()), st.lists(st.builds('/{}'.format, st.text())),
@@ -28,120 +19,99 @@ anything = st.one_of(
 )  # fmt: skip
 
 
-def outcome(table: Table, name: str, value: Any) -> Any:
-    """Return the checked value, or the error."""
-    try:
-        return table.check_value(name, value)
-    except ParameterError as error:
-        return error
-
-
-@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
-def test_table_names_are_unique(table: Table) -> None:
-    assert len(table.by_name) == len(table.entries)
-
-
-@by_name
-def test_default_obeys_its_own_rule(table: Table, entry: Any) -> None:
+@pytest.mark.parametrize(('table', 'entry'), SETTINGS, **by_name)
+def test_default_obeys_its_own_rule(table, entry) -> None:
     checked = table.check_value(entry.name, entry.default)
     assert checked == entry.default
     assert type(checked) is type(entry.default)
+    assert table.by_name[entry.name] is entry
 
 
-@pytest.mark.parametrize('name', LAYERS)
-def test_library_layer_obeys_the_rules(name: str) -> None:
-    for parameter, value in LAYERS[name].items():
-        assert TWIN.check_value(parameter, value) == value
-
-
-@given(setting=all_settings, value=anything)
+@given(setting=st.sampled_from(SETTINGS), value=anything)
 def test_check_value_returns_an_allowed_value_or_quotes_it(setting: Any, value: Any) -> None:
     table, entry = setting
-    checked = outcome(table, entry.name, value)
-    if isinstance(checked, ParameterError):
-        assert str(checked).startswith(f'{entry.name} must be {entry.rule}, got {value!r}')
-        assert checked.names == (entry.name,)
-    else:
-        assert type(checked) is type(entry.default)
-        assert checked == (tuple(value) if isinstance(checked, tuple) else value)
-        if isinstance(checked, tuple):
-            assert all(text.startswith('/') for text in checked)
-        elif isinstance(checked, str):
-            assert checked in entry.choices or not entry.choices
-        elif not isinstance(checked, bool):
-            assert math.isfinite(checked)
-            assert entry.low <= checked <= entry.high or (entry.or_zero and checked == 0)
+    if not entry.allows(value):
+        with pytest.raises(ParameterError) as refused:
+            table.check_value(entry.name, value)
+        quoted = f'{entry.name} must be {entry.rule}, got {repr(value)[:200]}'
+        assert str(refused.value).startswith(quoted)
+        return
+    checked = table.check_value(entry.name, value)
+    assert type(checked) is type(entry.default)
+    for item in checked if isinstance(checked, tuple) else (checked,):
+        if isinstance(item, str):
+            assert item in entry.choices or not entry.choices
+        elif not isinstance(item, bool):
+            assert math.isfinite(item)
+            assert entry.low <= item <= entry.high or (entry.or_zero and item == 0)
 
 
 @given(number=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
-def test_check_value_takes_every_number_in_the_range(number: Any, share: float) -> None:
+def test_every_number_in_the_range_is_taken_as_such_and_as_text(number: Any, share: float) -> None:
     table, entry = number
     value = min(entry.low + share * (entry.high - entry.low), entry.high)
     value = int(value) if isinstance(entry.default, int) else value
     assert table.check_value(entry.name, value) == value
+    assert table.check_value(entry.name, repr(value)) == value
 
 
-@pytest.mark.parametrize(('table', 'entry'), NUMBERS, ids=lambda value: getattr(value, 'name', ''))
-def test_check_value_refuses_what_is_beyond_either_end(table: Table, entry: Any) -> None:
+@pytest.mark.parametrize(('table', 'entry'), NUMBERS, **by_name)
+def test_numbers_beyond_either_end_are_refused_with_the_value(table, entry) -> None:
     step = 1 if isinstance(entry.default, int) else 1e-6 * (entry.high or 1.0)
     for value in (entry.low - step, entry.high + step):
         if not (entry.or_zero and value == 0):
-            with pytest.raises(ParameterError, match='must be'):
+            with pytest.raises(ParameterError) as refused:
                 table.check_value(entry.name, value)
-
-
-@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, -1.0, 0.0, 0, True, '0.01', []])
-def test_check_value_refuses_what_is_no_thickness(value: Any) -> None:
-    with pytest.raises(ParameterError) as refused:
-        TWIN.check_value('layer.thickness', value)
-    rule = 'layer.thickness must be a number from 0.0005 to 0.1 m'
-    assert str(refused.value) == f'{rule}, got {value!r}'
+            assert repr(value) in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ('name', 'value', 'message'),
+    ('name', 'value', 'words'),
     [
-        ('layer.thicknes', 0.01, "no parameter is named 'layer.thicknes'; "
-                                 'did you mean layer.thickness?'),
-        ('thickness', 0.01, "no parameter is named 'thickness'; did you mean layer.thickness?"),
-        ('xyz', 1, "no parameter is named 'xyz'"),
-        ('layer.youngs_modulus', 6e4, "no parameter is named 'layer.youngs_modulus'; the modulus "
-                                      'is density times wave speed squared: set layer.wave_speed'),
-        ('engine.motion', 'sampled', "engine.motion must be one of 'underdamped', 'harmonic', "
-                                     "'measured', got 'sampled'"),
-        ('layer.loss_tangent', -0.02, 'layer.loss_tangent must be a number from 0 to 2, '
-                                      'got -0.02'),
-        ('model', 'magic', "model must be one of 'travelling_wave', 'finite_difference', "
-                           "'finite_difference_elastic', 'finite_difference_glued', "
-                           "'spring_mass', got 'magic'"),
-        ('throw.period', 0.01, 'throw.period must be a number from 0.05 to 3600 s, or 0, '
-                               'got 0.01'),
-        ('throw.max_events', 2.0, 'throw.max_events must be a whole number from 1 to 1000, '
-                                  'got 2.0'),
-        ('recommended.thickness', 0.01, 'recommended.thickness is a result; set layer.thickness '
-                                        'or call ~/apply_recommendation (got 0.01)'),
-        ('recommended.mass_ratio', 0.2, 'recommended.mass_ratio is a result; call '
-                                        '~/apply_recommendation (got 0.2)'),
+        ('layer.thickness', math.nan, ['0.0005', '0.1 m', 'nan']),
+        ('layer.thickness', True, ['True']),
+        ('layer.thickness', '1_0', ["'1_0'"]),
+        ('layer.thicknes', 0.01, ['did you mean layer.thickness?']),
+        ('thickness', 0.01, ['did you mean layer.thickness?']),
+        ('layer.youngs_modulus', 6e4, ['set layer.wave_speed']),
+        ('model', 'magic', ["'spring_mass'", "'magic'"]),
+        ('throw.period', 0.01, ['or 0', '0.01']),
+        ('throw.max_events', 2.0, ['whole number', '2.0']),
+        ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
+        ('recommendation.masses', [], ['[]']),
+        ('recommendation.masses', [0.01] * 5000, ['30000 characters']),
+        ('recommended.thickness', 0.01, ['layer.thickness', '~/apply_recommendation', '0.01']),
+        ('recommended.mass_ratio', 0.2, ['~/apply_recommendation', '0.2']),
     ],
-)  # fmt: skip
-def test_check_value_says_what_would_be_right(name: str, value: Any, message: str) -> None:
+)
+def test_refusal_says_what_would_be_right(name, value, words) -> None:
     with pytest.raises(ParameterError) as refused:
         TWIN.check_value(name, value)
-    assert str(refused.value) == message
+    assert refused.value.names == (name,)
+    assert name in str(refused.value)
+    assert all(word in str(refused.value) for word in words), str(refused.value)
+    assert len(str(refused.value)) < 500
 
 
-def test_throw_period_may_be_zero() -> None:
-    assert TWIN.check_value('throw.period', 0) == 0.0
+@pytest.mark.parametrize('name', ['/', 'twin', '/rig1/twin', 'rig_2/twin'])
+def test_recorder_takes_topics_and_namespaces(name) -> None:
+    assert RECORDER.check_value('topics', [name]) == (name,)
 
 
-@pytest.mark.parametrize('table', TABLES, ids=lambda table: table.node)
-def test_parameter_file_gives_the_defaults(table: Table) -> None:
-    settings = files.read(files.default_file(table), node=f'/rig1/{table.node}', table=table)
-    assert settings == table.defaults()
+@pytest.mark.parametrize('name', ['', 'a b', '//', '/twin/', '1'])
+def test_recorder_refuses_what_is_no_name(name) -> None:
+    with pytest.raises(ParameterError, match='topics must be'):
+        RECORDER.check_value('topics', ['twin', name])
+
+
+@pytest.mark.parametrize('name', LAYERS)
+def test_library_layer_obeys_the_rules(name) -> None:
+    for parameter, value in LAYERS[name].items():
+        assert TWIN.check_value(parameter, value) == value
 
 
 @pytest.mark.parametrize('request_', [{'storage': 'none'}, {'rerun.sink': 'none'}])
-def test_recorder_may_be_told_one_thing_after_another(request_: Any) -> None:
+def test_recorder_may_be_told_one_thing_after_another(request_) -> None:
     settings = {**RECORDER.defaults(), 'storage': 'none', 'rerun.sink': 'none'}
     assert RECORDER.change(settings, request_) == request_
 

@@ -20,13 +20,20 @@ from typing import Any, TypeVar
 import warnings
 
 import pytest
+from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
+from soft_throw_ros.configuration.interface import resolve, Service, Topic
+from soft_throw_ros.nodes.topics import create_subscription
+from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.twin.results import Outputs, ThrowResult
+from std_srvs.srv import Trigger
 
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
@@ -35,8 +42,11 @@ with warnings.catch_warnings():
 TIMEOUT = 20.0
 """Longest wait for anything; reached only when something is wrong. [s]"""
 
-PATIENCE = 60.0
+PROCESS_TIMEOUT = 60.0
 """Longest wait for another process, compilation included. [s]"""
+
+SECOND = 1_000_000_000
+MILLISECOND = SECOND // 1000
 
 AnyNode = TypeVar('AnyNode', bound=Node)
 
@@ -59,7 +69,7 @@ class Ros:
         self.context = Context()
         rclpy.init(args=[], context=self.context, domain_id=domain_id)
         self._executor = SingleThreadedExecutor(context=self.context)
-        self._nodes: list[Node] = []
+        self.nodes: list[Node] = []
 
     def node(
         self,
@@ -71,7 +81,7 @@ class Ros:
         """Make a node with `make(*args, context=..., ...)`; `ros_args` follow `--ros-args`."""
         kwargs.setdefault('cli_args', ['--ros-args', *ros_args])
         node = make(*args, context=self.context, use_global_arguments=False, **kwargs)
-        self._nodes.append(node)
+        self.nodes.append(node)
         self._executor.add_node(node)
         return node
 
@@ -99,7 +109,7 @@ class Ros:
 
     def close(self) -> None:
         """Destroy the nodes, last made first, and the context."""
-        for node in reversed(self._nodes):
+        for node in reversed(self.nodes):
             self._executor.remove_node(node)
             node.destroy_node()
         self._executor.shutdown(timeout_sec=TIMEOUT)
@@ -145,6 +155,112 @@ def _reason(result: Any) -> str:
     return str(result.reason)
 
 
+class GivenClock:
+    """A clock that shows what it is told to."""
+
+    tolerance = SECOND // 5000
+
+    def __init__(self, now: int = SECOND, max_catch_up: int = 1000 * SECOND) -> None:
+        self.epoch = 0
+        self.time = now
+        self.max_catch_up = max_catch_up
+
+    def now(self) -> int:
+        return self.time
+
+    def wait_until(self, deadline: int) -> None:
+        self.time = max(self.time, deadline)
+
+
+class DrivenTwin(Twin):
+    """A twin that goes where the test sends it, and remembers what came out."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self.clock = GivenClock()
+        self.outputs: list[Outputs] = []
+        self.lines: list[str] = []
+        super().__init__(system_clock=self.clock, **kwargs)
+        self.ticker.run_due()  # the first step
+
+    def on_step(self, outputs: Outputs, due: int) -> None:
+        self.outputs.append(outputs)
+        super().on_step(outputs, due)
+
+    def on_entry(self, line: str) -> None:
+        self.lines.append(line)
+        super().on_entry(line)
+
+    def go(self, milliseconds: int) -> None:
+        """Let so much time pass, in moments of 10 ms."""
+        end = self.clock.time + milliseconds * MILLISECOND
+        while self.clock.time < end:
+            self.clock.time = min(end, self.clock.time + 10 * MILLISECOND)
+            self.ticker.run_due()
+
+    @property
+    def results(self) -> list[ThrowResult]:
+        return [result for outputs in self.outputs for result in outputs.results]
+
+
+class Listener(Node):
+    """Somebody who listens to a twin, and asks it for something."""
+
+    def __init__(self, ros: Ros, name: str, **kwargs: Any) -> None:
+        super().__init__('listener', **kwargs)
+        self._ros = ros
+        self._name = name
+        self.heard: dict[str, list[Any]] = {}
+
+    def listen(self, *listed: Topic) -> None:
+        """Take topics, and wait until they are connected."""
+        for topic in listed:
+            named = topic.at(self._name)
+            create_subscription(self, named, self.heard.setdefault(topic.name, []).append)
+            self._ros.spin_until(lambda name=named.name: self.count_publishers(name) > 0, 'it')
+            self._ros.spin_until(self._is_matched(named.name), named.name)
+
+    def hear(self, topic: Topic, count: int = 1) -> list[Any]:
+        """Wait for so many messages in all."""
+        heard = self.heard[topic.name]
+        self._ros.spin_until(lambda: len(heard) >= count, f'{count} messages on {topic.name}')
+        return heard
+
+    def status(self, topic: Topic, task: str, done: Any = lambda _status: True) -> Any:
+        """Wait for a status of a task that is as wanted, and return the last such."""
+        found: list[Any] = []
+
+        def is_there() -> bool:
+            statuses = [item for message in self.heard[topic.name] for item in message.status]
+            found[:] = [s for s in statuses if s.name == f'{self._name}: {task}' and done(s)]
+            return bool(found)
+
+        self._ros.spin_until(is_there, task)
+        return found[-1]
+
+    def trigger(self, service: Service) -> Trigger.Response:
+        """Call a service of the twin."""
+        client = self.create_client(Trigger, resolve(service.name, self._name))
+        return self._ros.call(client, Trigger.Request())
+
+    def log(self) -> list[str]:
+        """Listen to the log from now on."""
+        lines: list[str] = []
+        qos = QoSProfile(depth=1000)
+        self.create_subscription(Log, '/rosout', lambda message: lines.append(message.msg), qos)
+        self._ros.spin_until(lambda: self.count_publishers('/rosout') > 1, '/rosout')
+        return lines
+
+    def _is_matched(self, topic: str) -> Callable[[], bool]:
+        """Return what tells whether every publisher in this process knows of a subscription."""
+        publishers = [
+            publisher
+            for node in self._ros.nodes
+            for publisher in node.publishers
+            if publisher.topic_name == topic
+        ]
+        return lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers)
+
+
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
     """Hold a ROS domain that no other test process holds, and give it to child processes too."""
@@ -172,6 +288,38 @@ def ros(domain_id: int) -> Iterator[Ros]:
     ros.close()
 
 
+@pytest.fixture
+def given_clock() -> type[GivenClock]:
+    """Give the class of clocks that show what they are told to."""
+    return GivenClock
+
+
+@pytest.fixture
+def start_twin(ros: Ros) -> Callable[..., DrivenTwin]:
+    """Start twins with ROS arguments."""
+    return lambda *ros_args: ros.node(DrivenTwin, ros_args=ros_args)
+
+
+@pytest.fixture
+def twin(start_twin: Any) -> DrivenTwin:
+    """Start a twin that throws only when asked."""
+    twin: DrivenTwin = start_twin('-p', 'throw.period:=0.0')
+    return twin
+
+
+@pytest.fixture
+def listen_to(ros: Ros) -> Callable[[Node], Listener]:
+    """Make a listener of a twin, which may be in another process."""
+    return lambda twin=None: ros.node(
+        Listener, ros, twin.get_fully_qualified_name() if twin is not None else '/twin'
+    )
+
+
+@pytest.fixture
+def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
+    return listen_to(twin)  # type: ignore[no-any-return]
+
+
 class Process:
     """A process, and what it has written."""
 
@@ -188,7 +336,7 @@ class Process:
     def wait_for(self, text: str) -> None:
         """Wait until it has written a line with `text`."""
         with self._said:
-            self._said.wait_for(lambda: self._is_over or self._has(text), PATIENCE)
+            self._said.wait_for(lambda: self._is_over or self._has(text), PROCESS_TIMEOUT)
         assert self._has(text), '\n'.join(self.lines)
 
     def end(self, number: int) -> int:
@@ -198,14 +346,14 @@ class Process:
 
     def wait(self) -> int:
         """Wait for its end, and return the exit code."""
-        code = self.process.wait(PATIENCE)
-        self._thread.join(PATIENCE)
+        code = self.process.wait(PROCESS_TIMEOUT)
+        self._thread.join(PROCESS_TIMEOUT)
         return code
 
     def close(self) -> None:
         self.process.kill()
-        self.process.wait(PATIENCE)
-        self._thread.join(PATIENCE)
+        self.process.wait(PROCESS_TIMEOUT)
+        self._thread.join(PROCESS_TIMEOUT)
         assert self.process.stdout is not None
         self.process.stdout.close()
 

@@ -12,11 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 import pytest
 from rclpy.node import Node
 from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import predict, recommend
-from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.twin.results import ThrowResult
 
 HIDDEN = {
@@ -39,12 +40,11 @@ def run(start: Any, name: str, **parameters: Any) -> Any:
 
 def listen(ros: Any) -> list[ThrowResult]:
     heard: list[ThrowResult] = []
-    topic = topics.THROW_RESULT.at('/twin')
 
     def take(msg: DiagnosticArray) -> None:
         heard.extend(map(msg_to_throw_result, msg.status))
 
-    ros.node(Node, 'observer').create_subscription(topic.type, topic.name, take, topic.qos)
+    create_subscription(ros.node(Node, 'observer'), CALIBRATOR_TOPICS.throw_result, take)
     return heard
 
 
@@ -128,10 +128,10 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
 @pytest.mark.parametrize(
     ('name', 'parameter', 'words'),
     [
-        ('rig', 'noise:=-1.0', 'noise must be a number from 0 to 0.01 m, got -1.0'),
+        ('rig', 'noise:=-1.0', 'got -1.0'),
         ('rig', 'layer.name:=gelatin_2.0mm', 'layer.name'),
-        ('calibrator', 'throws:=0', 'throws must be a whole number from 1 to 100, got 0'),
-        ('calibrator', 'twin:=twin', "got 'twin'"),
+        ('calibrator', 'throws:=0', 'got 0'),
+        ('calibrator', 'twin:=/twin/', "got '/twin/'"),
     ],
 )
 def test_bad_parameter_is_one_line_and_exit_code_2(start, name, parameter, words) -> None:

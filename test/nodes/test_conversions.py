@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy
 from rclpy.serialization import deserialize_message
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.conversions import (
     msg_to_array,
     msg_to_throw_result,
@@ -26,13 +26,11 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
     values_to_rig,
 )
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.recording.cdr import ArrayEncoder
-from soft_throw_ros.recording.qos import from_yaml, Qos, to_yaml
-from soft_throw_ros.twin.results import Comparison, Release, State, ThrowResult
+from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
 from std_msgs.msg import Float64MultiArray
-
-STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
-STAMP = 1_700_000_000_123_456_789
 
 RESULT = ThrowResult(
     throw=3,
@@ -53,61 +51,47 @@ RESULT = ThrowResult(
     landings=4,
     models={'spring_mass': Release(time=0.01, speed=1.0, energy_transfer=3.0)},
 )
+COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1)
 
 
-@pytest.mark.parametrize('time_ns', [0, 1, 999_999_999, 10**9, STAMP])
+@pytest.mark.parametrize('time_ns', [0, 999_999_999, 1_700_000_000_123_456_789])
 def test_time_comes_back(time_ns) -> None:
     assert msg_to_time(time_to_msg(time_ns)) == time_ns
 
 
 @pytest.mark.parametrize(
-    'result',
+    'changes',
     [
-        RESULT,
-        dataclasses.replace(RESULT, last=RESULT.first, recontacts=0, stage='release', ended_by=''),
-        dataclasses.replace(RESULT, first=None, last=None, recontacts=0, models={}),
-        dataclasses.replace(
-            RESULT,
-            lead=1e-3,
-            comparison=Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1),
-        ),
-        dataclasses.replace(
-            RESULT,
-            lead=-0.1,
-            comparison=Comparison(
-                samples=70,
-                position_rms=1e-5,
-                position_max=3e-5,
-                threshold=1e-5,
-                ejection_time_error=-1e-4,
-                ejection_speed_error=0.01,
-            ),
-        ),
+        {},
+        {'last': RESULT.first, 'recontacts': 0, 'stage': 'release', 'ended_by': ''},
+        {'first': None, 'last': None, 'recontacts': 0, 'models': {}},
+        {'lead': 1e-3, 'comparison': COMPARISON},
+        {'lead': -0.1, 'comparison': dataclasses.replace(COMPARISON, ejection_time_error=-1e-4)},
     ],
 )
-def test_throw_result_comes_back(result) -> None:
-    message = throw_result_to_msg(result, name='twin: throw', hardware_id='/twin')
-    assert msg_to_throw_result(message) == result
+def test_throw_result_comes_back(changes) -> None:
+    result = dataclasses.replace(RESULT, **changes)
+    assert msg_to_throw_result(throw_result_to_msg(result, '/twin')) == result
 
 
-@pytest.mark.parametrize(('strain', 'level'), [(0.0999, b'\x00'), (0.1001, b'\x01')])
-def test_throw_result_warns_beyond_the_linear_range(strain, level) -> None:
-    result = dataclasses.replace(RESULT, peak_strain=strain)
-    assert throw_result_to_msg(result, name='', hardware_id='').level == level
+@pytest.mark.parametrize(
+    ('changes', 'level'),
+    [
+        ({'peak_strain': 0.0999}, DiagnosticStatus.OK),
+        ({'peak_strain': 0.1001}, DiagnosticStatus.WARN),
+        ({'peak_strain': 0.0, 'ended_by': 'gap'}, DiagnosticStatus.WARN),
+    ],
+)
+def test_throw_result_warns_beyond_the_linear_range_and_without_a_plate(changes, level) -> None:
+    result = dataclasses.replace(RESULT, **changes)
+    assert throw_result_to_msg(result, '/twin').level == level
 
 
-def test_throw_result_warns_when_the_plate_was_lost() -> None:
-    result = dataclasses.replace(RESULT, peak_strain=0.0, ended_by='gap')
-    message = throw_result_to_msg(result, name='', hardware_id='')
-    assert message.level == b'\x01'
-    assert 'invalid' in message.message
-
-
-def test_values_come_back() -> None:
+def test_values_come_back_under_the_full_name_of_the_node() -> None:
     values = {'a': 1, 'b': 0.1, 'c': True, 'd': 'text', 'e': -math.inf, 'f': 1e-300}
-    message = status_to_msg('name', hardware_id='', message='', values=values)
+    message = status_to_msg('/rig1/twin', 'timing', '', values)
     assert msg_to_values(message) == values
-    assert message.level == DiagnosticStatus.OK
+    assert (message.name, message.hardware_id) == ('/rig1/twin: timing', '/rig1/twin')
 
 
 def test_rig_comes_back() -> None:
@@ -122,18 +106,16 @@ def test_array_comes_back_through_ros() -> None:
     np.testing.assert_array_equal(decoded, values)
 
 
-@pytest.mark.parametrize('topic', topics.TOPICS, ids=lambda topic: topic.name)
-def test_profile_comes_back(topic) -> None:
-    qos = profile_to_qos(topic.qos)
-    assert (qos.reliability, qos.durability) == (
-        topic.qos.reliability.name.lower(),
-        topic.qos.durability.name.lower(),
-    )
+@pytest.mark.parametrize('topic', TWIN_TOPICS, ids=lambda topic: topic.name)
+def test_quality_of_service_comes_back(topic) -> None:
+    qos = profile_to_qos(qos_profile(topic))
+    assert qos.depth == topic.depth
+    assert (qos.reliability == 'reliable') == topic.is_reliable
+    assert (qos.durability == 'transient_local') == topic.is_latched
     assert profile_to_qos(qos_to_profile(qos)) == qos
-    assert from_yaml(to_yaml([qos])) == (qos,)
 
 
-def test_profile_that_is_not_known_in_full_can_be_offered() -> None:
+def test_quality_of_service_that_is_not_known_in_full_can_be_offered() -> None:
     qos = Qos(
         history='unknown', depth=0, durability='transient_local', liveliness='manual_by_node'
     )

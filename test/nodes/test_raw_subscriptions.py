@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from soft_throw_ros.nodes import topics
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.raw_subscriptions import (
     fitting_profile,
@@ -21,6 +21,7 @@ from soft_throw_ros.nodes.raw_subscriptions import (
     RawSubscription,
     RawSubscriptions,
 )
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from std_msgs.msg import String
 
@@ -88,7 +89,9 @@ def test_messages_are_the_bytes_that_were_published(ros, talker, listener, subsc
 
 
 def test_topics_of_the_twin_are_known_in_full(ros, talker, listener, subscribe) -> None:
-    publisher = talker.create_publisher(String, '/rig1/twin/journal', topics.JOURNAL.qos)
+    publisher = talker.create_publisher(
+        String, '/rig1/twin/journal', qos_profile(TWIN_TOPICS.journal)
+    )
     publisher.publish(String())
     subscriptions = subscribe('/rig1')
     (message,) = take(ros, subscriptions, listener, 1)

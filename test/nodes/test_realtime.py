@@ -3,159 +3,132 @@
 
 from __future__ import annotations
 
-import copy
 import threading
 import time
+from typing import Any
 
 import pytest
 from soft_throw_ros.nodes.realtime import percentiles, SystemClock, Ticker
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
+SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
-
-
-class GivenClock:
-    """A clock that shows what it is told to."""
-
-    def __init__(self, now: int = 0, max_catch_up: int = SECOND // 10) -> None:
-        self.epoch = 0
-        self.max_catch_up = max_catch_up
-        self.tolerance = SECOND // 5000
-        self.time = now
-
-    def now(self) -> int:
-        return self.time
-
-    def wait_until(self, deadline: int) -> None:
-        self.time = max(self.time, deadline)
 
 
 class CountingSession:
     """A session that has nothing but steps."""
 
-    def __init__(self, rate: float = 1000.0, step: int = 0) -> None:
-        self.step = step
+    def __init__(self, rate: float) -> None:
+        self.step = 0
         self.rate = rate
-        self.paces: list[tuple[int, TickSchedule]] = []
+        self.told: list[tuple[int, int, float, int]] = []
 
     def advance(self) -> int:
         self.step += 1
         return self.step - 1
 
-    def set_tick_schedule(self, pace: TickSchedule) -> None:
-        self.paces.append((self.step, copy.copy(pace)))
+    def set_tick_schedule(self, schedule: TickSchedule) -> None:
+        self.told.append((self.step, schedule.time_ns, schedule.rate, schedule.step))
 
 
-class Rig:
+class Bench:
     """A ticker, its clock, and what it has done."""
 
-    def __init__(self, rate: float = 1000.0, **clock) -> None:
-        self.clock = GivenClock(**clock)
+    def __init__(self, clock: Any, rate: float = 1000.0) -> None:
+        self.clock = clock
         self.session = CountingSession(rate)
         self.done: list[tuple[int, int]] = []
         self.ticker = Ticker(
             self.session, lambda step, due: self.done.append((step, due)), lambda: self.clock
         )
 
-    def at(self, time: float) -> list[tuple[int, int]]:
-        """Show a time, and return what is done. [ms]"""
+    def at(self, time: float) -> list[tuple[int, float]]:
+        """Show a time, and return which steps are done, and when they were due. [ms]"""
         self.clock.time = round(time * MILLISECOND)
         before = len(self.done)
         self.ticker.run_due()
-        return self.done[before:]
+        return [(step, due / MILLISECOND) for step, due in self.done[before:]]
 
 
-def test_ticks_are_those_of_the_clock() -> None:
-    rig = Rig()
+@pytest.fixture
+def bench(given_clock: Any) -> Bench:
+    return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
+
+
+def test_ticks_are_those_of_the_clock(bench) -> None:
     for tenth in range(100, 10_000, 3):
-        rig.at(0.1 * tenth)
-    assert rig.done == [(step, (10 + step) * MILLISECOND) for step in range(990)]
-    assert rig.ticker.account.ticks == 990
-    assert rig.ticker.account.skipped == 0
+        bench.at(0.1 * tenth)
+    assert bench.done == [(step, (10 + step) * MILLISECOND) for step in range(990)]
+    statistics = bench.ticker.statistics
+    assert (statistics.ticks, statistics.skipped) == (990, 0)
 
 
-def test_tick_that_is_late_makes_no_other_late() -> None:
-    rig = Rig()
-    rig.at(100)
-    assert rig.at(100.999) == []
-    assert rig.at(103.7) == [  # all three
-        (1, 101 * MILLISECOND),
-        (2, 102 * MILLISECOND),
-        (3, 103 * MILLISECOND),
-    ]
-    assert rig.at(104) == [(4, 104 * MILLISECOND)]
-    account = rig.ticker.account
-    assert (account.late, account.caught_up, account.skipped) == (3, 2, 0)
-    assert account.take()[0] == [0, 2_700_000, 1_700_000, 700_000, 0]
-    assert account.take() == ([], [])
+def test_tick_that_is_late_makes_no_other_late(bench) -> None:
+    bench.at(100)
+    assert bench.at(100.999) == []
+    assert bench.at(103.7) == [(1, 101), (2, 102), (3, 103)]
+    assert bench.at(104) == [(4, 104)]
+    statistics = bench.ticker.statistics
+    assert (statistics.late, statistics.caught_up, statistics.skipped) == (3, 2, 0)
+    assert statistics.take()[0] == [0, 2_700_000, 1_700_000, 700_000, 0]
+    assert statistics.take() == ([], [])
 
 
-def test_stall_is_caught_up_within_bounds_and_the_rest_is_counted() -> None:
-    rig = Rig()
-    rig.at(1000)
-    burst = rig.at(6000)
+def test_stall_is_caught_up_within_bounds_and_the_rest_is_counted(bench) -> None:
+    bench.at(1000)
+    burst = bench.at(6000)
     assert [step for step, _ in burst] == list(range(1, 102))  # consecutive, for 0.1 s
-    assert burst[-1][1] == 6000 * MILLISECOND
-    assert rig.ticker.account.skipped == 4899
-    assert rig.at(6001) == [(102, 6001 * MILLISECOND)]
+    assert burst[-1][1] == 6000
+    assert bench.ticker.statistics.skipped == 4899
+    assert bench.at(6001) == [(102, 6001)]
 
 
-def test_rate_changes_from_the_step_that_changes_it() -> None:
-    rig = Rig()
-    rig.at(1000)
-    rig.session.rate = 500.0
-    assert [due for _, due in rig.at(1010)] == [
-        time * MILLISECOND for time in (1001, 1003, 1005, 1007, 1009)
-    ]
+def test_rate_changes_from_the_step_that_changes_it(bench) -> None:
+    bench.at(1000)
+    bench.session.rate = 500.0
+    assert [due for _, due in bench.at(1010)] == [1001, 1003, 1005, 1007, 1009]
 
 
-def test_clock_that_does_not_go_gives_no_step() -> None:
-    rig = Rig()
-    assert rig.at(0) == []
-    assert rig.at(5000) == [(0, 5000 * MILLISECOND)]
-    assert rig.ticker.account.skipped == 0
+def test_clock_that_does_not_go_gives_no_step(bench) -> None:
+    assert bench.at(0) == []
+    assert bench.at(5000) == [(0, 5000)]
+    assert bench.ticker.statistics.skipped == 0
 
 
-def test_clock_that_was_set_starts_anew() -> None:
-    rig = Rig()
-    rig.at(5000)
-    rig.clock.epoch += 1
-    assert rig.at(100) == [(1, 100 * MILLISECOND)]
-    assert rig.at(102)[-1] == (3, 102 * MILLISECOND)
-    rig.clock.epoch += 1
-    assert rig.at(10**9) == [(4, 10**9 * MILLISECOND)]
-    assert rig.ticker.account.jumps == 2
-    assert rig.ticker.account.skipped == 0
+def test_clock_that_was_set_starts_anew(bench) -> None:
+    bench.at(5000)
+    bench.clock.epoch += 1
+    assert bench.at(100) == [(1, 100)]
+    assert bench.at(102)[-1] == (3, 102)
+    bench.clock.epoch += 1
+    assert bench.at(10**9) == [(4, 10**9)]
+    assert (bench.ticker.statistics.jumps, bench.ticker.statistics.skipped) == (2, 0)
 
 
-def test_thread_ticks_and_stops() -> None:
-    clock = GivenClock(now=SECOND)
-    session = CountingSession()
-    enough = threading.Event()
-    ticker = Ticker(session, lambda step, due: step >= 500 and enough.set(), lambda: clock)
-    ticker.start()
-    assert enough.wait(20.0)
-    ticker.stop(20.0)
-    assert not ticker.is_alive
-    done = session.step
-    assert ticker.account.ticks == done
+def test_session_is_told_of_every_change_of_the_deadlines(bench) -> None:
+    bench.at(100)
+    bench.at(150)
+    bench.at(5000)  # a stall
+    bench.session.rate = 300.0
+    bench.at(5070)
+    bench.clock.epoch += 1
+    bench.at(90)
+    for step, due in bench.done:
+        since, time_ns, rate, first = [item for item in bench.session.told if item[0] <= step][-1]
+        assert due == time_ns + round((step - first) * SECOND / rate), since
+    assert len(bench.session.told) == 4
 
 
-def test_steps_are_told_by_their_stamps() -> None:
-    rig = Rig(rate=999.0)
-    rig.at(100)
-    rig.at(150)
-    rig.at(5000)  # a stall
-    rig.session.rate = 300.0
-    rig.at(5070)
-    rig.clock.epoch += 1
-    rig.at(90)
-    rig.at(123)
-    paces = rig.session.paces
-    assert len(paces) == 4
-    for step, due in rig.done:
-        pace = [pace for since, pace in paces if since <= step][-1]
-        assert pace.deadline(step) == due
+def test_thread_ticks_and_stops(bench) -> None:
+    bench.clock.time = SECOND
+    bench.ticker.start()
+    deadline = time.monotonic() + 20.0
+    while bench.session.step < 500 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    bench.ticker.stop(20.0)
+    assert not bench.ticker.is_alive
+    assert bench.ticker.statistics.ticks == bench.session.step >= 500
 
 
 def test_system_clock_shows_the_time_of_day_and_waits() -> None:
@@ -164,11 +137,10 @@ def test_system_clock_shows_the_time_of_day_and_waits() -> None:
     deadline = clock.now() + 2 * MILLISECOND
     while clock.now() < deadline:
         clock.wait_until(deadline)
-    past = clock.now()
-    clock.wait_until(past - SECOND)  # comes back
+    clock.wait_until(clock.now() - SECOND)  # comes back
 
 
-def test_system_clock_knows_when_it_was_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_system_clock_knows_when_it_was_set(monkeypatch) -> None:
     clock = SystemClock()
     clock.adjust()
     assert clock.epoch == 0
@@ -183,3 +155,40 @@ def test_system_clock_knows_when_it_was_set(monkeypatch: pytest.MonkeyPatch) -> 
 def test_percentiles_are_in_seconds() -> None:
     assert percentiles([]) == (0.0, 0.0, 0.0)
     assert percentiles(list(range(1001))) == pytest.approx((500e-9, 990e-9, 1000e-9))
+
+
+def test_worker_cancels_what_is_outdated_and_answers_the_latest() -> None:
+    answers: list[int] = []
+    is_started, is_answered = threading.Event(), threading.Event()
+
+    def compute(request: int, cancelled: Any) -> int:
+        is_started.set()
+        while request == 0 and not cancelled():  # for ever, unless it is cancelled
+            time.sleep(1e-3)
+        return request
+
+    worker = LatestOnlyWorker(compute, lambda answer: (answers.append(answer), is_answered.set()))
+    worker.submit(0)
+    assert is_started.wait(20.0)
+    worker.submit(7)
+    assert is_answered.wait(20.0)
+    worker.close(20.0)
+    assert answers == [7]
+
+
+def test_worker_computes_few_of_a_storm_of_requests() -> None:
+    begun: list[int] = []
+    is_last = threading.Event()
+
+    def compute(request: int, _cancelled: Any) -> int:
+        begun.append(request)
+        return request
+
+    worker = LatestOnlyWorker(compute, lambda answer: answer == 99 and is_last.set(), interval=0.2)
+    for request in range(100):
+        worker.submit(request)
+        time.sleep(1e-3)
+    assert is_last.wait(20.0)
+    worker.close(20.0)
+    assert begun[-1] == 99
+    assert len(begun) < 10

@@ -8,16 +8,17 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.nodes import raw_subscriptions, topics
+from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, resolve
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
+from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import Message
@@ -27,28 +28,28 @@ from std_srvs.srv import Trigger
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
-class Recorded:
-    """A bag, as another program reads it."""
+def read(path: Path) -> dict[str, list[Any]]:
+    """Return the messages of a bag by their topics, as another program reads them."""
+    messages: dict[str, list[Any]] = {}
+    with Reader(path) as reader:
+        for connection, _time, data in reader.messages():
+            decoded = TYPES.deserialize_cdr(data, connection.msgtype)
+            messages.setdefault(connection.topic, []).append(decoded)
+    return messages
 
-    def __init__(self, path: Path) -> None:
-        self.messages: dict[str, list[Any]] = {}
-        self.bytes: dict[str, list[bytes]] = {}
-        with Reader(path) as reader:
-            self.distribution = reader.ros_distro
-            for connection, _time, data in reader.messages():
-                decoded = TYPES.deserialize_cdr(data, connection.msgtype)
-                self.messages.setdefault(connection.topic, []).append(decoded)
-                self.bytes.setdefault(connection.topic, []).append(bytes(data))
+
+def texts(path: Path, topic: str = '/talk') -> list[str]:
+    return [message.data for message in read(path).get(topic, [])]
 
 
 @pytest.fixture
 def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
     """Start a recorder of `/talk` and what is in it."""
 
-    def start(**parameters: Any) -> Recorder:
+    def start(*words: str, **parameters: Any) -> Recorder:
         given = {'folder': tmp_path, 'topics': ['/talk'], **parameters}
         rules = [f'{name.replace("__", ".")}:={value}' for name, value in given.items()]
-        ros_args = tuple(word for rule in rules for word in ('-p', rule))
+        ros_args = (*words, *(word for rule in rules for word in ('-p', rule)))
         node = ros.node(Recorder, ros_args=ros_args, arguments=('--ros-args', *ros_args))
         node.start()
         return node
@@ -61,32 +62,52 @@ def talker(ros: Any) -> Node:
     return ros.node(Node, 'talker')
 
 
-def ask(ros: Any, node: Node, recorder: Node, service: str) -> Trigger.Response:
+def ask(ros: Any, node: Node, service: Any) -> Trigger.Response:
     """Call a service of the recorder."""
-    name = service.replace('~', recorder.get_fully_qualified_name())
-    return ros.call(node.create_client(Trigger, name), Trigger.Request())
+    client = node.create_client(Trigger, resolve(service.name, '/recorder'))
+    return ros.call(client, Trigger.Request())
 
 
-def say(ros: Any, recorder: Recorder, publisher: Any, texts: list[str]) -> None:
+def say(ros: Any, recorder: Recorder, publisher: Any, said: list[str]) -> None:
     """Publish texts, and wait until the recorder has them."""
-    recording = recorder.recording
-    assert recording is not None
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
-    before = recording.received
-    for text in texts:
+    before = recorder.recording.received
+    for text in said:
         publisher.publish(String(data=text))
-    ros.spin_until(lambda: recording.received >= before + len(texts), 'the messages')
+    ros.spin_until(lambda: recorder.recording.received >= before + len(said), 'the messages')
+
+
+def statuses(ros: Any, topic: Any) -> Callable[..., Any]:
+    """Return what waits for a status of the recorder that is as wanted."""
+    heard: list[Any] = []
+
+    def take(message: DiagnosticArray) -> None:
+        heard.extend(message.status)
+
+    create_subscription(ros.node(Node, 'listener'), topic.at('/recorder'), take)
+
+    def wait(task: str, done: Callable[[Any], bool] = lambda _values: True) -> Any:
+        found: list[Any] = []
+
+        def is_there() -> bool:
+            named = [status for status in heard if status.name == f'/recorder: {task}']
+            found[:] = [status for status in named if done(msg_to_values(status))]
+            return bool(found)
+
+        ros.spin_until(is_there, task)
+        return found[-1]
+
+    return wait
 
 
 def test_what_is_published_is_in_the_bag(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='bag')
-    publisher = talker.create_publisher(String, '/talk', 100)
-    texts = [f'number {number}' for number in range(50)]
-    say(ros, node, publisher, texts)
+    said = [f'number {number}' for number in range(50)]
+    say(ros, node, talker.create_publisher(String, '/talk', 100), said)
     node.close()
-    recorded = Recorded(tmp_path / 'bag')
-    assert [message.data for message in recorded.messages['/talk']] == texts
-    assert recorded.distribution in ('jazzy', 'kilted')
+    assert texts(tmp_path / 'bag') == said
+    with Reader(tmp_path / 'bag') as bag:
+        assert bag.ros_distro in ('jazzy', 'kilted')
 
 
 def test_bag_is_named_by_the_time_and_never_overwritten(ros, recorder, talker, tmp_path) -> None:
@@ -94,68 +115,51 @@ def test_bag_is_named_by_the_time_and_never_overwritten(ros, recorder, talker, t
     publisher = talker.create_publisher(String, '/talk', 100)
     for number in range(3):
         say(ros, node, publisher, [str(number)])
-        assert ask(ros, talker, node, topics.STOP).success
-        assert ask(ros, talker, node, topics.START).success
+        assert ask(ros, talker, RECORDER_SERVICES.stop).success
+        assert ask(ros, talker, RECORDER_SERVICES.start).success
     node.close()
     bags = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
-    assert len(bags) == 4
     assert all(path.name.startswith('soft_throw_20') for path in bags)
-    said = [Recorded(path).messages.get('/talk', []) for path in bags]
-    assert [[message.data for message in messages] for messages in said] == [
-        ['0'], ['1'], ['2'], [],
-    ]  # fmt: skip
+    assert [texts(path) for path in bags] == [['0'], ['1'], ['2'], []]
 
 
 def test_recorder_waits_to_be_started(ros, recorder, talker, tmp_path) -> None:
     node = recorder(start='false', name='bag')
     assert node.recording is None
     assert not list(tmp_path.iterdir())
-    refused = ask(ros, talker, node, topics.STOP)
-    assert not refused.success
-    assert refused.message == 'nothing is being recorded; nothing has been recorded yet'
-    started = ask(ros, talker, node, topics.START)
-    assert (started.success, started.message) == (True, f'recording into {tmp_path / "bag"}')
-    again = ask(ros, talker, node, topics.START)
+    assert not ask(ros, talker, RECORDER_SERVICES.stop).success
+    started = ask(ros, talker, RECORDER_SERVICES.start)
+    assert started.success
+    assert str(tmp_path / 'bag') in started.message
+    again = ask(ros, talker, RECORDER_SERVICES.start)
     assert not again.success
-    assert 'already recording' in again.message
-    stopped = ask(ros, talker, node, topics.STOP)
+    assert 'already' in again.message
+    stopped = ask(ros, talker, RECORDER_SERVICES.stop)
     assert stopped.success
     assert '0 messages' in stopped.message
     assert '0 lost' in stopped.message
-    third = ask(ros, talker, node, topics.START)
+    third = ask(ros, talker, RECORDER_SERVICES.start)
     assert not third.success
-    assert 'exists, and a bag is never overwritten' in third.message
+    assert 'never overwritten' in third.message
 
 
 def test_status_reaches_who_comes_late(ros, recorder, tmp_path) -> None:
     node = recorder(name='bag')
-    late = ros.node(Node, 'late')
-    heard: list[Any] = []
-    late.create_subscription(
-        topics.STATUS.type, '/recorder/status', heard.append, topics.STATUS.qos
-    )
-    ros.spin_until(lambda: bool(heard), 'the status')
-    (status,) = heard[0].status
-    assert status.message == f'recording into {tmp_path / "bag"}'
-    assert msg_to_values(status)['is_recording'] is True
+    status = statuses(ros, RECORDER_TOPICS.status)
+    assert str(tmp_path / 'bag') in status('bag', lambda values: values['is_recording']).message
     node.end()
-    ros.spin_until(lambda: len(heard) > 1, 'the next status')
-    assert msg_to_values(heard[1].status[0])['is_recording'] is False
+    status('bag', lambda values: not values['is_recording'])
 
 
-def test_diagnostics_tell_what_was_lost(ros, recorder, talker) -> None:
+def test_what_was_lost_is_in_diagnostics_and_bag(ros, recorder, talker, monkeypatch) -> None:
+    status = statuses(ros, RECORDER_TOPICS.diagnostics)
     node = recorder(name='bag')
-    publisher = talker.create_publisher(String, '/talk', 100)
-    say(ros, node, publisher, ['a', 'b', 'c'])
-    bag, losses = node._statuses()
-    assert (bag.level, losses.level) == (DiagnosticStatus.OK, DiagnosticStatus.OK)
-    assert msg_to_values(bag)['messages'] == 3
-    assert msg_to_values(losses) == {'lost': 0}
-    (subscription,) = node.recording.subscriptions
-    subscription._gaps = 2  # as if two had not come
-    losses = node._statuses()[1]
-    assert losses.level == DiagnosticStatus.WARN
-    assert msg_to_values(losses) == {'lost': 2, '/talk': 2}
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
+    assert status('losses', lambda values: values['lost'] == 0).level == DiagnosticStatus.OK
+    assert msg_to_values(status('bag', lambda values: values['messages'] == 3))['topics'] == 1
+    monkeypatch.setattr(node.recording, 'losses', lambda: {'/talk': 2})
+    lost = status('losses', lambda values: values == {'lost': 2, '/talk': 2})
+    assert lost.level == DiagnosticStatus.WARN
     path = node.recording.bag
     node.close()
     with BagReader(path) as bag:
@@ -170,30 +174,14 @@ def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, 
     assert node.recording.bag == tmp_path / 'first'
     node.end()
     node.begin()
-    assert node.recording.bag == tmp_path / 'second'
-    publisher = talker.create_publisher(String, '/other', 100)
-    say(ros, node, publisher, ['a'])
+    say(ros, node, talker.create_publisher(String, '/other', 100), ['a'])
     node.close()
-    assert list(Recorded(tmp_path / 'second').messages) == ['/other']
+    assert list(read(tmp_path / 'second')) == ['/other']
 
 
 def test_recorder_with_nothing_to_do_is_refused(recorder) -> None:
     with pytest.raises(ParameterError, match=r"storage and rerun\.sink are both 'none'"):
         recorder(storage='none')
-
-
-def test_bag_that_exists_is_refused_at_the_start(recorder, tmp_path) -> None:
-    (tmp_path / 'bag').mkdir()
-    with pytest.raises(ParameterError, match='never overwritten'):
-        recorder(name='bag')
-
-
-def test_topic_that_cannot_be_recorded_is_told(ros, recorder, talker, monkeypatch, capfd) -> None:
-    monkeypatch.setattr(raw_subscriptions, 'prefixes', list)
-    node = recorder(name='bag')
-    talker.create_publisher(String, '/talk', 1)
-    ros.spin_until(lambda: '/talk' in node.recording.subscriptions.refused, 'the refusal')
-    assert '/talk is not recorded: no definition of std_msgs/msg/String' in capfd.readouterr().err
 
 
 def test_file_is_split_by_time(ros, recorder, talker, tmp_path) -> None:
@@ -210,42 +198,62 @@ def test_file_is_split_by_time(ros, recorder, talker, tmp_path) -> None:
     ros.spin_until(is_split, 'three files')
     ros.spin_until(lambda: node.recording.received == len(said), 'the messages')
     node.close()
-    assert [item.data for item in Recorded(tmp_path / 'bag').messages['/talk']] == said
+    assert texts(tmp_path / 'bag') == said
 
 
-def test_twin_and_recorder_share_a_process(ros, recorder, tmp_path) -> None:
-    node = recorder(name='bag', topics=['/twin', '/rosout'])
-    twin = ros.node(Twin, ros_args=('-p', 'throw.period:=0.2'))
-    publisher = twin._joint_states
-    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
+@pytest.mark.parametrize('namespace', ['', '/rig1'])
+def test_recorder_takes_the_twin_in_its_own_namespace(ros, recorder, tmp_path, namespace) -> None:
+    words = ('-r', f'__ns:={namespace}') if namespace else ()
+    node = recorder(*words, name='bag', topics='[twin, /rosout]')
+    twin = ros.node(Twin, ros_args=(*words, '-p', 'throw.period:=0.2'))
+    other = ros.node(Twin, ros_args=('-r', '__ns:=/rig2'))
+    name = f'{namespace}/twin'
+    states = next(item for item in twin.publishers if item.topic_name == f'{name}/joint_states')
+    ros.spin_until(lambda: states.get_subscription_count() > 0, 'the subscription')
     twin.ticker.start()
     ros.spin_until(lambda: twin.session.throws >= 3, 'three throws')
     twin.ticker.stop(5.0)
-    count = twin.session.step
-    ros.spin_until(
-        lambda: any(
-            tap.channel.topic == '/twin/joint_states' and tap.received == count
-            for tap in node.recording.subscriptions
-        ),
-        'all joint states',
-    )
-    ros.spin_until(lambda: not twin._jobs, 'the queue')
+    received = {}
+
+    def has_all() -> bool:
+        received.update({tap.channel.topic: tap.received for tap in node.recording.subscriptions})
+        states, results = (
+            received.get(f'{name}/{one}') for one in ('joint_states', 'throw_result')
+        )
+        return states == twin.session.step and results >= 2
+
+    ros.spin_until(has_all, 'all joint states and two results')
     node.close()
-    recorded = Recorded(tmp_path / 'bag')
+    recorded = read(tmp_path / 'bag')
+    assert not any(topic.startswith(other.get_namespace()) for topic in recorded)
     stamps = [
         message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        for message in recorded.messages['/twin/joint_states']
+        for message in recorded[f'{name}/joint_states']
     ]
-    assert len(stamps) == count
+    assert len(stamps) == twin.session.step
     assert stamps == sorted(stamps)
-    assert len(recorded.messages['/twin/throw_result']) >= 3
+    assert len(recorded[f'{name}/layer/joint_states'][0].name) == 64
     with BagReader(tmp_path / 'bag') as bag:
         notes = {item.name: item.metadata for item in bag.metadata}
         files = {item.name: item.data.decode() for item in bag.attachments()}
-    assert notes['parameters of /twin']['throw.period'] == '0.2'
-    assert notes['versions of /twin']['python'] == sys.version.split()[0]
-    assert 'period: 0.2' in files['twin.yaml']
+    assert notes[f'parameters of {name}']['throw.period'] == '0.2'
+    assert notes[f'versions of {name}']['python'] == sys.version.split()[0]
+    assert 'period: 0.2' in files[f'{name[1:].replace("/", "_")}.yaml']
     assert 'name: bag' in files['recorder.yaml']
+
+
+def test_topic_that_nobody_publishes_is_told(ros, recorder, talker, tmp_path, capfd) -> None:
+    node = recorder(name='bag', topics=['/talk', '/silence'])
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
+    told: list[str] = []
+
+    def is_told() -> bool:
+        told.extend(line for line in capfd.readouterr().err.splitlines() if 'nothing is' in line)
+        return bool(told)
+
+    ros.spin_until(is_told, 'the warning')
+    assert '/silence' in told[0]
+    assert '/talk' not in told[0]
 
 
 @pytest.mark.parametrize(
@@ -258,8 +266,7 @@ def test_journal_of_somebody_else_does_no_harm(ros, recorder, talker, tmp_path, 
     say(ros, node, publisher, [line, 'after'])
     assert node.exit_code is None
     node.close()
-    said = [message.data for message in Recorded(tmp_path / 'bag').messages['/talk/journal']]
-    assert said == [line, 'after']
+    assert texts(tmp_path / 'bag', '/talk/journal') == [line, 'after']
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
@@ -280,9 +287,7 @@ def test_stream_is_shown_without_writing(ros, recorder, talker, tmp_path) -> Non
     viewer.write_text(f'#!/bin/sh\nexec cat > {shown}\n')
     viewer.chmod(0o755)
     node = recorder(storage='none', rerun__sink='viewer', rerun__python=viewer)
-    publisher = talker.create_publisher(String, '/talk', 100)
-    say(ros, node, publisher, ['a', 'b', 'c'])
-    assert node._message() == 'showing only'
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
     node.close()
     with shown.open('rb') as stream:
         messages = [item for item in read_stream(stream) if isinstance(item, Message)]

@@ -54,7 +54,7 @@ def messages_of_a_twin(steps: int, *, end: bool = True) -> list[Message]:
         outputs = session.advance()
         made.append(Message(states, encode(due, outputs.state), due, due))
         if outputs.layer is not None:
-            made.append(Message(strain, encode_field(outputs.layer.velocity), due, due))
+            made.append(Message(strain, encode_field(outputs.layer.height), due, due))
     return made
 
 

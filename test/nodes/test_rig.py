@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import to_twin
-from soft_throw_ros.nodes import topics
 from soft_throw_ros.nodes.rig import Rig
-from soft_throw_ros.recording.cdr import decode_joint_states, JointStates
 from soft_throw_ros.twin.session import Session
 
 SECOND = 1_000_000_000
@@ -18,76 +17,57 @@ RATE = 5000
 QUIET = ('-p', 'noise:=0.0', '-p', 'jitter:=0.0')
 
 
-class GivenClock:
-    """A clock that shows what it is told to."""
-
-    epoch = 0
-    max_catch_up = 1000 * SECOND
-    tolerance = SECOND
-
-    def __init__(self) -> None:
-        self.time = SECOND
-
-    def now(self) -> int:
-        return self.time
-
-    def wait_until(self, deadline: int) -> None:
-        raise AssertionError(f'nobody waits in this test, but until {deadline}')
-
-
 class Driven(Rig):
     """A rig that goes where the test sends it, and remembers what its sensors told."""
 
-    def __init__(self, **kwargs: Any) -> None:
-        self.clock = GivenClock()
-        super().__init__(system_clock=self.clock, **kwargs)
-        self.told: list[bytes] = []
-        self._publish = self.told.append
+    def __init__(self, clock: Any, **kwargs: Any) -> None:
+        self.clock = clock
+        super().__init__(system_clock=clock, **kwargs)
+        self.stamps: list[int] = []
+        self.positions: list[tuple[float, float]] = []
+        self.send = lambda stamp, values: (
+            self.stamps.append(stamp),
+            self.positions.append(values),
+        )
         self.ticker.run_due()  # the first step
 
+    def _remember(self, stamp: int, positions: tuple[float, float]) -> None:
+        self.stamps.append(stamp)
+        self.positions.append(positions)
+
     def go(self, seconds: float) -> None:
-        """Let so much time pass."""
         self.clock.time += round(seconds * SECOND)
         self.ticker.run_due()
 
-    def measured(self) -> JointStates:
-        """Return all that the sensors told."""
-        return decode_joint_states(self.told)
-
 
 @pytest.fixture
-def start(ros: Any) -> Any:
+def start(ros: Any, given_clock: Any) -> Any:
     """Start a rig with ROS arguments."""
-    return lambda *ros_args: ros.node(Driven, ros_args=ros_args)
+    return lambda *ros_args: ros.node(Driven, given_clock(), ros_args=ros_args)
 
 
-def exact(rig: Driven, count: int) -> np.ndarray:
-    """Return where plate and projectile are at so many steps."""
+def exact(rig: Driven) -> np.ndarray:
+    """Return where plate and projectile are, and how fast, at every step."""
     session = Session(to_twin(rig.parameters.settings))
-    return np.array([session.advance().state[:4] for _ in range(count)])
+    return np.array([session.advance().state[:4] for _ in rig.stamps])
 
 
 def test_perfect_sensors_tell_where_everything_is(start) -> None:
     rig = start(*QUIET)
     rig.go(1.5)
-    measured = rig.measured()
-    assert tuple(measured.names) == topics.JOINTS
-    assert (np.diff(measured.stamps) == SECOND // RATE).all()
-    assert np.ptp(measured.position[:, 1]) > 0.08  # it has thrown
-    assert (measured.position == exact(rig, len(rig.told))[:, :2]).all()
-    assert measured.velocity.size == 0
+    assert set(np.diff(rig.stamps)) == {SECOND // RATE}
+    assert np.ptp(rig.positions, axis=0)[1] > 0.08  # it has thrown
+    assert (np.array(rig.positions) == exact(rig)[:, :2]).all()
 
 
 def test_sensors_are_as_bad_as_they_should_be(start) -> None:
     rig = start('-p', 'noise:=1e-4', '-p', 'jitter:=5e-5')
     rig.go(1.5)
-    measured = rig.measured()
-    states = exact(rig, len(rig.told))
-    late = 1e-9 * (measured.stamps - measured.stamps[0]) - np.arange(len(states)) / RATE
+    states = exact(rig)
+    late = 1e-9 * (np.array(rig.stamps) - rig.stamps[0]) - np.arange(len(states)) / RATE
     late -= 0.5 * (late.max() + late.min())
     assert np.abs(late).max() == pytest.approx(5e-5, rel=0.02)
-    moved = states[:, :2] + late[:, None] * states[:, 2:]
-    noise = measured.position - moved
+    noise = np.array(rig.positions) - (states[:, :2] + late[:, None] * states[:, 2:])
     assert noise.std(axis=0) == pytest.approx([1e-4, 1e-4], rel=0.05)
     assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1e-5)
 
@@ -100,10 +80,17 @@ def test_layer_ages_once_after_its_throws(start, ros) -> None:
     speed = rig.parameters.settings['layer.wave_speed']
     rig.go(1.0)
     ros.spin_until(lambda: rig.parameters.settings['layer.wave_speed'] != speed, 'wear')
-    assert rig.parameters.settings['layer.wave_speed'] == 0.5 * speed
+    rig.on_second()
     rig.go(2.0)
     assert rig.session.pending == {}
-    assert not rig.get_parameter('layer.wave_speed').value < 0.5 * speed
+    assert rig.get_parameter('layer.wave_speed').value == 0.5 * speed
+
+
+@pytest.mark.parametrize('namespace', ['', '/rig1'])
+def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
+    rig = ros.node(Rig, ros_args=('-r', f'__ns:={namespace or "/"}'))
+    topics = [publisher.topic_name for publisher in rig.publishers]
+    assert f'{namespace}/{RIG_TOPICS.measured_joint_states.name}' in topics
 
 
 def test_rig_that_cannot_be_played_is_refused_with_the_number(start) -> None:

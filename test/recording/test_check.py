@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.bag import BagReader, BagWriter
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, JOINTS
 from soft_throw_ros.recording.message import Channel, Message

@@ -12,13 +12,13 @@ import numpy as np
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.nodes import topics
-from soft_throw_ros.nodes.advice import advise
+from soft_throw_ros.configuration.interface import FORMER_TOPICS, FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import (
     statuses_to_msg,
     throw_result_to_msg,
     time_to_msg,
 )
+from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
@@ -55,13 +55,13 @@ class TwinMessages:
         self.messages: list[Message] = []
         self.outputs: list[Outputs] = []
         self.channels = {
-            topic.name.removeprefix('~/'): self._channel(topic.name, topic.type_name)
-            for topic in (*topics.TOPICS, topics.MEASURED)
+            topic.relative_name: self._channel(topic.at(node).name, topic.type)
+            for topic in (*TWIN_TOPICS, *FORMER_TOPICS)
         }
         self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
-        self._encode_state = JointStateEncoder(topics.FRAME, topics.JOINTS).encode
-        self._encode_prediction = JointStateEncoder(topics.FRAME, topics.PREDICTED_JOINTS).encode
-        self._encode_positions = JointStateEncoder(topics.FRAME, topics.JOINTS, series=1).encode
+        self._encode_state = JointStateEncoder(FRAME, JOINTS).encode
+        self._encode_prediction = JointStateEncoder(FRAME, JOINTS[1:]).encode
+        self._encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
         self._encode_field = ArrayEncoder({'y': 64}).encode
         self._encode_throw_field = ArrayEncoder({'t': 200, 'y': 64}).encode
         self.now = BEGIN
@@ -110,7 +110,7 @@ class TwinMessages:
     def _channel(self, name: str, kind: str) -> Channel:
         schema = find_schema(kind, [sys.prefix])
         return Channel(
-            topic=name.replace('~', self.node),
+            topic=name,
             type=kind,
             schema=schema.text,
             type_hash=schema.type_hash,
@@ -134,13 +134,13 @@ class TwinMessages:
         if outputs.throw_field is not None:
             self._send('throw_field', self._encode_throw_field(outputs.throw_field.strain), 5)
         for result in outputs.results:
-            status = throw_result_to_msg(result, name='twin: throw', hardware_id=self.node)
+            status = throw_result_to_msg(result, self.node)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
             line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.describe())
             self._send('rosout', serialize_message(line), 7)
 
     def _advise(self, settings: Any) -> None:
-        status = advise(settings).to_status(name='twin: recommendation', hardware_id=self.node)
+        status = recommend_for(settings).to_status(self.node)
         self._send('recommendation', serialize_message(statuses_to_msg(self.now, [status])), 8)
 
     def _on_entry(self, line: str) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 import functools
 from typing import Any
@@ -12,28 +13,25 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.aiming import Aim
+from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
-from soft_throw_ros.design.uncertainty import (
-    prediction_uncertainty,
-    PredictionUncertainty,
-    Uncertainties,
-)
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import rig_to_values, status_to_msg
 
-RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
-"""What `recommended.*` shows of a recommendation."""
+_RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
+"""What `recommended.*` shows of an answer."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Advice:
+class RecommendationFor:
     """
-    A recommendation, or an aim, and what it is for.
+    A recommendation, or an aim, and the settings that it is for.
 
     Parameters
     ----------
     settings : mapping of str to value
-        What it is for.
-    recommendation : Recommendation, Aim or None
+        Complete settings of the twin.
+    best : Recommendation, Aim or None
         None if there is none.
     reason : str
         Why there is none.
@@ -41,7 +39,7 @@ class Advice:
     """
 
     settings: Settings
-    recommendation: Answer | None = None
+    best: Answer | None = None
     reason: str = ''
 
     @property
@@ -57,7 +55,7 @@ class Advice:
 
     def changes(self) -> dict[str, float | str]:
         """Return the parameters that make the rig what is recommended."""
-        best = self.recommendation
+        best = self.best
         if best is None:
             return {}
         changes: dict[str, float | str] = {}
@@ -77,45 +75,33 @@ class Advice:
 
     def results(self) -> dict[str, float | str]:
         """Return the parameters `recommended.*` by their last names; none, if none is there."""
-        best = self.recommendation
-        return {name: getattr(best, name) for name in RESULTS if hasattr(best, name)}
+        return {name: getattr(self.best, name) for name in _RESULTS if hasattr(self.best, name)}
 
-    def sentence(self) -> str:
-        """Say what the recommended layer would give."""
-        best = self.recommendation
+    def describe(self) -> str:
+        """Say in a line what is recommended, or why nothing is."""
+        best = self.best
         if best is None:
             return f'there is no recommendation: {self.reason}'
         if isinstance(best, Aim):
             return best.summary
         name = f'{best.layer}, ' if best.layer else ''
         return (
-            f'the recommended layer of {name}{1e3 * best.thickness:.4g} mm and '
-            f'{best.wave_speed:.4g} m/s would give alpha {best.energy_transfer:.3f}'
+            f'recommended: {name}{1e3 * best.thickness:.4g} mm and {best.wave_speed:.4g} m/s, '
+            f'alpha {best.energy_transfer:.3f}'
         )
 
-    def to_status(self, *, name: str, hardware_id: str) -> DiagnosticStatus:
+    def to_status(self, node_name: str) -> DiagnosticStatus:
         """Make a status of it, with the rig that it is for."""
-        best = self.recommendation
+        best = self.best
         values: dict[str, Any] = {}
+        level, message = DiagnosticStatus.ERROR, self.describe()
         if best is not None:
             values = {'g_load': best.peak_acceleration / STANDARD_GRAVITY, **best.values()}
-        return status_to_msg(
-            name,
-            hardware_id=hardware_id,
-            message=self.sentence() if best is None else best.summary,
-            values={**values, **rig_to_values(self.rig)},
-            level=self._level,
-        )
-
-    @property
-    def _level(self) -> bytes:
-        best = self.recommendation
-        level: bytes = DiagnosticStatus.OK
-        if best is None:
-            level = DiagnosticStatus.ERROR
-        elif isinstance(best, Aim) and not best.is_reached:
-            level = DiagnosticStatus.WARN
-        return level
+            is_missed = isinstance(best, Aim) and not best.is_reached
+            level = DiagnosticStatus.WARN if is_missed else DiagnosticStatus.OK
+            message = best.summary
+        values.update(rig_to_values(self.rig))
+        return status_to_msg(node_name, 'recommendation', message, values, level=level)
 
 
 def matters(name: str) -> bool:
@@ -124,19 +110,24 @@ def matters(name: str) -> bool:
     return entry.is_of_rig or entry.group in ('recommendation', 'uncertainty')
 
 
-def advise(settings: Settings) -> Advice:
+def recommend_for(
+    settings: Settings, cancelled: Callable[[], bool] = lambda: False
+) -> RecommendationFor:
     """Recommend a layer, or aim, or say why not."""
+    for error in TWIN.contradictions(settings):  # such as come about by single changes
+        if all(name.startswith('recommendation.') for name in error.names):
+            return RecommendationFor(settings=settings, reason=str(error))
     try:
-        return Advice(settings=settings, recommendation=answer(settings))
-    except ValueError as error:
-        return Advice(settings=settings, reason=str(error))
+        return RecommendationFor(settings=settings, best=answer(settings, cancelled=cancelled))
+    except (SearchCancelledError, ValueError) as error:
+        return RecommendationFor(settings=settings, reason=str(error))
 
 
-def uncertainty_of(rig: Rig, settings: Settings) -> PredictionUncertainty | None:
-    """Find how far a rig's throw may be off; None for a model that has no releases of its own."""
+def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
+    """Return how far a rig's throw may be off, as values of a status."""
     if settings['model'] not in _RELEASED:
-        return None
-    return _uncertainty(rig, uncertainties_of(settings))
+        return {}
+    return _uncertainty_values(rig, uncertainties_of(settings))
 
 
 _RELEASED = ('travelling_wave', 'finite_difference', 'finite_difference_elastic')
@@ -144,8 +135,9 @@ _RELEASED = ('travelling_wave', 'finite_difference', 'finite_difference_elastic'
 
 
 @functools.lru_cache(maxsize=4)
-def _uncertainty(rig: Rig, uncertainties: Uncertainties) -> PredictionUncertainty | None:
+def _uncertainty_values(rig: Rig, uncertainties: Uncertainties) -> dict[str, float]:
     try:
-        return prediction_uncertainty(rig, uncertainties)
+        found = prediction_uncertainty(rig, uncertainties)
     except ValueError:
-        return None
+        return {}
+    return {f'uncertainty.{name}': value for name, value in found.values().items()}

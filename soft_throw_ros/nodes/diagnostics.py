@@ -10,51 +10,42 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.nodes.conversions import status_to_msg
-from soft_throw_ros.nodes.measured import Account, MeasuredSteps
+from soft_throw_ros.nodes.measured import MeasuredSteps
 from soft_throw_ros.nodes.realtime import percentiles, SECOND, Ticker
 from soft_throw_ros.twin.results import ThrowResult
 from soft_throw_ros.twin.session import Session
 
-TOLERATED = 0.01
-"""What part of the ticks may be late before it is called bad. [-]"""
+MAX_LATE_SHARE = 0.01
+"""What share of the ticks may be late before it is a warning. [-]"""
 
-BUSY = 0.5
-"""What part of the time may go into ticks before it is called bad. [-]"""
+MAX_COMPUTE_SHARE = 0.5
+"""What share of the time may go into ticks before it is a warning. [-]"""
 
 
-class Observer:
+class DiagnosticsPublisher:
     """
-    Sum up a second at a time.
+    Sums up a second at a time.
 
     Parameters
     ----------
     session : Session
-        Whose steps are counted, and whose changes wait.
+        Whose steps are counted, and whose changes are pending.
     ticker : Ticker
         What asks for the steps.
     steps : MeasuredSteps
         What the rig measures.
-    name : str
-        Of the node, which the names of the statuses begin with.
-    hardware_id : str
-        Full name of the node.
+    node_name : str
+        Full name of the node, which the names of the statuses begin with.
 
     """
 
     def __init__(
-        self,
-        session: Session,
-        ticker: Ticker,
-        steps: MeasuredSteps,
-        *,
-        name: str,
-        hardware_id: str,
+        self, session: Session, ticker: Ticker, steps: MeasuredSteps, *, node_name: str
     ) -> None:
         self._session = session
         self._ticker = ticker
         self._steps = steps
-        self._name = name
-        self._hardware_id = hardware_id
+        self._node_name = node_name
         self._compared: ThrowResult | None = None
         self._time = time.monotonic()
         self._ticks = self._late = self._skipped = 0
@@ -63,59 +54,62 @@ class Observer:
         """Return the statuses for the time since the last call; `result` is the last throw's."""
         if result is not None and result.stage == 'final' and result.comparison is not None:
             self._compared = result
-        lateness, compute = self._ticker.account.take()
+        lateness, compute = self._ticker.statistics.take()
         statuses = [
-            self._deadlines(lateness),
+            self._timing(lateness),
             self._load(compute),
             self._parameters(),
             self._layer(result),
         ]
         if self._session.is_measured:
-            statuses += [self._measurement(self._steps.account()), self._model(self._compared)]
+            statuses += [self._measurement(), self._model()]
         return statuses
 
-    def _deadlines(self, lateness: list[int]) -> DiagnosticStatus:
-        account = self._ticker.account
-        late, self._late = account.late - self._late, account.late
-        skipped, self._skipped = account.skipped - self._skipped, account.skipped
+    def _timing(self, lateness: list[int]) -> DiagnosticStatus:
+        """Tell how late the ticks were."""
+        statistics = self._ticker.statistics
+        late, self._late = statistics.late - self._late, statistics.late
+        skipped, self._skipped = statistics.skipped - self._skipped, statistics.skipped
         p50, p99, largest = percentiles(lateness)
-        is_bad = skipped > 0 or late > TOLERATED * len(lateness)
+        is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
         return self._status(
-            'deadlines',
+            'timing',
             f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time',
             warn=is_bad,
             lateness_p50=p50,
             lateness_p99=p99,
             lateness_max=largest,
-            ticks=account.ticks,
-            ticks_late=account.late,
-            ticks_skipped=account.skipped,
-            ticks_caught_up=account.caught_up,
-            clock_jumps=account.jumps,
+            ticks=statistics.ticks,
+            ticks_late=statistics.late,
+            ticks_skipped=statistics.skipped,
+            ticks_caught_up=statistics.caught_up,
+            clock_jumps=statistics.jumps,
             scheduler=self._ticker.scheduler,
         )
 
     def _load(self, compute: list[int]) -> DiagnosticStatus:
-        session, account = self._session, self._ticker.account
-        ticks, self._ticks = account.ticks - self._ticks, account.ticks
+        """Tell how much time the ticks take."""
+        session, statistics = self._session, self._ticker.statistics
+        ticks, self._ticks = statistics.ticks - self._ticks, statistics.ticks
         now = time.monotonic()
         passed, self._time = now - self._time, now
         p50, p99, largest = percentiles(compute)
-        part = sum(compute) / SECOND / passed
+        share = sum(compute) / SECOND / passed
         return self._status(
             'load',
-            f'{100.0 * part:.1f} % of the time goes into ticks',
-            warn=part > BUSY,
+            f'{100.0 * share:.1f} % of the time goes into ticks',
+            warn=share > MAX_COMPUTE_SHARE,
             compute_p50=p50,
             compute_p99=p99,
             compute_max=largest,
-            compute_part=part,
+            compute_part=share,
             real_time_factor=ticks * session.time_scale / (session.rate * passed),
             time_scale=session.time_scale,
             rate=session.rate,
         )
 
     def _parameters(self) -> DiagnosticStatus:
+        """Tell which changes are pending."""
         pending = self._session.pending
         return self._status(
             'parameters',
@@ -126,6 +120,7 @@ class Observer:
         )
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
+        """Tell whether the layer stayed in its linear range in the last throw."""
         if result is None:
             return self._status('layer', 'nothing has been thrown yet', warn=False)
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
@@ -139,34 +134,35 @@ class Observer:
             max_strain=result.max_strain,
         )
 
-    def _measurement(self, account: Account) -> DiagnosticStatus:
-        """Tell how what the rig measures has come, and what the projectile was known ahead."""
-        refused = sum(account.refused.values())
-        lead = min(account.leads) / SECOND if account.leads else math.nan
-        message = f'{account.taken} samples'
-        if not account.taken:
-            message = 'nothing is measured'
-        if refused or account.lost:
-            reasons = ', '.join(f'{count} {reason}' for reason, count in account.refused.items())
-            message += f', {account.lost} lost, {refused} refused' + (reasons and f': {reasons}')
+    def _measurement(self) -> DiagnosticStatus:
+        """Tell how many measurements came, and how far ahead the projectile was known."""
+        statistics = self._steps.take_statistics()
+        refused = sum(statistics.refused.values())
+        lead = min(statistics.leads) / SECOND if statistics.leads else math.nan
+        message = f'{statistics.taken} samples' if statistics.taken else 'nothing is measured'
+        if refused or statistics.lost:
+            reasons = ', '.join(f'{count} {why}' for why, count in statistics.refused.items())
+            message += f', {statistics.lost} lost, {refused} refused'
+            message += f': {reasons}' if reasons else ''
         if lead <= 0.0:
             message += f'; the projectile is known {-1e3 * lead:.2f} ms too late'
         return self._status(
             'measurement',
             message,
-            warn=not account.taken or refused > 0 or account.lost > 0 or lead <= 0.0,
+            warn=not statistics.taken or refused > 0 or statistics.lost > 0 or lead <= 0.0,
             at_rest=self._session.is_at_rest,
-            samples=account.taken,
-            samples_out_of_order=account.disordered,
-            messages=account.received,
-            messages_lost=account.lost,
+            samples=statistics.taken,
+            samples_out_of_order=statistics.disordered,
+            messages=statistics.received,
+            messages_lost=statistics.lost,
             samples_refused=refused,
             lead_min=lead,
-            **{f'refused.{reason}': count for reason, count in account.refused.items()},
+            **{f'refused.{reason}': count for reason, count in statistics.refused.items()},
         )
 
-    def _model(self, result: ThrowResult | None) -> DiagnosticStatus:
-        """Tell how well the model went with the last throw."""
+    def _model(self) -> DiagnosticStatus:
+        """Tell how well the model predicted the last throw."""
+        result = self._compared
         if result is None or result.comparison is None:
             return self._status('model', 'no throw has been compared', warn=False)
         comparison = result.comparison
@@ -184,10 +180,5 @@ class Observer:
         )
 
     def _status(self, task: str, message: str, *, warn: bool, **values: Any) -> DiagnosticStatus:
-        return status_to_msg(
-            f'{self._name}: {task}',
-            hardware_id=self._hardware_id,
-            message=message,
-            values=values,
-            level=DiagnosticStatus.WARN if warn else DiagnosticStatus.OK,
-        )
+        level = DiagnosticStatus.WARN if warn else DiagnosticStatus.OK
+        return status_to_msg(self._node_name, task, message, values, level=level)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 import re
 from typing import Any
@@ -14,9 +16,30 @@ _TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'
 _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 
 
-def read(path: Path) -> yaml.Node | None:
+@dataclass(frozen=True)
+class Located:
     """
-    Read a file into nodes; None if there is nothing in it.
+    A value, and where it stands.
+
+    Parameters
+    ----------
+    where : str
+        `FILE:LINE`, or the argument it is from.
+    value : object
+        A bool, number or text as ROS types it, or a list of such; None of a mapping.
+    items : tuple of (str, Located), optional
+        Of a mapping, in their order; a key may come twice.
+
+    """
+
+    where: str
+    value: Any = None
+    items: tuple[tuple[str, Located], ...] | None = None
+
+
+def read(path: Path) -> Located | None:
+    """
+    Read a file; None if there is nothing in it.
 
     Raises
     ------
@@ -29,10 +52,17 @@ def read(path: Path) -> yaml.Node | None:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else 'is no UTF-8 text'
         raise ParameterError(f'{path}: {reason}') from None
-    return compose(text, str(path))
+    root = _compose(text, lambda line: f'{path}:{line + 1}', str(path))
+    return None if root is None else _located(root, lambda line: f'{path}:{line + 1}')
 
 
-def compose(text: str, where: str) -> yaml.Node | None:
+def parse(text: str, where: str) -> Any:
+    """Type the value of an argument as ROS does, or raise ParameterError saying where it is."""
+    root = _compose(text, lambda _line: where, where)
+    return '' if root is None else _located(root, lambda _line: where).value
+
+
+def _compose(text: str, place: Callable[[int], str], name: str) -> yaml.Node | None:
     """Parse YAML into nodes, which know their lines; ROS has no aliases, so no node recurs."""
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
@@ -42,21 +72,23 @@ def compose(text: str, where: str) -> yaml.Node | None:
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, 'problem_mark', None)
-        line = f':{mark.line + 1}' if mark and not where.startswith('-p') else ''
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ParameterError(f'{where}{line}: {problem}') from None
+        raise ParameterError(f'{place(mark.line) if mark else name}: {problem}') from None
 
 
-def place(path: Path, node: yaml.Node) -> str:
-    """Say where a node stands."""
-    return f'{path}:{node.start_mark.line + 1}'
+def _located(node: yaml.Node, place: Callable[[int], str]) -> Located:
+    where = place(node.start_mark.line)
+    if not isinstance(node, yaml.MappingNode):
+        return Located(where, _value(node))
+    items = ((str(key.value), _located(value, place)) for key, value in node.value)
+    return Located(where, items=tuple(items))
 
 
-def value_of(node: yaml.Node | None) -> Any:
+def _value(node: yaml.Node) -> Any:
     """Type a value as ROS does, which takes 2e-3 for a number and 1_000 for a text."""
     if isinstance(node, yaml.SequenceNode):
-        return [value_of(item) for item in node.value]
-    text = str(node.value) if node is not None else ''
+        return [_value(item) for item in node.value]
+    text = str(node.value)
     plain = isinstance(node, yaml.ScalarNode) and not node.style
     if not plain or '_' in text:
         return text

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the nodes `twin` and `rig` have in common: a thread that steps a session by the clock.
+
+All else happens in the executor's thread: services, parameters, and what is published now and
+then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import gc
+import sys
+from typing import Any
+
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from soft_throw_ros.nodes.process import make_main, RunnableNode
+from soft_throw_ros.nodes.realtime import Clock, NodeClock, Steps, SystemClock, Ticker
+from soft_throw_ros.twin.prepared_rig import warm_up
+from soft_throw_ros.twin.results import Outputs
+
+STOP_TIMEOUT = 0.3
+"""Longest wait for a thread to end. [s]"""
+
+
+class RealTimeNode(RunnableNode):
+    """
+    A node that asks for steps as they are due; to be derived from.
+
+    Whoever derives from it declares parameters and makes publishers, and calls `drive` last.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    system_clock : Clock
+        What steps are due by, unless the node follows `/clock`.
+    **kwargs
+        As for `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    ticker : Ticker
+        What asks for the steps: by itself once it is started.
+
+    """
+
+    ticker: Ticker
+
+    def __init__(self, name: str, *, system_clock: Clock | None = None, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self._system_clock = system_clock or SystemClock()
+
+    def drive(self, steps: Steps) -> None:
+        """Have steps asked for as soon as the node starts."""
+        self._node_clock = NodeClock(self)
+        self.ticker = Ticker(steps, self.on_step, self._current_clock)
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.on_second, clock=steady)
+
+    def on_step(self, outputs: Outputs, due: int) -> None:
+        """Publish what a step gives, in the thread that ticks; `due` is its time. [ns]"""
+        raise NotImplementedError
+
+    def on_second(self) -> None:
+        """Follow what is done to the time of day; in the executor's thread."""
+        if isinstance(self._system_clock, SystemClock):
+            self._system_clock.adjust()
+
+    @property
+    def exit_code(self) -> int | None:
+        """1 if the ticks have come to an end by themselves."""
+        return None if self.ticker.is_alive else 1
+
+    def prepare(self) -> None:
+        """Compile or load all kernels, and let nothing hold up the ticks."""
+        warm_up()
+        sys.setswitchinterval(1e-4)
+        gc.collect()
+        gc.freeze()
+
+    def start(self) -> None:
+        """Tick."""
+        self.ticker.start()
+        self.get_logger().info('ready')
+
+    def destroy_node(self) -> None:
+        """Stop the ticks, and let go of everything."""
+        self.ticker.stop(STOP_TIMEOUT)
+        self._node_clock.close()
+        super().destroy_node()
+
+    def _current_clock(self) -> Clock:
+        return self._node_clock if self._node_clock.is_active else self._system_clock
+
+
+def make_real_time_main(name: str, kind: type[Any]) -> Callable[[list[str] | None], int]:
+    """Make the `main` of a node derived from `RealTimeNode`; see `process.make_main`."""
+    return make_main(
+        name,
+        lambda arguments: kind(arguments=arguments),
+        notice='compiling, once; takes half a minute',
+    )
