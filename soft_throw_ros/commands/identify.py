@@ -31,7 +31,7 @@ from soft_throw_ros.commands.identify_video import (
     read_layer,
     read_throw,
 )
-from soft_throw_ros.commands.rig_options import add_rig_options, read_settings
+from soft_throw_ros.commands.options import add_rig_options, read_settings
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.identification.fit_description import (
     ENGINE,

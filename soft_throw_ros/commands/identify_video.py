@@ -11,7 +11,7 @@ import mimetypes
 from pathlib import Path
 import re
 
-from soft_throw_ros.commands.rig_options import number_or_text
+from soft_throw_ros.commands.options import number_or_text
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.space_time import space_time, SpaceTime

@@ -992,8 +992,8 @@ class CellStepper(Stepper):
         How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
         `append_plate_states`. A sampled motion must not begin before time 0.
     model : str
-        One of `CELL_MODELS`: with a rigid projectile (default), with an elastic one, with the layer
-        glued to the (rigid) projectile, or without mass in the layer.
+        One of `CELL_MODELS`: with a rigid projectile (default), with an elastic one, with the
+        layer glued to the (rigid) projectile, or without mass in the layer.
     cells : int, optional
         Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.
     field_points : int

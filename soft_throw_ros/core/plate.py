@@ -228,7 +228,7 @@ class SampledMotion:
 
     @property
     def peak_velocity(self) -> float:
-        """Largest upward speed, to 1e-6 of it where states are as dense as they should be. [m/s]"""
+        """Largest upward speed, as far as 16 points between states show it. [m/s]"""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
         return float(self.velocity(between).max())
 
@@ -302,16 +302,16 @@ def _quintics(times: Floats, states: Floats) -> Floats:
     )
 
 
-def require_series(
-    times: Floats, values: Floats, name: str, *, after: float = -math.inf
-) -> None:
-    """Raise ValueError unless all is finite, and times increase, from one `after` which they are."""
+def require_series(times: Floats, values: Floats, name: str, *, after: float = -math.inf) -> None:
+    """Raise ValueError unless all is finite, and times increase, beginning after `after`."""
     for label, array in (('times', times), (name, values)):
         if not np.isfinite(array).all():
-            first = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-            raise ValueError(f'{label} must be finite, got {array[first]} at index {first[0]}')
+            place = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise ValueError(f'{label} must be finite, got {array[place]} at index {place[0]}')
     backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
     if backward.size:
         first = int(backward[0])
         before = times[first - 1] if first else after
-        raise ValueError(f'times must increase, got {times[first]} after {before} at index {first}')
+        raise ValueError(
+            f'times must increase, got {times[first]} after {before} at index {first}'
+        )

@@ -496,4 +496,3 @@ def require_target(name: str, array: object, shape: tuple[int, ...]) -> None:
             else type(array).__name__
         )
         raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')
-

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,7 +106,7 @@ def apex_height(ejection: Event, gravity: float) -> float:
 
 def make_stepper(
     rig: Rig,
-    motion: PlateMotion | str | None = None,
+    motion: PlateMotion | Literal['measured'] | None = None,
     *,
     model: str = 'travelling_wave',
     cells: int | None = None,

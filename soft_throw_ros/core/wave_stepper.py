@@ -293,7 +293,7 @@ def _mass_velocity(s, d, V, a, b, c, e):
 
 
 @_jit
-def _cubic(s, waves, i, aside):
+def _cubic(waves, i, aside):
     """Expand p at the top after index i, through four points that lie on one side of a kink."""
     i += aside
     behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
@@ -401,7 +401,7 @@ def _cross_step(s, waves, events, target):
         a, b, c, e = here, slope, 0.0, 0.0
     else:
         aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
-        a, b, c, e = _cubic(s, waves, i, aside)
+        a, b, c, e = _cubic(waves, i, aside)
     V, P, offset, error = s.velocity, s.step * s.sum, 0.0, 0.0
     events_left = _EVENTS_PER_STEP
     while True:
@@ -622,7 +622,7 @@ def _march(s, waves, path, events, goal):
                 weights = s.weights[1 if beside_front else 0]
                 done = _run_in_contact(s, waves, count, weights)
             else:
-                count = min(s.filled, min(s.kink - 1, arrival)) - s.cell
+                count = min(s.filled, s.kink - 1, arrival) - s.cell
                 done = _run_in_flight(s, waves, count)
             if done < count:
                 _cross_step(s, waves, events, 1.0)
@@ -676,10 +676,10 @@ def _strain_so_far(s, waves):
     peak = s.peak_strain
     for k in range(N):
         older, newer = waves[1, i - N - k], waves[1, i - N + k]
-        lowest = min(lowest, min(older, newer))
-        highest = max(highest, max(older, newer))
+        lowest = min(lowest, older, newer)
+        highest = max(highest, older, newer)
         p = waves[0, i - k] + s.gravity_offset
-        peak = max(peak, max(abs(p - lowest), abs(p - highest)))
+        peak = max(peak, abs(p - lowest), abs(p - highest))
     return peak
 
 
@@ -1080,7 +1080,7 @@ def _first_throws(ratios, steps, core, waves, found, part, parts):
             continue
         found[0, n], found[1, n] = event[0, 1], event[0, 3]
         contact_stress = s.peak_push + s.gravity_offset
-        found[2, n] = max(s.peak_strain, max(s.peak_stress, contact_stress))
+        found[2, n] = max(s.peak_strain, s.peak_stress, contact_stress)
         found[3, n] = s.peak_push / (2.0 * math.pi * s.relaxation)
         found[4, n] = s.peak_stress
         found[5, n] = s.first_work * s.step / s.relaxation

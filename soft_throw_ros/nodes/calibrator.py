@@ -183,7 +183,7 @@ class Calibrator(RunnableNode):
         """Give the twin what was found, and the rig the layer that it then recommends."""
         for warning in found.fit.warnings():
             self.get_logger().warning(warning)
-        if found.fit.is_misfit:
+        if found.fit.is_mismatch:
             raise ValueError('no parameters of the model make it do what the projectile does')
         values = {name: found.fit[name] for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})

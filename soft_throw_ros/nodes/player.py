@@ -161,9 +161,7 @@ class Player(RunnableNode):
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._clock_schedule = TickSchedule(
-                step=0, time_ns=now, rate=self._options.clock_rate
-            )
+            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._options.clock_rate)
         self._thread.start()
 
     def close(self) -> None:
@@ -268,15 +266,15 @@ class Player(RunnableNode):
 
     def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        schedule = self._clock_schedule
-        if schedule is None or self._clock_publisher is None:
+        clock = self._clock_schedule
+        if clock is None or self._clock_publisher is None:
             return None
-        if schedule.deadline(self._clock_ticks) <= now:
+        if clock.deadline(self._clock_ticks) <= now:
             clock = Clock(clock=time_to_msg(schedule.time(now)))
             self._clock_publisher.publish(clock)
-            passed = (now - schedule.time_ns) * schedule.rate / SECOND
+            passed = (now - clock.time_ns) * clock.rate / SECOND
             self._clock_ticks = max(self._clock_ticks, math.floor(passed)) + 1
-        return schedule.deadline(self._clock_ticks)
+        return clock.deadline(self._clock_ticks)
 
     def _wait_for_acknowledgement(self) -> None:
         """Give those who acknowledge messages a moment."""

@@ -263,7 +263,9 @@ class Ticker:
             self._followed = followed
             self._schedule = None
         if self._schedule is None and now > 0:
-            self._schedule = TickSchedule(step=self._steps.step, time_ns=now, rate=self._steps.rate)
+            self._schedule = TickSchedule(
+                step=self._steps.step, time_ns=now, rate=self._steps.rate
+            )
             self._steps.set_tick_schedule(self._schedule)
         return self._schedule
 

@@ -10,8 +10,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.closed_form import first_releases
+from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+from reference.method_of_steps import follow
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.configuration import files, rig_of
-from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import USUAL

@@ -9,8 +9,8 @@ import sys
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands import identify
 from reference.method_of_steps import follow
+from soft_throw_ros.commands import identify
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 

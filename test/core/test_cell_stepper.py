@@ -22,8 +22,8 @@ from soft_throw_ros.core.cell_stepper import (
     MAX_CELLS,
     warm_up,
 )
-from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
@@ -855,7 +855,12 @@ def test_bad_arguments_are_quoted(arguments, complaint):
 @pytest.mark.parametrize(
     ('make', 'value', 'model', 'number'),
     [
-        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)), 0.5e-3, CELL_MODELS[0], '0.0005 m'),
+        (
+            lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)),
+            0.5e-3,
+            CELL_MODELS[0],
+            '0.0005 m',
+        ),
         (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6, CELL_MODELS[0], '1e-06 kg'),
         (
             lambda x: Rig(

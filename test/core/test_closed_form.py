@@ -9,12 +9,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from soft_throw_ros.core import closed_form, spring_mass
-from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.closed_form import (
     first_release,
     first_releases,
     ThrowUnresolvedError,
 )
+from soft_throw_ros.core.plate import peak_velocity_ratio
 
 
 def between(low, high):

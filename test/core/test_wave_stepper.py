@@ -272,10 +272,12 @@ def test_whole_range_of_parameters_gives_finite_throws_or_a_refusal(
         gravity=gravity,
     )
     try:
-        model = WaveStepper(rig, field_points=8)
-    except ValueError as refusal:
-        assert 'feasible' in str(refusal)
+        steps_per_crossing(rig)
+    except ValueError:
+        with pytest.raises(ValueError, match='feasible'):
+            WaveStepper(rig)
         return
+    model = WaveStepper(rig, field_points=8)
     layer = np.empty((3, 8))
     try:
         for time in np.linspace(0.0, 3.0 / frequency, 20):
@@ -368,7 +370,6 @@ def test_endless_events_end_in_a_named_error():
     engine = Engine(damping_ratio=0.0, amplitude=5e-5, frequency=40.0)
     model = WaveStepper(Rig(engine=engine))
     with pytest.raises(EventLimitError, match=f'{MAX_EVENTS}'):
-        for second in range(1, 2000):
-            model.advance_to(float(second))
+        model.advance_to(2000.0)
     model.reset()
     model.advance_to(0.01)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.recording.energy_map import compute_energy_map, energy_transfer
 
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
