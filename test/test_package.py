@@ -18,6 +18,13 @@ import zipfile
 import pytest
 import soft_throw_ros
 from soft_throw_ros.__main__ import EXECUTABLES
+from soft_throw_ros.configuration.interface import (
+    RECORDER_SERVICES,
+    RECORDER_TOPICS,
+    RIG_TOPICS,
+    TWIN_SERVICES,
+    TWIN_TOPICS,
+)
 
 ROOT = Path(__file__).parents[1]
 CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.yaml')}
@@ -146,6 +153,8 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
     of_ros = imported - ON_PYPI.keys() - OPTIONAL - {'soft_throw_ros'}
+    tables = (TWIN_TOPICS, RECORDER_TOPICS, RIG_TOPICS, TWIN_SERVICES, RECORDER_SERVICES)
+    of_ros |= {row.type.partition('/')[0] for table in tables for row in table}
     needed = [ON_PYPI[name] for name in imported & ON_PYPI.keys()]
 
     declared = {element.text for element in MANIFEST.findall('exec_depend')}

@@ -74,7 +74,7 @@ from soft_throw_ros.core.cells import (
 )
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
 from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -948,7 +948,7 @@ def first_throws(
         )
         raise ThrowUnresolvedError(f'no release in {MAX_PERIODS:g} periods for {case}')
     phase, speed, strain, acceleration, force, work = found.T.reshape(6, *cases[0].shape)
-    fastest = np.vectorize(peak_velocity_ratio, otypes=[float])(damping_ratio)
+    fastest = peak_velocity_ratios(damping_ratio)
     return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
 
 

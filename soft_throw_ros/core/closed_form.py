@@ -43,7 +43,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 from soft_throw_ros.core.threads import in_threads
 
 MAX_INTERVALS = 2048
@@ -60,7 +60,6 @@ _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 _inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
-_peak_velocity_ratio = nb.vectorize(cache=True)(peak_velocity_ratio)
 
 
 class ThrowUnresolvedError(ValueError):
@@ -232,7 +231,7 @@ def first_releases(
         phase[failed] = np.nan
     phase = phase.reshape(shape)
     speed = speed.reshape(shape)
-    energy_transfer = (speed / _peak_velocity_ratio(damping_ratio)) ** 2
+    energy_transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
     return FirstRelease(phase, speed, energy_transfer)
 
 

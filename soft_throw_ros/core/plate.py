@@ -132,6 +132,12 @@ def peak_velocity_ratio(damping_ratio: float) -> float:
     return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
 
 
+def peak_velocity_ratios(damping_ratio: Floats) -> Floats:
+    """Compute `peak_velocity_ratio` for many plates."""
+    angle = np.arccos(damping_ratio)
+    return np.asarray(np.exp(-damping_ratio / np.sqrt(1.0 - damping_ratio**2) * angle))
+
+
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
     """

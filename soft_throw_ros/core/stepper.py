@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-import copy
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -297,7 +296,8 @@ class Stepper(ABC):
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
         replaced = {id(getattr(self, name)): getattr(self, name).copy() for name in self._changing}
         for name in self._changing:
             setattr(other, name, replaced[id(getattr(self, name))])

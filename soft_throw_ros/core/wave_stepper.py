@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratio, PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
 from soft_throw_ros.core.plate_kernels import (
     DAMPED,
     motion_at,
@@ -1016,7 +1016,7 @@ def first_throws(
     --------
     >>> throws = first_throws(mass_ratio=[0.1, 0.234231], speed_ratio=8.24221)
     >>> throws.energy_transfer.round(3), throws.peak_strain.round(3)
-    (array([3.79 , 4.123]), array([1.046, 1.107]))
+    (array([4.081, 4.123]), array([1.046, 1.107]))
 
     """
     if unresolved not in ('raise', 'nan'):
@@ -1048,8 +1048,7 @@ def first_throws(
             f'{kappa:g}, damping_ratio {zeta:g}, gravity_ratio {gravity:g}'
         )
     phase, speed, strain, acceleration, force, work = found.reshape(6, *shape)
-    peak_speed = np.vectorize(peak_velocity_ratio, otypes=[float])(damping_ratio)
-    transfer = (speed / peak_speed) ** 2
+    transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
     return FirstThrows(phase, speed, transfer, strain, acceleration, force, work)
 
 

@@ -266,15 +266,14 @@ class Player(RunnableNode):
 
     def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
         """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        clock = self._clock_schedule
-        if clock is None or self._clock_publisher is None:
+        ticks = self._clock_schedule
+        if ticks is None or self._clock_publisher is None:
             return None
-        if clock.deadline(self._clock_ticks) <= now:
-            clock = Clock(clock=time_to_msg(schedule.time(now)))
-            self._clock_publisher.publish(clock)
-            passed = (now - clock.time_ns) * clock.rate / SECOND
+        if ticks.deadline(self._clock_ticks) <= now:
+            self._clock_publisher.publish(Clock(clock=time_to_msg(schedule.time(now))))
+            passed = (now - ticks.time_ns) * ticks.rate / SECOND
             self._clock_ticks = max(self._clock_ticks, math.floor(passed)) + 1
-        return clock.deadline(self._clock_ticks)
+        return ticks.deadline(self._clock_ticks)
 
     def _wait_for_acknowledgement(self) -> None:
         """Give those who acknowledge messages a moment."""

@@ -39,6 +39,9 @@ with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports it with the first node, and it imports what is obsolete
 
+# A process that is killed while it holds a lock of the shared memory would block all the others.
+os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+
 TIMEOUT = 20.0
 """Longest wait for anything; reached only when something is wrong. [s]"""
 

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
@@ -84,7 +83,6 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (['BAG', '--duration', 'inf'], "--duration: .*'inf'"),
         (['BAG', '--clock', 'x'], "--clock: .*'x'"),
         (['BAG', '--check', '--rate', '2'], '--rate: .*--check'),
-        (['BAG', '--to', 'other'], '--to: .*--check'),
         (['BAG', '--speed', '2'], '--speed'),
     ],
 )
@@ -127,12 +125,17 @@ def test_bag_that_is_right_is_checked_with_exit_code_0(bag, capsys) -> None:
     assert main(['--check', str(bag), '--ros-args', '-r', '__node:=other']) == 0
     said = capsys.readouterr()
     assert said.err == ''
-    assert said.out.startswith('/twin: 500 states')
+    assert ' 0 are different' in said.out
 
 
 def test_bag_that_is_not_right_is_checked_with_exit_code_1(tmp_path, capsys) -> None:
-    made = messages_of_a_twin(300)
-    index = next(n for n, message in enumerate(made) if message.log_time == BEGIN + 250_000_000)
+    made = messages_of_a_twin(1300)
+    index = next(
+        n
+        for n, message in enumerate(made)
+        if message.log_time == BEGIN + 250_000_000
+        and message.channel.topic == '/twin/joint_states'
+    )
     data = bytearray(made[index].data)
     data[-1] ^= 0x40
     made[index] = made[index]._replace(data=bytes(data))
@@ -155,20 +158,6 @@ def test_bag_without_a_journal_is_exit_code_2(tmp_path, capsys) -> None:
     ]
     assert main(['--check', str(write(tmp_path / 'bag', made))]) == 2
     assert 'journal' in capsys.readouterr().err
-
-
-def test_what_is_repeated_is_written_and_never_overwrites(bag, tmp_path, capsys) -> None:
-    other = tmp_path / 'other'
-    assert main(['--check', str(bag), '--to', str(other)]) == 0
-    assert main(['--check', str(other)]) == 0
-    with BagReader(bag) as ours, BagReader(other) as theirs:
-        assert [message.data for message in ours.messages('/twin/joint_states')] == [
-            message.data for message in theirs.messages('/twin/joint_states')
-        ]
-    capsys.readouterr()
-    assert main(['--check', str(bag), '--to', str(other)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert str(other) in line
 
 
 WITHOUT_ROS = """

@@ -94,5 +94,9 @@ def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
 
 
 def test_rig_that_cannot_be_played_is_refused_with_the_number(start) -> None:
-    with pytest.raises(ValueError, match='layer'):
-        start('-p', 'layer.thickness:=0.0005', '-p', 'layer.wave_speed:=200.0')
+    with pytest.raises(ValueError, match='1000'):
+        start(
+            *('-p', 'layer.thickness:=0.1'),
+            *('-p', 'layer.wave_speed:=1.0'),
+            *('-p', 'engine.frequency:=1000.0'),
+        )

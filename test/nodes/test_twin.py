@@ -187,7 +187,10 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     [
         ({'layer__thickness': 0.01, 'gravity': -1.0}, ['gravity', '-1.0']),
         ({'layer__thickness': math.nan}, ['layer.thickness', 'nan']),
-        ({'layer__thickness': 5e-4, 'layer__wave_speed': 200.0}, ['steps per second']),
+        (
+            {'layer__thickness': 0.1, 'layer__wave_speed': 1.0, 'engine__frequency': 1000.0},
+            ['steps per crossing'],
+        ),
         ({'recommendation__masses': [0.001 * n for n in range(1, 18)]}, ['16', '0.017']),
         ({'layer__name': 'jelly_40.0mm'}, ['layer.name', 'jelly_40.0mm']),
         ({'layer__library': 'no.yaml'}, ['no.yaml: No such file']),

@@ -109,7 +109,14 @@ BAD_FILE = """/**:
     ('arguments', 'words'),
     [
         (['-p', 'layer.thickness:=-1.0'], ['-p layer.thickness:=-1.0', 'got -1.0']),
-        (['-p', 'layer.thickness:=5e-4', '-p', 'layer.wave_speed:=200.0'], ['steps per second']),
+        (
+            [
+                *('-p', 'layer.thickness:=0.1'),
+                *('-p', 'layer.wave_speed:=1.0'),
+                *('-p', 'engine.frequency:=1000.0'),
+            ],
+            ['steps per crossing'],
+        ),
         (['-p', 'use_sim_time:=maybe'], ['use_sim_time', 'maybe']),
         (['-p', 'foo'], ['-p foo']),
         (['--params-file', '{file}'], ['bad.yaml:4', 'got 16.8']),

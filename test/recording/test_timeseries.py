@@ -49,7 +49,7 @@ measured_throw: Any = runpy.run_path(str(HERE.parent / 'twin' / 'rigs.py'))['mea
 def one_throw(steps: int, **request: Any) -> Any:
     """Give a twin whose throw begins with the first step."""
     twin = TwinMessages(throw__period=0, **request)
-    twin.session.ask_throw()
+    twin.session.request_throw()
     return twin.go(steps)
 
 
@@ -99,25 +99,29 @@ def test_states_are_those_of_the_session(slow) -> None:
 
 def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
     throw = simulate(Rig())
+    mass, gravity = throw.rig.projectile.mass, throw.rig.gravity
+    rise = throw.first_release.position - (throw.rig.layer.thickness - throw.rig.static_sag)
+    projectile_energy = mass * (0.5 * throw.ejection_speed**2 + gravity * rise)
     release = slow.pace.time_ns + throw.ejection_time * 1e9 / 0.01
-    (states,) = items(slow.messages, RigStates)[-1:]
-    (layer,) = [each for each in items(slow.messages, LayerStates) if each.is_throw]
+    states = items(slow.messages, RigStates)
+    layers = [each for each in items(slow.messages, LayerStates) if each.is_throw]
     for found, name, expected, tolerance in (
         (states, 'plate_work', throw.energies.plate_work, 1e-5),
-        (states, 'projectile_energy', throw.energies.projectile, 1e-5),
-        (layer, 'energy', throw.energies.layer, 2e-2),
+        (states, 'projectile_energy', projectile_energy, 1e-5),
+        (layers, 'energy', throw.energies.stored - projectile_energy, 2e-2),
     ):
-        at_release = np.interp(release, found.stamps, getattr(found, name))
+        at_release = np.interp(release, joined(found, 'stamps'), joined(found, name))
         assert at_release == pytest.approx(expected, rel=tolerance), name
 
 
 def test_work_of_the_plate_is_conserved_in_projectile_and_layer(slow) -> None:
-    states = items(slow.messages, RigStates)[-1]
+    states = items(slow.messages, RigStates)
+    stamps, plate_work = joined(states, 'stamps'), joined(states, 'plate_work')
     layers = items(slow.messages, LayerStates)
     assert sum(layer.stamps.size for layer in layers) > 200
     for layer in layers:
-        work = np.interp(layer.stamps, states.stamps, states.plate_work)
-        np.testing.assert_allclose(layer.total_energy, work, atol=6e-3 * states.plate_work.max())
+        work = np.interp(layer.stamps, stamps, plate_work)
+        np.testing.assert_allclose(layer.total_energy, work, atol=6e-3 * plate_work.max())
 
 
 def test_work_converges_with_the_square_of_the_step() -> None:
@@ -127,7 +131,7 @@ def test_work_converges_with_the_square_of_the_step() -> None:
     force = layer.youngs_modulus * layer.section * throw.fields(time, points=2).strain[:, 0]
     speed = throw.trajectory(time).plate_velocity
     work = cumulative_trapezoid(-force * speed, time, initial=0.0)
-    scales, errors = (0.2, 0.1, 0.05, 0.025), []
+    scales, errors = (0.4, 0.2, 0.1, 0.05, 0.025), []
     for scale in scales:
         twin = one_throw(round(7.6 / scale), time_scale=scale, rate__field=10.0)
         states = items(twin.messages, RigStates)[-1]

@@ -8,11 +8,16 @@ import sys
 from typing import Any
 import warnings
 
-import numpy as np
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.configuration.interface import FORMER_TOPICS, FRAME, JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import (
+    FORMER_TOPICS,
+    FRAME,
+    JOINTS,
+    LAYER_JOINTS,
+    TWIN_TOPICS,
+)
 from soft_throw_ros.nodes.conversions import (
     statuses_to_msg,
     throw_result_to_msg,
@@ -62,7 +67,7 @@ class TwinMessages:
         self._encode_state = JointStateEncoder(FRAME, JOINTS).encode
         self._encode_prediction = JointStateEncoder(FRAME, JOINTS[1:]).encode
         self._encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
-        self._encode_field = ArrayEncoder({'y': 64}).encode
+        self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
         self._encode_throw_field = ArrayEncoder({'t': 200, 'y': 64}).encode
         self.now = BEGIN
         settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
@@ -119,10 +124,7 @@ class TwinMessages:
     def _publish(self, outputs: Outputs) -> None:
         self._send('joint_states', self._encode_state(self.now, outputs.state), 1)
         if outputs.layer is not None:
-            spacing = self.session._staged.config.rig.layer.thickness / 63
-            strain = np.gradient(outputs.layer.height, spacing) - 1.0
-            self._send('layer/strain', self._encode_field(strain), 2)
-            self._send('layer/velocity', self._encode_field(outputs.layer.velocity), 3)
+            self._send('layer/joint_states', self._encode_layer(self.now, outputs.layer), 2)
         if outputs.prediction is not None:
             stamp, *values = outputs.prediction[:4]
             self._send('predicted_joint_states', self._encode_prediction(stamp, values), 2)
