@@ -25,7 +25,7 @@ else:
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version='0.2.0',
     description='A digital twin of a soft-layer throwing rig, as ROS 2 nodes',
     author='soft_throw_ros developers',
     author_email='soft-throw-ros@example.org',

@@ -6,4 +6,4 @@ Nothing is imported here, so that the physics needs no ROS.
 
 """
 
-__version__ = '0.1.0'
+__version__ = '0.2.0'
