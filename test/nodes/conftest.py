@@ -16,6 +16,7 @@ import subprocess
 import tempfile
 import threading
 import time
+import traceback
 from typing import Any, TypeVar
 import warnings
 
@@ -38,9 +39,6 @@ from std_srvs.srv import Trigger
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports it with the first node, and it imports what is obsolete
-
-# A process that is killed while it holds a lock of the shared memory would block all the others.
-os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
 
 TIMEOUT = 20.0
 """Longest wait for anything; reached only when something is wrong. [s]"""
@@ -83,7 +81,11 @@ class Ros:
     ) -> AnyNode:
         """Make a node with `make(*args, context=..., ...)`; `ros_args` follow `--ros-args`."""
         kwargs.setdefault('cli_args', ['--ros-args', *ros_args])
-        node = make(*args, context=self.context, use_global_arguments=False, **kwargs)
+        try:
+            node = make(*args, context=self.context, use_global_arguments=False, **kwargs)
+        except Exception as error:
+            _destroy_unfinished(error)
+            raise
         self.nodes.append(node)
         self._executor.add_node(node)
         return node
@@ -117,6 +119,25 @@ class Ros:
             node.destroy_node()
         self._executor.shutdown(timeout_sec=TIMEOUT)
         rclpy.try_shutdown(context=self.context)
+
+
+def _destroy_unfinished(error: BaseException) -> None:
+    """
+    Destroy a node whose making has failed.
+
+    Else that happens when it is collected as garbage, at any time, and two participants of one
+    process that are destroyed and discovered at the same time can block each other for ever.
+    """
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        node = frame.f_locals.get('self')
+        if isinstance(node, Node):
+            try:
+                Node.destroy_node(node)
+            except AttributeError:  # rclpy's own part is not finished either
+                handle = getattr(node, '_Node__node', None)
+                if handle is not None:
+                    handle.destroy_when_not_in_use()
+            return
 
 
 class Parameters:
