@@ -112,11 +112,12 @@ class Calibrator(RunnableNode):
 
     def destroy_node(self) -> None:
         """Stop waiting, and let go of everything."""
-        self._closing.set()
-        self._tasks.put(None)
-        if self._thread.is_alive():
-            self._thread.join(_STOP_TIMEOUT)
-        self._measured.close()
+        if hasattr(self, '_thread'):  # else it was not finished, since a parameter was refused
+            self._closing.set()
+            self._tasks.put(None)
+            if self._thread.is_alive():
+                self._thread.join(_STOP_TIMEOUT)
+            self._measured.close()
         super().destroy_node()
 
     def _full_name(self, name: str) -> str:

@@ -87,8 +87,9 @@ class RealTimeNode(RunnableNode):
 
     def destroy_node(self) -> None:
         """Stop the ticks, and let go of everything."""
-        self.ticker.stop(STOP_TIMEOUT)
-        self._node_clock.close()
+        if hasattr(self, 'ticker'):  # else it was not finished, since a parameter was refused
+            self.ticker.stop(STOP_TIMEOUT)
+            self._node_clock.close()
         super().destroy_node()
 
     def _current_clock(self) -> Clock:

@@ -107,11 +107,12 @@ class Twin(RealTimeNode):
 
     def destroy_node(self) -> None:
         """Stop the threads, publish what waits, and let go of everything."""
-        self.ticker.stop(STOP_TIMEOUT)
-        self.session.close()
-        self._worker.close(STOP_TIMEOUT)
-        self._run_jobs()
-        self.steps.close()
+        if hasattr(self, '_worker'):  # else it was not finished, since a parameter was refused
+            self.ticker.stop(STOP_TIMEOUT)
+            self.session.close()
+            self._worker.close(STOP_TIMEOUT)
+            self._run_jobs()
+            self.steps.close()
         super().destroy_node()
 
     # in the thread of the ticks

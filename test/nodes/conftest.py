@@ -132,7 +132,7 @@ def _destroy_unfinished(error: BaseException) -> None:
         node = frame.f_locals.get('self')
         if isinstance(node, Node):
             try:
-                Node.destroy_node(node)
+                node.destroy_node()
             except AttributeError:  # rclpy's own part is not finished either
                 handle = getattr(node, '_Node__node', None)
                 if handle is not None:
