@@ -880,7 +880,6 @@ class WaveStepper(Stepper):
         start['rest_height'] = rig.layer.thickness - rig.static_sag
         self._waves = np.zeros((7, 4 * self.steps + _ROOM))
         self._scratch = np.zeros((3, field_points))
-        self._start_path = self._path.copy()
         self._memory = (self._core, self._waves, self._path, self._events)
         self.state = self._core['state'][1]
         self.state.flags.writeable = False
