@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import signal
+import statistics
 import sys
 from typing import Any
 
@@ -82,7 +83,8 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
         final = [item for item in results if item.stage == 'final' and item.comparison]
         return [item for item in final if item.rig.layer.thickness == thickness]
 
-    ros.spin_until(lambda: len(with_new_layer()) > 2, 'throws with the new layer')
+    # The measured plate's noise makes speeds scatter by 0.5 %: five throws are within 0.3 %.
+    ros.spin_until(lambda: len(with_new_layer()) > 4, 'throws with the new layer')
     for process in (rig, calibrator, twin):
         assert process.end(signal.SIGINT) == 0
         assert not any('Traceback' in line for line in process.lines)
@@ -97,11 +99,10 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
         if item.stage == 'final'
     )
     new = with_thickness(true, thickness)
-    after = with_new_layer()[-1]
-    assert after.first is not None
-    assert after.first.speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
-    assert after.comparison is not None
-    assert after.comparison.is_within_threshold
+    after = with_new_layer()
+    speed = statistics.mean(item.first.speed for item in after if item.first)
+    assert speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
+    assert sum(item.comparison.is_within_threshold for item in after if item.comparison) > 3
     best = recommend(true, vary='thickness')
     assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
@@ -113,7 +114,7 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     calibrator = run(start, 'calibrator', rig='/rig', throws=1)
     for process in (twin, calibrator):
         process.wait_for('ready')
-    rig = run(start, 'rig', rate=2500.0, throw__period=0.6)
+    rig = run(start, 'rig', rate=2500.0, throw__period=0.6, noise=1e-6)
     ros.spin_until(
         lambda: sum(item.stage == 'final' and item.comparison is not None for item in results) > 3,
         'throws',
