@@ -25,7 +25,7 @@ from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal_writer import STATE
+from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.results import Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session

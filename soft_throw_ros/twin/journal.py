@@ -27,15 +27,17 @@ digits, so that the same line gives the same floats.
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import dataclasses
 from itertools import groupby, pairwise
 import json
 import math
-from operator import itemgetter
+from operator import index, itemgetter
 import platform
+import struct
 from typing import Any
 import zlib
+from zlib import crc32
 
 import numba
 import numpy as np
@@ -43,7 +45,7 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import ParameterError, Settings, TWIN
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import Sample
-from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.results import Outputs, State, ThrowResult
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Entry = Mapping[str, Any]  # of JSON, whose values are of many types
@@ -62,6 +64,13 @@ _TYPES = {'line': int, 'throw': int, 'versions': dict, 'result': dict}
 _SETTINGS = {'settings', 'pending', 'values'}  # parts of entries whose series were tuples
 _LONGEST_DATA = 1 << 28  # of an entry, unpacked [byte]
 _FARTHEST = 2**62  # of a step, or of a time [ns]
+_MOST_AT_ONCE = 4096  # of states that are added to a checksum [byte]
+
+
+BATCH_TIME = 0.1  # for which samples are put together in an entry, by the clock [s]
+CHECKSUM_TIME = 1.0  # from one checksum to the next, by the clock [s]
+STATE = struct.Struct(f'<{len(State._fields)}d')
+"""A state as the checksums take it: its numbers in order, 8 bytes each, little endian."""
 
 
 class JournalError(ValueError):
@@ -75,7 +84,7 @@ def encode(entry: Entry) -> str:
 
 def decode(line: str) -> dict[str, Any]:
     """
-    Read one line; what had another name before 0.6 gets that of now.
+    Read one line; what had another name in 0.1 gets that of now.
 
     Raises
     ------
@@ -113,15 +122,7 @@ def decode(line: str) -> dict[str, Any]:
 
 
 def checked_settings(entry: Entry, part: str) -> Settings:
-    """
-    Return the settings of an entry.
-
-    Raises
-    ------
-    JournalError
-        If they are missing, or the twin has no such values.
-
-    """
+    """Return settings of an entry; JournalError if they are missing, or no such values exist."""
     settings = entry.get(part)
     if not isinstance(settings, Mapping):
         raise JournalError(f'an entry lacks {part}: {dict(entry)!r}')
@@ -134,15 +135,7 @@ def checked_settings(entry: Entry, part: str) -> Settings:
 
 
 def entry_schedule(entry: Entry) -> TickSchedule | None:
-    """
-    Return when steps are due by an entry of a schedule or a throw; None if it does not tell.
-
-    Raises
-    ------
-    JournalError
-        If it tells something that is no schedule.
-
-    """
+    """Return when steps are due by an entry of a schedule or a throw; None if it does not tell."""
     values = entry if entry['kind'] == 'tick_schedule' else entry.get('schedule')
     if values is None:
         return None
@@ -171,15 +164,12 @@ def encode_result(result: ThrowResult) -> dict[str, Any]:
 
     Nested values have their path as name, as `first.time`.
     """
-    values = dataclasses.asdict(dataclasses.replace(result, models={}))
-    for name, release in result.models.items():
-        values[f'models.{name}'] = None if release is None else dataclasses.asdict(release)
+    values = {name: value for name, value in vars(result).items() if name not in ('rig', 'models')}
+    values |= {f'models.{name}': release for name, release in result.models.items()}
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        if name in ('rig', 'models'):
-            continue
-        if isinstance(value, dict):
-            flat.update({f'{name}.{part}': number for part, number in value.items()})
+        if dataclasses.is_dataclass(value):
+            flat |= {f'{name}.{part}': number for part, number in vars(value).items()}
         else:
             flat[name] = value
     return {
@@ -211,15 +201,7 @@ def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> dict[str,
 
 
 def entry_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
-    """
-    Return the samples that an entry tells, in batches, each before a step.
-
-    Raises
-    ------
-    JournalError
-        If it tells none.
-
-    """
+    """Return the samples that an entry tells, in batches, each before a step."""
     steps, samples = _unpack(entry, 2)
     last = entry['step']
     if any(later < earlier for earlier, later in pairwise([*steps, last])):
@@ -243,34 +225,20 @@ def encode_onset(onset: Onset) -> dict[str, Any]:
     }
 
 
-def decode_onset(values: object) -> Onset:
-    """
-    Read what `encode_onset` wrote.
-
-    Raises
-    ------
-    JournalError
-        If it is no onset.
-
-    """
-    if not isinstance(values, Mapping):
-        raise JournalError(f'a throw of a measured plate has its onset, got {values!r}')
+def decode_onset(values: Any) -> Onset:  # of JSON
+    """Read what `encode_onset` wrote."""
     try:
-        onset_ns, plate_rest = values['onset_ns'], values['plate_rest']
-        projectile_rest = values['projectile_rest']
-    except KeyError as error:
-        raise JournalError(f'an onset lacks {error}: {dict(values)!r}') from error
-    heights = [plate_rest] if projectile_rest is None else [plate_rest, projectile_rest]
-    are_numbers = all(isinstance(height, (int, float)) for height in heights)
-    if type(onset_ns) is not int or not are_numbers:
-        raise JournalError(f'an onset has a time and heights, got {dict(values)!r}')
-    _, samples = _unpack(values, 1)
-    return Onset(
-        onset_ns=onset_ns,
-        plate_rest=float(plate_rest),
-        projectile_rest=math.nan if projectile_rest is None else float(projectile_rest),
-        samples=tuple(samples),
-    )
+        rest = values['projectile_rest']
+        return Onset(
+            onset_ns=index(values['onset_ns']),
+            plate_rest=float(values['plate_rest']),
+            projectile_rest=math.nan if rest is None else float(rest),
+            samples=tuple(_unpack(values, 1)[1]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise JournalError(
+            f'a throw of a measured plate has its onset, {error!r}: {values!r}'
+        ) from error
 
 
 def _pack(whole: Sequence[Sequence[int]], samples: Sequence[Sample]) -> str:
@@ -294,3 +262,153 @@ def _unpack(entry: Entry, whole: int) -> tuple[list[int], list[Sample]]:
     values = numbers[whole:].view('<f8').T.tolist()
     samples = [Sample(stamp, *row) for stamp, row in zip(columns[-1], values, strict=True)]
     return columns[0], samples
+
+
+@dataclasses.dataclass
+class _Checksum:
+    """CRC-32 of the states of steps from the `first` on, and of what they tell of the layer."""
+
+    first: int
+    states: int = 0
+    fields: int = 0
+
+    def values(self) -> dict[str, int]:
+        return {'states': self.states, 'fields': self.fields}
+
+
+class JournalWriter:
+    """
+    Writes the journal of a session: numbers entries, puts samples together, adds up checksums.
+
+    Checksums begin anew with every throw, so that whoever has the journal from there on can check
+    it.
+
+    Parameters
+    ----------
+    on_line : callable
+        Called with every line, in order. It must not call back.
+    step : int
+        The first step.
+    rate : float
+        Steps per second of the clock. [Hz]
+
+    """
+
+    def __init__(self, on_line: Callable[[str], None], *, step: int, rate: float) -> None:
+        self._on_line = on_line
+        self._line = 0
+        self._batches: list[tuple[int, list[Sample]]] = []
+        self._last_flush_step = step
+        self._states = bytearray()  # that the checksums lack: to add up many at once is quicker
+        self._second = _Checksum(step)
+        self._throw: _Checksum | None = None
+        self._end = step + _steps(CHECKSUM_TIME, rate)
+
+    def start(self, step: int, settings: Settings) -> None:
+        """Write that the session starts."""
+        self._write('start', step, settings=dict(settings), versions=dict(VERSIONS))
+
+    def begin_throw(
+        self,
+        step: int,
+        settings: Settings,
+        *,
+        throw: int,
+        pending: Settings,
+        schedule: TickSchedule,
+        onset: Onset | None,
+    ) -> None:
+        """Write that a throw starts, and begin checksums anew."""
+        self._write_checksum(step, schedule.rate)
+        self._throw = _Checksum(step)
+        self._write(
+            'throw',
+            step,
+            throw=throw,
+            settings=dict(settings),
+            pending=dict(pending),
+            schedule=encode_schedule(schedule),
+            versions=dict(VERSIONS),
+            **({} if onset is None else {'onset': encode_onset(onset)}),
+        )
+
+    def input(self, step: int, kind: str, values: Settings | None = None) -> None:
+        """Write that an input was taken."""
+        self._write(
+            'input', step, input=kind, **({} if values is None else {'values': dict(values)})
+        )
+
+    def schedule(self, step: int, schedule: TickSchedule) -> None:
+        """Write when steps are due from now on."""
+        self._write('tick_schedule', step, **encode_schedule(schedule))
+
+    def samples(self, step: int, samples: list[Sample]) -> None:
+        """Keep samples that were taken, for an entry to come."""
+        self._batches.append((step, samples))
+
+    def result(self, step: int, result: ThrowResult) -> None:
+        """Write what a throw gave."""
+        checksums: dict[str, int] = {}
+        if result.stage == 'final' and self._throw is not None:
+            self._add_states()
+            checksums, self._throw = self._throw.values(), None
+        self._write('result', step, result=encode_result(result), **checksums)
+
+    def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
+        """Add what a step gave to the checksums, and write what is due after it."""
+        self._states += STATE.pack(*outputs.state)
+        if len(self._states) > _MOST_AT_ONCE:
+            self._add_states()
+        if outputs.layer is not None:
+            self._add_fields([array.data for array in outputs.layer])
+        if outputs.throw_field is not None:
+            self._add_fields([outputs.throw_field.checksum.to_bytes(4, 'little')])
+        following = outputs.step + 1
+        if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
+            self._flush(following)  # even if there are none, which is worth knowing
+        if following >= self._end:
+            self._write_checksum(following, rate)
+
+    def close(self, step: int, *, rate: float) -> None:
+        """Write what has not been written yet, since there are no more steps."""
+        if self._batches:
+            self._flush(step)
+        self._write_checksum(step, rate)
+
+    def _add_states(self) -> None:
+        """Go on by the states since the last time."""
+        for checksum in filter(None, (self._second, self._throw)):
+            checksum.states = crc32(self._states, checksum.states)
+        self._states.clear()
+
+    def _add_fields(self, parts: Sequence[memoryview | bytes]) -> None:
+        """Go on by what was told of the layer."""
+        for checksum in filter(None, (self._second, self._throw)):
+            for part in parts:
+                checksum.fields = crc32(part, checksum.fields)
+
+    def _write_checksum(self, step: int, rate: float) -> None:
+        """Write the checksum of the steps before `step`, if there are any, and begin the next."""
+        self._add_states()
+        if step > self._second.first:
+            self._write('checksum', step, first=self._second.first, **self._second.values())
+        self._second = _Checksum(step)
+        self._end = step + _steps(CHECKSUM_TIME, rate)
+
+    def _write(self, kind: str, step: int, **values: Any) -> None:
+        """Write an entry, whose values are of many types."""
+        if self._batches:
+            self._flush(step)
+        entry = {'kind': kind, 'line': self._line, 'step': step, **values}
+        self._on_line(encode(entry))
+        self._line += 1
+
+    def _flush(self, step: int) -> None:
+        """Write down what has been measured since the last time."""
+        batches, self._batches = self._batches, []
+        self._last_flush_step = step
+        self._write('samples', step, **encode_samples(batches))
+
+
+def _steps(seconds: float, rate: float) -> int:
+    return max(1, round(seconds * rate))

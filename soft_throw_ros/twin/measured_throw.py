@@ -9,6 +9,7 @@ the plate, for all that it matters, goes on as it was (see `Stepper.sync_from`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import dataclasses
 import math
 
@@ -35,56 +36,36 @@ from soft_throw_ros.twin.prepared_rig import (
 )
 from soft_throw_ros.twin.results import (
     Comparison,
-    Floats,
     Prediction,
     Residual,
     State,
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.throw_tracker import ThrowStep, ThrowTracker
+from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-LOST = PAST
-"""When nothing has come for so long, what comes then is too old, and the plate is lost. [ns]"""
-
-FEWEST_ALOFT = 8
-"""Samples of the projectile in flight that tell its errors."""
-
-REST_SPEED = 0.5
-"""What is slower than this part of the speed of a start is at rest. [-]"""
+LOST = PAST  # after so long without samples, what comes then is too old, and the plate lost [ns]
+FEWEST_ALOFT = 8  # samples of the projectile in flight that tell its errors
+REST_SPEED = 0.5  # what is slower than this part of the speed of a start is at rest [-]
 
 
-class MeasuredThrow:
-    """
-    A throw whose plate is measured, from its start until it is over.
-
-    Parameters
-    ----------
-    prepared : PreparedRig
-        What throws, with a measured plate.
-    onset : Onset
-        How it began.
-    estimator : PlateEstimator
-        Of the plate, from the onset on.
-    number : int
-        Of the throw.
-
-    """
+class MeasuredThrow(OngoingThrow):
+    """A throw whose plate is measured, see `OngoingThrow`, by an estimator from the onset on."""
 
     def __init__(
         self, prepared: PreparedRig, onset: Onset, estimator: PlateEstimator, *, number: int
     ) -> None:
         config = estimator.config
-        self.number = number
-        self._prepared = prepared
+        super().__init__(
+            prepared,
+            number=number,
+            start_ns=onset.onset_ns,
+            rest_speed=REST_SPEED * config.start_speed,
+        )
         self._onset = onset
         self._estimator = estimator
-        self._stepper = prepared.stepper
-        self._fork, self._far_fork = prepared.forks
-        self._tracker = ThrowTracker(
-            prepared, number=number, rest_speed=REST_SPEED * config.start_speed
-        )
+        self._shown, self._far_fork = prepared.forks
         times, states = first_states(onset, config)
         self._stepper.append_plate_states(times, states)
         self._times, self._states = times.tolist(), states.tolist()
@@ -95,21 +76,6 @@ class MeasuredThrow:
         )
         self._compared_ns = onset.onset_ns
         self._lead: float | None = None
-        self._has_shown_field = False
-
-    @property
-    def ended_by(self) -> str:
-        """Why it is over, empty while it goes on; 'gap' if the plate was not seen for too long."""
-        return self._tracker.ended_by
-
-    def end(self, reason: str) -> None:
-        """Let it be over."""
-        self._tracker.ended_by = reason
-
-    @property
-    def has_left(self) -> bool:
-        """Whether the projectile has left at least once."""
-        return self._tracker.first_release is not None
 
     def advance(
         self, motion: PlateStates, *, step: int, now_ns: int, config: TwinConfig
@@ -117,17 +83,17 @@ class MeasuredThrow:
         """Go on as far as the plate is known, and look ahead from there."""
         crossing = self._prepared.rig.crossing_time
         if motion.gap > crossing or now_ns - self._estimator.newest_ns > LOST:
-            self.end('gap')
+            self.ended_by = 'gap'
         else:
             self._append(motion)
-        events, residual = self._follow_plate(config.max_events)
         known = self._stepper.horizon
+        events, residual = self._follow_plate(known, config.max_events)
         prediction, forecast = self._look_ahead(known, step, now_ns, config)
         # what was extrapolated any longer would say nothing
         farthest = known + crossing + self._estimator.config.smoothing_window
-        now = (now_ns - self._onset.onset_ns) / SECOND
-        self._send(self._fork, max(known, min(now, farthest)))
-        state = State._make(self._fork.state.tolist()[1:])
+        now = (now_ns - self._start_ns) / SECOND
+        self._send(self._shown, max(known, min(now, farthest)))
+        state = State._make(self._shown.state.tolist()[1:])
         return ThrowStep(state, events, forecast, prediction, residual)
 
     def _append(self, motion: PlateStates) -> None:
@@ -142,10 +108,11 @@ class MeasuredThrow:
             self._times += times.tolist()
             self._states += states.tolist()
 
-    def _follow_plate(self, max_events: int) -> tuple[tuple[Event, ...], Residual | None]:
+    def _follow_plate(
+        self, known: float, max_events: int
+    ) -> tuple[tuple[Event, ...], Residual | None]:
         """Go on as far as the plate is known, past the samples of the projectile."""
-        tracker, onset = self._tracker, self._onset
-        known = self._stepper.horizon
+        onset = self._onset
         until_ns = onset.onset_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
         residual = None
@@ -160,7 +127,7 @@ class MeasuredThrow:
             is_passed = time < self._stepper.state[TIME]  # it is late for the start
             if is_passed or math.isnan(sample.projectile - onset.projectile_rest):
                 continue
-            state, events = tracker.advance(time, max_events=max_events)
+            state, events = self._go_to(time, max_events)
             happened += events
             rise = state.projectile_position - self._prepared.rest.projectile_position
             residual = Residual(
@@ -168,15 +135,15 @@ class MeasuredThrow:
                 state.plate_position - (sample.plate - onset.plate_rest),
                 rise - (sample.projectile - onset.projectile_rest),
             )
-            self._residuals.add(time, residual.projectile, tracker)
-        _, events = tracker.advance(known, max_events=max_events)
+            self._residuals.add(time, residual.projectile, self.events)
+        _, events = self._go_to(known, max_events)
         return (*happened, *events), residual
 
     def _look_ahead(
         self, known: float, step: int, now_ns: int, config: TwinConfig
     ) -> tuple[Prediction, ThrowResult | None]:
         """Find out what the projectile does as long as the plate cannot change it any more."""
-        prepared, fork, onset_ns = self._prepared, self._far_fork, self._onset.onset_ns
+        prepared, fork, onset_ns = self._prepared, self._far_fork, self._start_ns
         ahead = known + prepared.lookahead
         self._send(fork, ahead)
         stamp_ns = onset_ns + round(ahead * SECOND)
@@ -194,8 +161,8 @@ class MeasuredThrow:
             return prediction, None
         self._lead = release.time - (now_ns - onset_ns) / SECOND
         self._measure_peak_speed()
-        forecast = self._tracker.forecast(step, config.max_strain, fork)
-        return prediction, dataclasses.replace(forecast, lead=self._lead)
+        forecast = self._sum_up('predicted', step, config, fork, [release], lead=self._lead)
+        return prediction, forecast
 
     def _send(self, fork: Stepper, time: float) -> None:
         """Have a fork go ahead, or as far as its memory for events lasts."""
@@ -203,33 +170,32 @@ class MeasuredThrow:
         try:
             fork.advance_to(time)
         except EventLimitError:
-            self.end('max_events')
+            self.ended_by = 'max_events'
 
     def _measure_peak_speed(self) -> None:
         """Find the largest speed of the plate so far, which has started by all means."""
         speeds = [speed for _, speed, _ in self._states]
         period = 1.0 / self._prepared.rig.engine.frequency
-        self._tracker.peak_plate_speed = max(
+        self._peak_plate_speed = max(
             peak_speed(self._times, speeds, period), self._estimator.config.start_speed
         )
 
     def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:
         """Sum up what there is so far."""
         self._measure_peak_speed()
-        return dataclasses.replace(
-            self._tracker.result(stage, step, config.max_strain),
+        return self._sum_up(
+            stage,
+            step,
+            config,
+            self._stepper,
+            self.events,
             lead=self._lead,
-            comparison=self._residuals.compare(self._tracker.first_release),
+            comparison=self._residuals.compare(self.first_release),
         )
-
-    def read_layer(self, out: Floats) -> None:
-        """Write what the layer does now, see `Stepper.read_layer`."""
-        self._fork.read_layer(out)
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time, once, when the plate is known for long enough or no more."""
-        release = self._tracker.first_release
-        known = self._times[-1]
+        release, known = self.first_release, self._times[-1]
         if self._has_shown_field or not (release or self.ended_by):
             return None
         length = THROW_FIELD_LENGTH * release.time if release else known
@@ -241,28 +207,11 @@ class MeasuredThrow:
         times = np.linspace(0.0, min(length, known), THROW_FIELD_ROWS)
         strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
         stepper.sample_strain(np.minimum(times, stepper.horizon), strain)
-        return ThrowField.of(times, strain, start_ns=self._onset.onset_ns)
+        return ThrowField.of(times, strain, start_ns=self._start_ns)
 
 
 class _Residuals:
-    """
-    Positions of the projectile by the model less those measured.
-
-    Parameters
-    ----------
-    longest : float
-        For how long after the release they are taken. [s]
-    threshold : float
-        How large they may be, rms. [m]
-    gravity : float
-        [m/s2]
-
-    Attributes
-    ----------
-    is_complete : bool
-        Whether no more are taken.
-
-    """
+    """Positions of the projectile by the model less those measured, until `longest` aloft."""
 
     def __init__(self, *, longest: float, threshold: float, gravity: float) -> None:
         self.is_complete = False
@@ -274,17 +223,16 @@ class _Residuals:
         self._largest = 0.0
         self._aloft: list[tuple[float, float]] = []  # time since the release, and difference
 
-    def add(self, time: float, difference: float, tracker: ThrowTracker) -> None:
-        """Take one, at a time since the start."""
-        release = tracker.first_release
-        since = time - release.time if release else 0.0
+    def add(self, time: float, difference: float, events: Sequence[Event]) -> None:
+        """Take one, at a time since the start, after the events so far."""
+        since = time - events[0].time if events else 0.0
         if since > self._longest:
             self.is_complete = True
             return
         self._count += 1
         self._sum += difference**2
         self._largest = max(self._largest, abs(difference))
-        if release and not tracker.has_met_again:
+        if len(events) == 1:  # they have not met again since the release
             self._aloft.append((since, difference))
 
     def compare(self, release: Event | None) -> Comparison | None:

@@ -15,145 +15,55 @@ from soft_throw_ros.core.smoothing import BEHIND, FEWEST
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
-    PlateStates,
     Sample,
     state_spacing_ns,
     STATES_PER_WINDOW,
 )
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-REST_WINDOWS = 8
-"""So many windows the plate must be at rest before a throw."""
-
-RISE = 0.125
-"""Part of the plate's period in which it gets to the speed of a start. [-]"""
-
-_SURE, _QUIET = 6.0, 4.0  # standard errors that are no noise, and that are nothing else
+REST_WINDOWS = 8  # so many windows the plate must be at rest before a throw
 
 
 @dataclass(frozen=True, kw_only=True)
 class Onset:
-    """
-    The plate has begun to move.
+    """The plate has begun to move."""
 
-    Parameters
-    ----------
-    onset_ns : int
-        When, which is when the throw starts. [ns]
-    plate_rest, projectile_rest : float
-        Where they were measured before; NaN if the projectile was not. [m]
-    samples : tuple of Sample
-        What has been taken, in order, from a window before on.
-
-    """
-
-    onset_ns: int
-    plate_rest: float
-    projectile_rest: float
-    samples: tuple[Sample, ...]
+    onset_ns: int  # when, which is when the throw starts [ns]
+    plate_rest: float  # where they were measured before [m]
+    projectile_rest: float  # NaN if it was not [m]
+    samples: tuple[Sample, ...]  # taken, in order, from a window before on
 
 
-class OnsetDetector:
-    r"""
-    Waits for the plate to come to rest, and then for it to jump up.
-
-    Parameters
-    ----------
-    estimator : PlateEstimator
-        Of the plate.
-
-    Attributes
-    ----------
-    is_armed : bool
-        Whether the plate has been at rest.
-
-    Notes
-    -----
-    The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
-    speed of a start, or four standard errors, and no more when it has been for `RISE` of its
-    period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it. The time of the start is found a window later, see `find_start`.
-
-    """
-
-    def __init__(self, estimator: PlateEstimator) -> None:
-        self._estimator = estimator
-        self._last_moving_time = -math.inf  # when the plate was last too fast to be at rest, ...
-        self._last_quiet_time = -math.inf  # and when it was not
-        self._begun = math.inf  # when it was fast enough to have started
-        self._first = math.nan  # when it was seen first
-        self._rise_time = RISE / estimator.config.plate.frequency
-        self.is_armed = False
-
-    def detect(self, motion: PlateStates) -> Onset | None:
-        """Take in how the plate moves, and tell if it has begun to."""
-        window = self._estimator.config.smoothing_window
-        start = self._estimator.config.start_speed
-        if motion.gap > window:
-            self._first, self._begun = math.nan, math.inf
-            self.is_armed = False
-            return None
-        for time, (height, speed, _), error in zip(
-            motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
-        ):
-            if math.isnan(self._first):
-                self._first = self._last_moving_time = time
-            if self._begun < math.inf:
-                if time >= self._begun + window:
-                    begun, self._begun = self._begun, math.inf
-                    self.is_armed = False
-                    self._last_moving_time = time
-                    onset = self._find_onset(begun, time, height, speed)
-                    if onset is not None:
-                        return onset
-            elif self.is_armed and speed > max(start, _SURE * error):
-                self._begun = time
-            elif abs(speed) > max(0.5 * start, _QUIET * error):
-                self._last_moving_time = time
-                self.is_armed = self.is_armed and time - self._last_quiet_time <= self._rise_time
-            else:
-                self._last_quiet_time = time
-                if time - self._last_moving_time >= REST_WINDOWS * window:
-                    self.is_armed = True
+def find_onset(
+    estimator: PlateEstimator, *, begun: float, time: float, height: float, speed: float
+) -> Onset | None:
+    """Find when the plate started that was fast at `begun`, if it still goes up a window later."""
+    config = estimator.config
+    assert estimator.origin_ns is not None
+    window_ns = config.smoothing_window_ns
+    begun_ns = estimator.origin_ns + round(begun * SECOND)
+    at_rest = estimator.samples(begun_ns - REST_WINDOWS * window_ns, begun_ns - window_ns)
+    if not at_rest or speed <= config.start_speed:
         return None
-
-    def _find_onset(self, begun: float, time: float, height: float, speed: float) -> Onset | None:
-        """Find when the plate started, if it goes on going up."""
-        estimator, config = self._estimator, self._estimator.config
-        assert estimator.origin_ns is not None
-        window_ns = config.smoothing_window_ns
-        begun_ns = estimator.origin_ns + round(begun * SECOND)
-        at_rest = estimator.samples(begun_ns - REST_WINDOWS * window_ns, begun_ns - window_ns)
-        if not at_rest or speed <= config.start_speed:
-            return None
-        _, plate, _, projectile = np.array(at_rest).T
-        plate_rest = float(plate.mean())
-        measured = projectile[np.isfinite(projectile)]
-        since = time_since_start(height - plate_rest, speed, config.plate)
-        onset_ns = estimator.origin_ns + round((time - since) * SECOND)
-        onset_ns += find_start(
-            estimator.samples(at_rest[-1].stamp_ns), onset_ns, plate_rest, config
-        )
-        if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
-            return None
-        return Onset(
-            onset_ns=onset_ns,
-            plate_rest=plate_rest,
-            projectile_rest=float(measured.mean()) if measured.size else math.nan,
-            samples=tuple(estimator.samples(onset_ns - window_ns)),
-        )
+    _, plate, _, projectile = np.array(at_rest).T
+    plate_rest = float(plate.mean())
+    measured = projectile[np.isfinite(projectile)]
+    since = time_since_start(height - plate_rest, speed, config.plate)
+    onset_ns = estimator.origin_ns + round((time - since) * SECOND)
+    onset_ns += find_start(estimator.samples(at_rest[-1].stamp_ns), onset_ns, plate_rest, config)
+    if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
+        return None
+    return Onset(
+        onset_ns=onset_ns,
+        plate_rest=plate_rest,
+        projectile_rest=float(measured.mean()) if measured.size else math.nan,
+        samples=tuple(estimator.samples(onset_ns - window_ns)),
+    )
 
 
 def first_states(onset: Onset, config: MeasurementConfig) -> tuple[Floats, Floats]:
     r"""
     Return how the plate has started, for as long as a window would reach to before that.
-
-    Parameters
-    ----------
-    onset : Onset
-        Of the plate.
-    config : MeasurementConfig
-        How it is measured.
 
     Returns
     -------
@@ -277,13 +187,7 @@ def peak_speed(times: Sequence[float], speeds: Sequence[float], period: float) -
     """
     Find the largest of noisy speeds, by a parabola through those around it.
 
-    Parameters
-    ----------
-    times, speeds : sequence of float
-        Of the plate. [s], [m/s]
-    period : float
-        Of the plate: the parabola goes through an eighth of it. [s]
-
+    It goes through an eighth of the plate's period [s].
     """
     time, speed = np.array(times), np.array(speeds)
     largest = int(np.argmax(speed))

@@ -26,67 +26,31 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
-FUTURE = SECOND // 10
-"""How far ahead of the clock a stamp may be. [ns]"""
-
-PAST = SECOND
-"""How far behind the clock a stamp may be. [ns]"""
-
-FARTHEST, FASTEST = 100.0, 1000.0
-"""Heights [m] and velocities [m/s] beyond which no rig goes, whatever its sensors say."""
-
-PER_CROSSING, PER_PERIOD = 3, 20
-"""Fewest samples while a wave crosses the layer, and in a period of the plate."""
-
-STATES_PER_WINDOW = 8
-"""Times at which the plate is smoothed, in a window."""
-
+FUTURE = SECOND // 10  # how far ahead of the clock a stamp may be [ns]
+PAST = SECOND  # how far behind the clock a stamp may be [ns]
+FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
+PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
+STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
 _KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
 _LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
 
 
 class Sample(NamedTuple):
-    """
-    What was measured at a time.
+    """What was measured at a time."""
 
-    Attributes
-    ----------
-    stamp_ns : int
-        When. [ns]
-    plate, plate_velocity : float
-        Height [m], and velocity [m/s] or NaN.
-    projectile : float
-        Height of the projectile, or NaN. [m]
-
-    """
-
-    stamp_ns: int
-    plate: float
-    plate_velocity: float = math.nan
-    projectile: float = math.nan
+    stamp_ns: int  # when [ns]
+    plate: float  # height [m]
+    plate_velocity: float = math.nan  # or NaN [m/s]
+    projectile: float = math.nan  # height, or NaN [m]
 
 
 class PlateStates(NamedTuple):
-    """
-    Motion of the plate, smoothed.
+    """Motion of the plate, smoothed."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        Since the origin of the estimator. [s]
-    states : ndarray, shape (n, 3)
-        Height [m], velocity [m/s], acceleration [m/s2].
-    errors : ndarray, shape (n,)
-        Standard errors of the velocity. [m/s]
-    gap : float
-        Longest time between samples on the way here. [s]
-
-    """
-
-    times: Floats
-    states: Floats
-    errors: Floats
-    gap: float = 0.0
+    times: Floats  # since the origin of the estimator, shape (n,) [s]
+    states: Floats  # height [m], velocity [m/s], acceleration [m/s2], shape (n, 3)
+    errors: Floats  # standard errors of the velocity, shape (n,) [m/s]
+    gap: float = 0.0  # longest time between samples on the way here [s]
 
 
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
@@ -121,11 +85,6 @@ class PlateEstimator:
     refused : Counter of str, optional
         Where samples that are refused are counted, by reason: 'not finite', 'out of range',
         'future', 'past', 'doubled' and 'late'.
-
-    Attributes
-    ----------
-    config, origin_ns, refused
-        As above.
 
     """
 
@@ -163,22 +122,7 @@ class PlateEstimator:
         return SECOND / float(np.median(np.diff(stamps)))
 
     def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
-        """
-        Take samples, or refuse and count them.
-
-        Parameters
-        ----------
-        samples : sequence of Sample
-            In the order in which they came.
-        now_ns : int
-            By the clock that they are stamped by. [ns]
-
-        Returns
-        -------
-        list of Sample
-            Those that were taken.
-
-        """
+        """Take samples in the order in which they came, or refuse and count them."""
         taken = []
         for sample in samples:
             reason = self._refusal(sample, now_ns)
@@ -216,10 +160,8 @@ class PlateEstimator:
         if self.origin_ns is None:
             self.origin_ns = self._samples[0].stamp_ns
         config, spacing = self.config, state_spacing_ns(self.config)
-        behind, ahead = (
-            round(BEHIND * config.smoothing_window_ns),
-            round(AHEAD * config.smoothing_window_ns),
-        )
+        behind = round(BEHIND * config.smoothing_window_ns)
+        ahead = round(AHEAD * config.smoothing_window_ns)
         complete_ns = min(self._samples[-1].stamp_ns, now_ns) - config.wait_ns
         end = (complete_ns - ahead - self.origin_ns) // spacing + 1
         begin = max(self._next, end - _LONGEST_STEP)

@@ -9,9 +9,12 @@ from dataclasses import dataclass, field
 import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.onset import Onset, OnsetDetector
+from soft_throw_ros.twin.onset import find_onset, Onset, REST_WINDOWS
 from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, PlateStates, Sample
 from soft_throw_ros.twin.results import State
+
+RISE = 0.125  # part of the plate's period in which it gets to the speed of a start [-]
+_SURE, _QUIET = 6.0, 4.0  # standard errors that are no noise, and that are nothing else
 
 
 @dataclass
@@ -40,6 +43,15 @@ class PlateMonitor:
     ----------
     estimator : PlateEstimator
         Samples in their order, and the motion through them.
+    is_armed : bool
+        Whether the plate is at rest, so that a throw starts when it jumps up.
+
+    Notes
+    -----
+    The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
+    speed of a start, or four standard errors, and no more when it has been for `RISE` of its
+    period. A throw has begun when it goes upwards at that speed, and at six standard errors of
+    it. The time of the start is found a window later, see `find_onset`.
 
     """
 
@@ -53,22 +65,24 @@ class PlateMonitor:
             samples=() if onset is None else onset.samples,
             refused=counts.refused,
         )
-        self._detector = OnsetDetector(self.estimator)
+        self._wait_for_rest()
         # heights of the plate at rest and last seen, and of the plate when it last was slow: the
         # projectile goes with it then
         self._rest = self._height = self._carried = math.nan if onset is None else onset.plate_rest
         self._speed = self._carried_speed = 0.0
 
-    @property
-    def is_armed(self) -> bool:
-        """Whether the plate is at rest, so that a throw starts when it jumps up."""
-        return self._detector.is_armed
-
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and measure as `config` says from now on."""
         if config != self.estimator.config:
             self.estimator = PlateEstimator(config, refused=self._counts.refused)
-        self._detector = OnsetDetector(self.estimator)
+        self._wait_for_rest()
+
+    def _wait_for_rest(self) -> None:
+        self.is_armed = False
+        self._first = math.nan  # when the plate was seen first, ...
+        self._last_moving_time = -math.inf  # was last too fast to be at rest, ...
+        self._last_quiet_time = -math.inf  # and was not,
+        self._begun = math.inf  # and when it was fast enough to have started
 
     def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
         """Take samples, or refuse and count them; return those taken."""
@@ -85,7 +99,42 @@ class PlateMonitor:
         motion = self.estimator.advance(now_ns)
         if motion.times.size:
             self._see(motion)
-        return motion, self._detector.detect(motion)
+        return motion, self._detect(motion)
+
+    def _detect(self, motion: PlateStates) -> Onset | None:
+        """Take in how the plate moves, and tell if it has begun to."""
+        config = self.estimator.config
+        window, start = config.smoothing_window, config.start_speed
+        if motion.gap > window:
+            self._first, self._begun = math.nan, math.inf
+            self.is_armed = False
+            return None
+        for time, (height, speed, _), error in zip(
+            motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
+        ):
+            if math.isnan(self._first):
+                self._first = self._last_moving_time = time
+            if self._begun < math.inf:
+                if time >= self._begun + window:
+                    begun, self._begun = self._begun, math.inf
+                    self.is_armed = False
+                    self._last_moving_time = time
+                    onset = find_onset(
+                        self.estimator, begun=begun, time=time, height=height, speed=speed
+                    )
+                    if onset is not None:
+                        return onset
+            elif self.is_armed and speed > max(start, _SURE * error):
+                self._begun = time
+            elif abs(speed) > max(0.5 * start, _QUIET * error):
+                self._last_moving_time = time
+                moving_time = time - self._last_quiet_time
+                self.is_armed = self.is_armed and moving_time * config.plate.frequency <= RISE
+            else:
+                self._last_quiet_time = time
+                if time - self._last_moving_time >= REST_WINDOWS * window:
+                    self.is_armed = True
+        return None
 
     def _see(self, motion: PlateStates) -> None:
         """Keep where the plate is."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,20 +20,11 @@ from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.wave_stepper import steps_per_crossing, WaveStepper
 from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
 
-FIELD_POINTS = 64
-"""Heights at which the layer is published."""
-
-THROW_FIELD_ROWS = 200
-"""Times at which the field of a throw holds the layer."""
-
-THROW_FIELD_LENGTH = 1.5
-"""How long the field of a throw lasts, in ejection times. [-]"""
-
-LONGEST_WINDOW = 0.2
-"""Of the smoothing of a measured plate, in periods of it: longer ones hide its start. [-]"""
-
-RETURN_TIME = 0.1
-"""How long putting back takes, unless the period of the throws is too short for it. [s]"""
+FIELD_POINTS = 64  # heights at which the layer is published
+THROW_FIELD_ROWS = 200  # times at which the field of a throw holds the layer
+THROW_FIELD_LENGTH = 1.5  # how long the field of a throw lasts, in ejection times [-]
+LONGEST_WINDOW = 0.2  # of the smoothing, in plate periods: longer ones hide the start [-]
+RETURN_TIME = 0.1  # of putting back, unless the period of the throws is too short for it [s]
 
 _LONGEST_CONTACT = 4  # oscillation cycles: what has not left by then counts as never leaving
 _COMPARED_CELLS = 64  # by which finite differences predict for comparison, ...
@@ -42,38 +33,16 @@ _STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedRig:
-    """
-    A rig that is ready to throw.
+    """A rig that is ready to throw."""
 
-    Parameters
-    ----------
-    config : TwinConfig
-        What it was made of.
-    stepper : Stepper
-        The rig by its model, at rest.
-    rest : State
-        Where plate and projectile are at rest.
-    rest_layer : LayerState
-        The layer at rest.
-    peak_plate_speed : float
-        :math:`V_p^*`. [m/s]
-    throw_field : ThrowField or None
-        What the layer will do in a throw; None if the plate is measured, since nobody knows then.
-    models : mapping of str to Release or None
-        The first release by models other than the stepper's; none if the plate is measured.
-    forks : tuple of Stepper
-        With a measured plate two that can go ahead of the stepper.
-
-    """
-
-    config: TwinConfig
-    stepper: Stepper
-    rest: State
+    config: TwinConfig  # what it was made of
+    stepper: Stepper  # the rig by its model, at rest
+    rest: State  # where plate and projectile are at rest
     rest_layer: LayerState
-    peak_plate_speed: float
-    throw_field: ThrowField | None
-    models: Mapping[str, Release | None]
-    forks: tuple[Stepper, ...] = ()
+    peak_plate_speed: float  # by the engine [m/s]
+    throw_field: ThrowField | None  # what the layer will do; unknown if the plate is measured
+    models: Mapping[str, Release | None]  # first release by others; none if it is measured
+    forks: tuple[Stepper, ...] = ()  # with a measured plate two that go ahead of the stepper
 
     @classmethod
     def from_config(cls, config: TwinConfig) -> PreparedRig:
@@ -106,7 +75,7 @@ class PreparedRig:
         """The rig."""
         return self.config.rig
 
-    @property
+    @cached_property
     def tick(self) -> float:
         """Time of the rig in one step. [s]"""
         return self.config.time_scale / self.config.state_rate

@@ -51,7 +51,7 @@ def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outp
             break
         if entry['kind'] == 'samples' or entry['step'] < until:
             yield from takewhile(lambda outputs: outputs.step < until, follow(session, entry))
-    yield from advance_to(session, until)
+    yield from _advance_to(session, until)
 
 
 def follow(session: Session, entry: journal.Entry) -> Iterator[Outputs]:
@@ -66,53 +66,40 @@ def follow(session: Session, entry: journal.Entry) -> Iterator[Outputs]:
     Raises
     ------
     JournalError
-        If the entry cannot be read.
+        If the entry cannot be read, or its input belongs before a step that has passed.
     RequestRejected
         If the input cannot be taken, so that this is not the session that the journal is of.
 
     """
-    if entry['kind'] == 'samples':
-        for step, samples in journal.entry_samples(entry):
-            yield from advance_to(session, step)
+    kind, step = entry['kind'], entry['step']
+    if kind == 'samples':
+        for before, samples in journal.entry_samples(entry):
+            yield from _advance_to(session, before)
             session.measure(samples)
         return
-    yield from advance_to(session, entry['step'])
-    if entry['kind'] == 'tick_schedule':
+    yield from _advance_to(session, step)
+    if kind == 'tick_schedule':
         schedule = journal.entry_schedule(entry)
         assert schedule is not None
         session.set_tick_schedule(schedule)
-    elif entry['kind'] == 'input':
-        apply_input(session, entry)
+    elif kind == 'input':
+        if step != session.step:
+            raise journal.JournalError(f'an input before step {session.step}, got {dict(entry)!r}')
+        _take_input(session, entry)
 
 
-def apply_input(session: Session, entry: journal.Entry) -> None:
-    """
-    Take an input from a journal.
-
-    Raises
-    ------
-    JournalError
-        If it is none, or belongs before another step than the next one.
-    RequestRejected
-        If it cannot be taken, so that this is not the session that the journal is of.
-
-    """
-    if entry['kind'] != 'input' or entry['step'] != session.step:
-        raise journal.JournalError(
-            f'before step {session.step} an input of that step can be taken, got {dict(entry)!r}'
-        )
-    kind = entry.get('input')
-    if kind == 'throw':
+def _take_input(session: Session, entry: journal.Entry) -> None:
+    name = entry.get('input')
+    if name == 'throw':
         session.request_throw()
-    elif kind == 'reset':
+    elif name == 'reset':
         session.reset()
-    elif kind == 'parameters':
+    elif name == 'parameters':
         session.change(journal.checked_settings(entry, 'values'))
     else:
-        raise journal.JournalError(f'no input is named {kind!r}')
+        raise journal.JournalError(f'no input is named {name!r}')
 
 
-def advance_to(session: Session, step: int) -> Iterator[Outputs]:
-    """Yield what the steps before one give."""
+def _advance_to(session: Session, step: int) -> Iterator[Outputs]:
     while session.step < step:
         yield session.advance()

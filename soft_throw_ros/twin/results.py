@@ -39,39 +39,20 @@ class State(NamedTuple):
 
 
 class LayerState(NamedTuple):
-    """
-    The layer, from plate to top.
+    """The layer, from plate to top, each of shape (points,)."""
 
-    `height` [m], `velocity` [m/s], and the `force` through each height, of what is below on what
-    is above, z up [N]: each of shape (points,).
-    """
-
-    height: Floats
-    velocity: Floats
-    force: Floats
+    height: Floats  # [m]
+    velocity: Floats  # [m/s]
+    force: Floats  # through each height, of what is below on what is above, z up [N]
 
 
 class ThrowField(NamedTuple):
-    """
-    Strain of the layer over time and height.
+    """Strain of the layer over time and height."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (rows,)
-        Since the start of the throw. [s]
-    strain : ndarray, shape (rows, points)
-        From plate to top. [-]
-    checksum : int
-        CRC-32 of the two.
-    start_ns : int
-        When the throw began, by the clock of the ticks. [ns]
-
-    """
-
-    times: Floats
-    strain: Floats
-    checksum: int
-    start_ns: int = 0
+    times: Floats  # since the start of the throw, shape (rows,) [s]
+    strain: Floats  # from plate to top, shape (rows, points) [-]
+    checksum: int  # CRC-32 of the two
+    start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
 
     @classmethod
     def of(cls, times: Floats, strain: Floats, *, start_ns: int = 0) -> ThrowField:
@@ -81,23 +62,11 @@ class ThrowField(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    r"""
-    How the projectile left.
+    """How the projectile left."""
 
-    Parameters
-    ----------
-    time : float
-        Ejection time :math:`t_e`, from the start of the throw. [s]
-    speed : float
-        Ejection speed :math:`V_e`. [m/s]
-    energy_transfer : float
-        :math:`\\alpha = (V_e / V_p^*)^2`. [-]
-
-    """
-
-    time: float
-    speed: float
-    energy_transfer: float
+    time: float  # ejection time, from the start of the throw [s]
+    speed: float  # ejection speed [m/s]
+    energy_transfer: float  # square of the latter over the peak speed of the plate [-]
 
     @classmethod
     def of(cls, *, time: float, speed: float, peak_plate_speed: float) -> Release:
@@ -110,28 +79,16 @@ class Comparison:
     """
     A throw by the model against what was measured, until a plate period after the release.
 
-    Parameters
-    ----------
-    samples : int
-        Of the projectile, that were compared.
-    position_rms, position_max : float
-        Of the differences of its position. [m]
-    threshold : float
-        Within which the former should be. [m]
-    ejection_time_error : float or None
-        How much later it passes the height of its release by the model than measured; None if it
-        was not followed long enough. [s]
-    ejection_speed_error : float or None
-        How much faster it is there by the model. [m/s]
-
+    The errors are how much later, and faster, the projectile passes the height of its release by
+    the model than measured; None if it was not followed long enough.
     """
 
-    samples: int
-    position_rms: float
-    position_max: float
-    threshold: float
-    ejection_time_error: float | None = None
-    ejection_speed_error: float | None = None
+    samples: int  # of the projectile, that were compared
+    position_rms: float  # of the differences of its position [m]
+    position_max: float  # [m]
+    threshold: float  # within which `position_rms` should be [m]
+    ejection_time_error: float | None = None  # [s]
+    ejection_speed_error: float | None = None  # [m/s]
 
     @property
     def is_within_threshold(self) -> bool:
@@ -154,70 +111,31 @@ class ThrowResult:
     """
     What a throw gave, so far or in the end.
 
-    Parameters
-    ----------
-    throw : int
-        Number of the throw, from 1.
-    step : int
-        At which it is reported.
-    stage : {'predicted', 'release', 'final'}
-        When the first release of a measured plate is known beforehand, after it, or when the
-        throw is over.
-    ended_by : str
-        Why a throw is over: 'rest', 'max_events', 'period', 'duration' or 'reset', and with a
-        measured plate 'gap', or 'next' if it jumps again.
-    rig : Rig
-        What threw.
-    first, last : Release or None
-        Of the ejection: before the projectile falls back. None while it has not left.
-    peak_plate_speed : float
-        :math:`V_p^*`. [m/s]
-    peak_strain : float
-        Largest magnitude of the strain anywhere in the layer, up to the first release like all
-        loads; so far, while it has not come. [-]
-    max_strain : float
-        Where the linear range ends. [-]
-    peak_acceleration : float
-        Largest acceleration of the projectile. [m/s2]
-    peak_force : float
-        Largest force of the layer on the plate, as a magnitude. [N]
-    plate_work : float
-        Work of the plate. [J]
-    apex_height : float
-        How high the projectile's lower face rises after the last ejection, above the plate's rest
-        position; infinite without gravity. [m]
-    recontacts : int
-        How often the layer caught up with the projectile before that had fallen back.
-    landings : int
-        How often it came down on the layer.
-    models : mapping of str to Release or None
-        The first release as other models of the layer predict it.
-    lead : float or None
-        With a measured plate, how long before the first release it was known. [s]
-    comparison : Comparison or None
-        With what was measured of the projectile, if it was.
-
+    Loads are the largest magnitudes up to the first release; so far, while it has not come. The
+    `stage` is 'predicted' when the first release of a measured plate is known beforehand,
+    'release' after it, or 'final' when the throw is over. It is `ended_by` 'rest', 'max_events',
+    'period', 'duration' or 'reset', and with a measured plate 'gap', or 'next' if it jumps again.
     """
 
-    throw: int
-    step: int
+    throw: int  # number of the throw, from 1
+    step: int  # at which it is reported
     stage: str
-    ended_by: str
-    rig: Rig
-    first: Release | None
+    ended_by: str  # empty while the throw goes on
+    rig: Rig  # what threw
+    first: Release | None  # of the ejection, before the projectile falls back; None before it
     last: Release | None
-    peak_plate_speed: float
-    peak_strain: float
-    max_strain: float
-    peak_acceleration: float
-    peak_force: float
-    plate_work: float
-    apex_height: float
-    recontacts: int
-    landings: int
-    models: Mapping[str, Release | None]
-    lead: float | None = None
-    comparison: Comparison | None = None
+    peak_plate_speed: float  # [m/s]
+    peak_strain: float  # anywhere in the layer [-]
+    max_strain: float  # where the linear range ends [-]
+    peak_acceleration: float  # of the projectile [m/s2]
+    peak_force: float  # of the layer on the plate [N]
+    plate_work: float  # [J]
+    apex_height: float  # of the lower face above the plate's rest; infinite without gravity [m]
+    recontacts: int  # the layer caught up with the projectile before that had fallen back
+    landings: int  # it came down on the layer
+    models: Mapping[str, Release | None]  # first release as other models of the layer predict it
+    lead: float | None = None  # how long before the release of a measured plate it was known [s]
+    comparison: Comparison | None = None  # with what was measured of the projectile, if it was
 
     @property
     def is_valid(self) -> bool:
@@ -259,17 +177,13 @@ class ThrowResult:
 
 
 class Prediction(NamedTuple):
-    """
-    The projectile, as far ahead as it is known.
+    """The projectile, as far ahead as it is known."""
 
-    `stamp_ns` is the time of it, `lead_ns` how far that is ahead of the step. [ns]
-    """
-
-    stamp_ns: int
+    stamp_ns: int  # the time of it [ns]
     position: float
     velocity: float
     force: float
-    lead_ns: int
+    lead_ns: int  # how far that is ahead of the step [ns]
 
 
 class Residual(NamedTuple):
@@ -281,44 +195,16 @@ class Residual(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """
-    What one step gives.
-
-    Parameters
-    ----------
-    step : int
-        Its number.
-    throw : int
-        How many throws have started.
-    state : State
-        At the end of the step.
-    phases : tuple of Phase
-        Phases entered in this step.
-    events : tuple of Event
-        Releases, re-contacts and landings in this step.
-    results : tuple of ThrowResult
-        Of the throw under way, or just over.
-    layer : LayerState or None
-        At `rate.field`.
-    throw_field : ThrowField or None
-        Once per throw.
-    prediction : Prediction or None
-        In a throw of a measured plate.
-    residual : Residual or None
-        When the projectile has been measured, too.
-    notices : tuple of str
-        What is to be said about the measurement.
-
-    """
+    """What one step gives."""
 
     step: int
-    throw: int
-    state: State
-    phases: tuple[Phase, ...] = ()
-    events: tuple[Event, ...] = ()
-    results: tuple[ThrowResult, ...] = ()
-    layer: LayerState | None = None
-    throw_field: ThrowField | None = None
-    prediction: Prediction | None = None
-    residual: Residual | None = None
-    notices: tuple[str, ...] = ()
+    throw: int  # how many have started
+    state: State  # at the end of the step
+    phases: tuple[Phase, ...] = ()  # entered in this step
+    events: tuple[Event, ...] = ()  # in this step
+    results: tuple[ThrowResult, ...] = ()  # of the throw under way, or just over
+    layer: LayerState | None = None  # at `rate.field`
+    throw_field: ThrowField | None = None  # once per throw
+    prediction: Prediction | None = None  # in a throw of a measured plate
+    residual: Residual | None = None  # when the projectile has been measured, too
+    notices: tuple[str, ...] = ()  # what is to be said about the measurement

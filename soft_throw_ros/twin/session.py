@@ -15,7 +15,7 @@ from typing import Any
 
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal_writer import JournalWriter
+from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.plate_monitor import SampleCounts
 from soft_throw_ros.twin.results import Outputs
@@ -43,6 +43,8 @@ class Session:
         Number of the first step.
     on_entry : callable
         Called with every line of the journal, in order. It must not call back.
+    pending : mapping of str to value, optional
+        Changes that wait, in a session that goes on where the journal of another one is.
 
     Attributes
     ----------
@@ -62,17 +64,16 @@ class Session:
         *,
         step: int = 0,
         on_entry: Callable[[str], None] = lambda _line: None,
+        pending: Settings | None = None,
     ) -> None:
-        self._set_up(StagedSettings(settings), step, on_entry)
-        self._journal.start(step, settings)
-
-    def _set_up(self, staged: StagedSettings, step: int, on_entry: Callable[[str], None]) -> None:
         self.step = step
         self._lock = Lock()  # held for microseconds
         self._changing = Lock()  # held while a rig is prepared, for milliseconds
-        self._staged = staged
-        self._journal = JournalWriter(on_entry, step=step, rate=staged.config.state_rate)
-        self._cycle = ThrowCycle(staged, self._journal, step=step)
+        self._staged = StagedSettings(settings, pending)
+        self._journal = JournalWriter(on_entry, step=step, rate=self.rate)
+        self._cycle = ThrowCycle(self._staged, self._journal, step=step)
+        if pending is None:
+            self._journal.start(step, settings)
 
     @classmethod
     def from_entry(
@@ -100,9 +101,8 @@ class Session:
                 raise journal.JournalError(
                     f'a session starts with an entry start or throw, got {entry["kind"]!r}'
                 )
-            session = cls.__new__(cls)
-            staged = StagedSettings(settings, journal.checked_settings(entry, 'pending'))
-            session._set_up(staged, entry['step'], on_entry)
+            pending = journal.checked_settings(entry, 'pending')
+            session = cls(settings, step=entry['step'], on_entry=on_entry, pending=pending)
             session._cycle.resume(entry['step'], entry)
         except KeyError as error:
             raise journal.JournalError(f'an entry lacks {error}: {dict(entry)!r}') from error
@@ -182,11 +182,6 @@ class Session:
         """
         Change settings: at once, or when things are put back, see `StagedSettings`.
 
-        Parameters
-        ----------
-        values : mapping of str to value
-            What is to change; values are taken as they are.
-
         Raises
         ------
         ValueError
@@ -232,5 +227,9 @@ class Session:
         with self._lock:
             outputs = self._cycle.advance(self.step)
             self.step += 1
-            self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
+            self._journal.end_step(
+                outputs,
+                rate=self._staged.config.state_rate,
+                is_measured=self._cycle.monitor is not None,
+            )
             return outputs

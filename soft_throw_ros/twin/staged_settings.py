@@ -24,15 +24,6 @@ class StagedSettings:
     pending : mapping of str to value
         What waits already.
 
-    Attributes
-    ----------
-    settings : mapping of str to value
-        In effect.
-    config : TwinConfig
-        The same as one value.
-    prepared : PreparedRig
-        The rig in effect, ready to throw.
-
     Raises
     ------
     ValueError
@@ -41,9 +32,9 @@ class StagedSettings:
     """
 
     def __init__(self, settings: Settings, pending: Settings | None = None) -> None:
-        self.settings = settings
-        self.config = TwinConfig.from_settings(settings)
-        self.prepared = PreparedRig.from_config(self.config)
+        self.settings = settings  # in effect, ...
+        self.config = TwinConfig.from_settings(settings)  # as one value
+        self.prepared = PreparedRig.from_config(self.config)  # and the rig that is
         self._wanted = settings
         self._wanted_prepared = self.prepared
         if pending:
@@ -53,12 +44,8 @@ class StagedSettings:
     @property
     def pending(self) -> dict[str, Any]:
         """The changes that wait, by name; values are as various as the parameters."""
-        settings, wanted = self.settings, self._wanted
-        return {
-            name: value
-            for name, value in wanted.items()
-            if _waits(name) and value != settings[name]
-        }
+        wanted = self._wanted.items()
+        return {name: value for name, value in wanted if value != self.settings[name]}
 
     @property
     def is_pending(self) -> bool:
@@ -69,10 +56,7 @@ class StagedSettings:
         """
         Make ready what a change asks for, which takes milliseconds and changes nothing yet.
 
-        Returns
-        -------
-        PreparedRig or None
-            None if what has been wanted before will do. To be handed to `stage`.
+        It is to be handed to `stage`, and None if what has been wanted before will do.
 
         Raises
         ------

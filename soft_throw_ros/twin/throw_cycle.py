@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal_writer import JournalWriter
+from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, Sample
@@ -22,46 +22,49 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.return_path import ReturnPath
-from soft_throw_ros.twin.scheduled_throw import ScheduledThrow, time_until_over
 from soft_throw_ros.twin.staged_settings import StagedSettings
-from soft_throw_ros.twin.throw_tracker import ThrowStep
+from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, ThrowStep, time_until_over
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
 
 
+def between(origin: State, goal: State, part: float, duration: float) -> State:
+    """
+    Return a part of the way from standing still to standing still with the least jerk [1]_.
+
+    Plate and projectile do not run into each other, since both go the same part of their way at a
+    time. Forces are zero, since the layer is left out.
+
+    References
+    ----------
+    .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
+
+    """
+    mixture = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    speed = 30.0 * (part * (1.0 - part)) ** 2 / duration
+    plate = goal.plate_position - origin.plate_position
+    projectile = goal.projectile_position - origin.projectile_position
+    return State(
+        plate_position=origin.plate_position + mixture * plate,
+        projectile_position=origin.projectile_position + mixture * projectile,
+        plate_velocity=speed * plate,
+        projectile_velocity=speed * projectile,
+        plate_force=0.0,
+        projectile_force=0.0,
+    )
+
+
 class ThrowCycle:
     """
-    What the rig does at every step.
-
-    Parameters
-    ----------
-    staged : StagedSettings
-        In effect, and to come.
-    writer : JournalWriter
-        Is told of throws and their results.
-    step : int
-        The first step, at which the rig is at rest.
-
-    Attributes
-    ----------
-    throws : int
-        How many throws have started.
-    schedule : TickSchedule
-        When steps are due, which measured samples are related to.
-    sample_counts : SampleCounts
-        How many samples of the rig were taken and refused.
-    monitor : PlateMonitor or None
-        Of a measured plate.
+    What the rig does at every step, from the first one on, at which it is at rest.
 
     Notes
     -----
     A throw starts when it is due by `throw.period`, counted from the last start, or when asked
     for. It is over when the projectile is at rest, after `throw.max_events` contacts, when the
-    period leaves just the time to put things back, or after `throw_tracker.LONGEST_THROW`. Then
-    plate and projectile are put back along a `ReturnPath`: positions are continuous. The layer is
-    left out meanwhile: its forces are zero.
+    period leaves just the time to put things back, or after `throws.LONGEST_THROW`. Then plate
+    and projectile are put back, see `between`: positions are continuous.
 
     What is staged takes effect whenever things are put back: after a throw, at a reset, or, if
     the rig is at rest, before the next throw, which starts so much later.
@@ -74,7 +77,7 @@ class ThrowCycle:
     """
 
     def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
-        self.throws = 0
+        self.throws = 0  # that have started
         self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
         self.sample_counts = SampleCounts()
         self.monitor: PlateMonitor | None = None
@@ -82,16 +85,17 @@ class ThrowCycle:
         self._journal = writer
         self._phase = Phase.REST
         self._state = staged.prepared.rest
-        self._throw: ScheduledThrow | MeasuredThrow | None = None
+        self._throw: OngoingThrow | None = None
         self._start = step  # what the period and the time of a throw are counted from
         self._throw_due = math.inf  # by the period
+        self._latest_end = math.inf  # of a throw, before the next one is due
         self._throw_requested_at = math.inf
-        self._return_path = ReturnPath(begin=step, end=step, origin=self._state, goal=self._state)
+        self._return = (step, step, self._state)  # from a step to a step, and from where
         self._layer_start, self._layer_row = step, -1
-        self._phases = [Phase.REST]
-        self._results: list[ThrowResult] = []
+        self._phases: tuple[Phase, ...] = (Phase.REST,)
+        self._results: tuple[ThrowResult, ...] = ()
         self._throw_field: ThrowField | None = None
-        self._notices: list[str] = []
+        self._notices: tuple[str, ...] = ()
         self._onset: Onset | None = None  # which is to begin a throw, if a journal says so
         self._start_monitoring()
         self.set_throw_due()
@@ -105,7 +109,7 @@ class ThrowCycle:
         self.throws = entry['throw'] - 1
         self._throw_requested_at = step
         self._phase = Phase.RETURNING  # until this very step, so that nothing delays it
-        self._phases.clear()
+        self._phases = ()
         self.schedule = journal.entry_schedule(entry) or self.schedule
         if self.monitor is not None:
             self._onset = journal.decode_onset(entry.get('onset'))
@@ -119,23 +123,17 @@ class ThrowCycle:
 
     def occupation(self, step: int) -> tuple[str, Callable[[], float] | None]:
         """
-        Tell why no throw can be requested now, and how long that lasts by the clock.
+        Tell why no throw can be requested now, and what finds out how long that lasts.
 
-        Returns
-        -------
-        reason : str
-            What the rig is doing.
-        seconds : callable or None
-            Finds out how long, which may take as long as a throw takes to compute; None if it is
-            just for this step. [s]
-
+        That may take as long as a throw takes to compute, and is in seconds of the clock; there is
+        none if it is just for this step.
         """
         prepared, throw, config = self._prepared, self._throw, self._staged.config
         rate = config.state_rate
         if self._phase is Phase.REST:
             return f'throw {self.throws + 1} is about to start', None
         if throw is None:
-            steps = max(self._return_path.end - step, 0)
+            steps = max(self._return[1] - step, 0)
             return 'the rig is being put back', lambda: steps / rate
         elapsed = (step - self._start) * prepared.tick
         longest = self._throw_due - step
@@ -172,28 +170,26 @@ class ThrowCycle:
             self._begin_throw_if_due(step)
         advanced = self._advance_throw(step, motion)
         outputs = Outputs(
-            step=step,
-            throw=self.throws,
-            state=self._state,
-            phases=tuple(self._phases),
-            events=() if advanced is None else advanced.events,
-            results=tuple(self._results),
-            layer=self._layer(step),
-            throw_field=self._throw_field,
-            prediction=None if advanced is None else advanced.prediction,
-            residual=None if advanced is None else advanced.residual,
-            notices=tuple(self._notices),
+            step,
+            self.throws,
+            self._state,
+            self._phases,
+            () if advanced is None else advanced.events,
+            self._results,
+            self._layer(step),
+            self._throw_field,
+            None if advanced is None else advanced.prediction,
+            None if advanced is None else advanced.residual,
+            self._notices,
         )
-        self._phases.clear()
-        self._results.clear()
-        self._notices.clear()
+        self._phases = self._results = self._notices = ()
         self._throw_field = None
         return outputs
 
     def _begin_throw_if_due(self, step: int) -> None:
         """Start a throw, or put things back before it if changes wait."""
         has_returned = self._phase is Phase.RETURNING
-        if has_returned and step < self._return_path.end:
+        if has_returned and step < self._return[1]:
             return
         if step < min(self._throw_requested_at, self._throw_due):
             if has_returned:
@@ -235,10 +231,12 @@ class ThrowCycle:
         if throw is None:
             self._state = self._idle_state(step)
             return None
-        had_left = throw.has_left
+        had_left = bool(throw.events)
         if isinstance(throw, ScheduledThrow):
-            advanced = throw.advance((step - self._start) * self._prepared.tick, config)
+            time = (step - self._start) * self._prepared.tick
+            advanced = throw.advance(time, max_events=config.max_events)
         else:
+            assert isinstance(throw, MeasuredThrow)
             assert motion is not None
             now_ns = self.schedule.deadline(step)
             advanced = throw.advance(motion, step=step, now_ns=now_ns, config=config)
@@ -247,12 +245,10 @@ class ThrowCycle:
             self._enter(_PHASES[event.kind])
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
-        if throw.has_left and not had_left:
+        if throw.events and not had_left:
             self._report(step, throw.result('release', step, config))
-        returning = self._prepared.return_ticks(config.throw_period)
-        ended_by = throw.ended_by or ('period' if step >= self._throw_due - returning else '')
-        if ended_by:
-            self._end_throw(step, throw, ended_by)
+        if throw.ended_by or step >= self._latest_end:
+            self._end_throw(step, throw, throw.ended_by or 'period')
         else:
             self._throw_field = throw.throw_field()
         return advanced
@@ -263,11 +259,13 @@ class ThrowCycle:
         if self.monitor is not None:
             return self.monitor.state(prepared.rest)
         if self._phase is Phase.RETURNING:
-            return self._return_path.state(step, tick=prepared.tick)
+            begin, end, origin = self._return
+            part = (step - begin) / (end - begin)
+            return between(origin, prepared.rest, part, (end - begin) * prepared.tick)
         return prepared.rest
 
-    def _end_throw(self, step: int, throw: ScheduledThrow | MeasuredThrow, ended_by: str) -> None:
-        throw.end(ended_by)
+    def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
+        throw.ended_by = ended_by
         self._report(step, throw.result('final', step, self._staged.config))
         self._throw_field = throw.throw_field()
         self._throw = None
@@ -277,12 +275,10 @@ class ThrowCycle:
         """Begin the way back to rest, with whatever has waited in effect."""
         if self._staged.is_pending:
             self._commit(step)
-        prepared = self._prepared
-        if not self._staged.config.is_measured:
-            ticks = prepared.return_ticks(self._staged.config.throw_period)
-            self._return_path = ReturnPath(
-                begin=step, end=step + ticks, origin=self._state, goal=prepared.rest
-            )
+        config = self._staged.config
+        if not config.is_measured:
+            ticks = self._prepared.return_ticks(config.throw_period)
+            self._return = (step, step + ticks, self._state)
         self._start_monitoring()
         self._layer_start, self._layer_row = step, -1
         self._enter(Phase.RETURNING)
@@ -296,11 +292,11 @@ class ThrowCycle:
 
     def set_throw_due(self) -> None:
         """Find when the next throw is due by the period."""
-        period = self._staged.config.throw_period
+        period, prepared = self._staged.config.throw_period, self._prepared
+        self._throw_due = self._latest_end = math.inf
         if period and not self._staged.config.is_measured:
-            self._throw_due = self._start + self._prepared.period_ticks(period)
-        else:
-            self._throw_due = math.inf
+            self._throw_due = self._start + prepared.period_ticks(period)
+            self._latest_end = self._throw_due - prepared.return_ticks(period)
 
     def _layer(self, step: int) -> LayerState | None:
         """Return the layer, if `rate.field` has it due."""
@@ -313,9 +309,7 @@ class ThrowCycle:
             return self._prepared.rest_layer
         if self._throw is None:
             return self._idle_layer()
-        rows = np.empty((3, FIELD_POINTS))
-        self._throw.read_layer(rows)
-        return LayerState(*rows)
+        return self._throw.layer
 
     def _idle_layer(self) -> LayerState:
         """Return the layer lying on the plate, without force, between throws."""
@@ -330,10 +324,10 @@ class ThrowCycle:
 
     def _enter(self, phase: Phase) -> None:
         self._phase = phase
-        self._phases.append(phase)
+        self._phases += (phase,)
 
     def _report(self, step: int, result: ThrowResult) -> None:
-        self._results.append(result)
+        self._results += (result,)
         self._journal.result(step, result)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
@@ -377,5 +371,5 @@ class ThrowCycle:
         """Tell whether there are enough samples, and if not, say so."""
         rate_warning = monitor.rate_warning(self._prepared.rig.crossing_time)
         if rate_warning:
-            self._notices.append(rate_warning)
+            self._notices += (rate_warning,)
         return not rate_warning

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SECOND = 1_000_000_000
-"""[ns]"""
+SECOND = 1_000_000_000  # [ns]
 
 
 @dataclass

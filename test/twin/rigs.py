@@ -7,15 +7,13 @@ from dataclasses import replace
 import math
 
 import numpy as np
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
-"""What the sensors show at height 0. [m]"""
+PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2  # what the sensors show at height 0 [m]
 
 
 def measured_throw(
@@ -30,29 +28,7 @@ def measured_throw(
     seed: int = 0,
     has_projectile: bool = True,
 ) -> list[Sample]:
-    """
-    Measure one throw.
-
-    Parameters
-    ----------
-    rig : Rig
-        Which throws.
-    begin_ns : int
-        Stamp of the first sample. [ns]
-    onset, duration : float
-        When the plate starts, and how long it is measured, after that. [s]
-    rate : float
-        Of the samples. [Hz]
-    noise : float
-        Standard deviation of both positions. [m]
-    jitter : float
-        Largest deviation of a stamp, in intervals. [-]
-    seed : int
-        Of the noise.
-    has_projectile : bool
-        Whether the projectile is measured, too.
-
-    """
+    """Measure one throw, the plate of which starts at `onset` [s]; `jitter` is in intervals."""
     random = np.random.default_rng(seed)
     count = round(duration * rate)
     since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
@@ -76,8 +52,3 @@ def measured_throw(
 def aged(rig: Rig, factor: float) -> Rig:
     """Return a rig whose layer has another wave speed."""
     return replace(rig, layer=replace(rig.layer, wave_speed=factor * rig.layer.wave_speed))
-
-
-def plate_of(rig: Rig) -> Underdamped:
-    """Return the motion that is measured."""
-    return Underdamped.of(rig.engine)

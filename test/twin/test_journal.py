@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal_writer import STATE
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import Sample
-from soft_throw_ros.twin.replay import apply_input, follow, replay
+from soft_throw_ros.twin.replay import follow, replay
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -46,15 +45,7 @@ def eventful(start) -> Any:
     return run
 
 
-def test_replay_begins_with_the_first_throw_of_a_journal_without_its_start(eventful, same) -> None:
-    lines = eventful.journal[4:]
-    again = list(replay(lines, until=eventful.session.step))
-    first = next(entry['step'] for entry in map(journal.decode, lines) if entry['kind'] == 'throw')
-    assert again[0].step == first
-    assert all(map(same, again, eventful.outputs[first:]))
-
-
-def test_replay_writes_the_same_journal(eventful) -> None:
+def test_replay_writes_the_same_journal_and_begins_where_it_can(eventful, same) -> None:
     written: list[str] = []
     entries = list(map(journal.decode, eventful.journal))
     session = Session.from_entry(entries[0], on_entry=written.append)
@@ -63,11 +54,12 @@ def test_replay_writes_the_same_journal(eventful) -> None:
             pass
     session.close()
     assert written == eventful.journal
-
-
-def test_lines_are_numbered(eventful) -> None:
-    numbers = [journal.decode(line)['line'] for line in eventful.journal]
-    assert numbers == list(range(len(numbers)))
+    assert [entry['line'] for entry in entries] == list(range(len(entries)))
+    without_start = list(replay(eventful.journal[4:], until=session.step))
+    first = without_start[0].step
+    assert first in eventful.starts()
+    assert len(without_start) == session.step - first
+    assert all(map(same, without_start, eventful.outputs[first:]))
 
 
 def test_journal_has_all_inputs_with_their_steps(start) -> None:
@@ -99,7 +91,9 @@ def test_checksums_are_those_of_the_states_and_fields(eventful) -> None:
     assert set(eventful.starts()) < {entry['first'] for entry in checksums}
     for entry in checksums:
         outputs = eventful.outputs[entry['first'] : entry['step']]
-        assert entry['states'] == crc32(b''.join(STATE.pack(*item.state) for item in outputs))
+        assert entry['states'] == crc32(
+            b''.join(journal.STATE.pack(*item.state) for item in outputs)
+        )
         fields = b''
         for item in outputs:
             fields += b''.join(array.tobytes() for array in item.layer or ())
@@ -126,7 +120,9 @@ def test_results_are_in_the_journal_with_all_digits_and_the_checksums_of_their_t
         assert ('states' in entry) == (result.stage == 'final')
         if result.stage == 'final':
             outputs = eventful.outputs[begins[result.throw] : entry['step']]
-            assert entry['states'] == crc32(b''.join(STATE.pack(*o.state) for o in outputs))
+            assert entry['states'] == crc32(
+                b''.join(journal.STATE.pack(*o.state) for o in outputs)
+            )
 
 
 def test_infinite_apex_is_none_in_the_journal(start) -> None:
@@ -239,9 +235,9 @@ def test_what_does_not_fit_a_session_is_refused_with_it(eventful) -> None:
     with pytest.raises(journal.JournalError, match='None'):
         Session.from_entry({**begin, 'settings': measured, 'onset': None})
     session = Session(TWIN.defaults())
-    with pytest.raises(journal.JournalError, match='before step 0'):
-        apply_input(session, {'kind': 'input', 'step': 5, 'input': 'throw'})
     with pytest.raises(journal.JournalError, match='sing'):
-        apply_input(session, {'kind': 'input', 'step': 0, 'input': 'sing'})
+        list(follow(session, {'kind': 'input', 'step': 2, 'input': 'sing'}))
+    with pytest.raises(journal.JournalError, match='before step 2'):
+        list(follow(session, {'kind': 'input', 'step': 1, 'input': 'throw'}))
     with pytest.raises(journal.JournalError, match='no samples'):
         journal.entry_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})

@@ -183,13 +183,6 @@ def test_velocities_that_were_measured_are_used(make_samples, measurement) -> No
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_rate_is_that_of_most_samples(make_samples, measurement) -> None:
-    estimator = PlateEstimator(measurement)
-    assert estimator.rate() == 0.0
-    run(estimator, [sample for k, sample in enumerate(make_samples()) if k % 9])
-    assert estimator.rate() == pytest.approx(5000.0)
-
-
 @pytest.mark.parametrize(
     ('frequency', 'crossing_time', 'rate', 'reason'),
     [

@@ -15,8 +15,7 @@ from soft_throw_ros.core.cell_stepper import first_throws
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.throw import MODELS, simulate
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig, warm_up
-from soft_throw_ros.twin.scheduled_throw import time_until_over
-from soft_throw_ros.twin.throw_tracker import ThrowTracker
+from soft_throw_ros.twin.throws import ScheduledThrow, time_until_over
 
 CASES = [
     {'model': 'travelling_wave'},
@@ -44,14 +43,14 @@ def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, r
     values = settings(**request_)
     prepared = prepare(values)
     exact = simulate(rig_of(values), model=prepared.config.model)
-    tracker = ThrowTracker(prepared, number=1)
+    throw = ScheduledThrow(prepared, number=1)
     release, tick = None, 0
-    while not tracker.ended_by:
+    while not throw.ended_by:
         tick += 1
-        tracker.advance(tick * prepared.tick, max_events=2)
-        if tracker.first_release and release is None:
-            release = tracker.result('release', tick, 0.1)
-    final = tracker.result('final', tick, 0.1)
+        throw.advance(tick * prepared.tick, max_events=2)
+        if throw.first_release and release is None:
+            release = throw.result('release', tick, prepared.config)
+    final = throw.result('final', tick, prepared.config)
     assert release.first.time == pytest.approx(exact.ejection_time, rel=3e-4)
     assert release.first.speed == pytest.approx(exact.ejection_speed, rel=1e-3)
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
@@ -88,6 +87,14 @@ def test_at_rest_the_layer_bears_the_weight(settings, request_) -> None:
     assert prepared.rest.projectile_force == pytest.approx(weight, rel=1e-12)
     assert prepared.rest.plate_force == pytest.approx(-load, rel=1e-12)
     assert prepared.rest.projectile_velocity == prepared.rest.plate_velocity == 0.0
+    assert prepared.rest.plate_position == 0.0
+    if prepared.config.model == 'travelling_wave':  # the weight of its layer is left out
+        top = prepared.rig.layer.thickness - prepared.rig.static_sag
+        assert prepared.rest.projectile_position == top
+        np.testing.assert_allclose(
+            prepared.rest_layer.height, np.linspace(0.0, top, 64), atol=1e-15
+        )
+        np.testing.assert_allclose(prepared.rest_layer.force, weight, rtol=1e-9)
     assert not prepared.rest_layer.velocity.any()
     assert (prepared.rest_layer.force > 0.0).all()
     assert all(lower < upper for lower, upper in pairwise(prepared.rest_layer.height))

@@ -50,17 +50,14 @@ def test_period_zero_throws_only_on_request(start) -> None:
     run = start(throw__period=0)
     assert not any(outputs.phases for outputs in run.go(5000)[1:])
     run.session.request_throw()
+    with pytest.raises(RequestRejected, match='throw 1'):
+        run.session.request_throw()
     (outputs,) = run.go(1)
     assert (outputs.phases, outputs.throw) == ((Phase.CONTACT,), 1)
-    assert run.starts() == [5000]
-
-
-def test_requested_throw_starts_the_period_anew(start) -> None:
-    run = start()
-    run.go(300)
-    run.session.request_throw()
-    run.go(2000)
-    assert run.starts() == [300, 1300]  # and the third is due at 2300
+    run.go(1500)
+    run.session.change({'throw.period': 2.0})
+    run.go(600)
+    assert run.starts() == [5000, 7000]  # counted from the one that was requested
 
 
 @pytest.mark.parametrize(
@@ -74,13 +71,6 @@ def test_request_is_rejected_saying_how_long(start, steps, reason) -> None:
     assert run.entries('input') == []  # what is rejected is no input
 
 
-def test_second_request_before_the_next_step_is_rejected(start) -> None:
-    run = start(throw__period=0)
-    run.session.request_throw()
-    with pytest.raises(RequestRejected, match='throw 1'):
-        run.session.request_throw()
-
-
 def test_rejection_without_a_period_foretells_the_end(start) -> None:
     run = start(throw__period=0, throw__max_events=1)
     run.session.request_throw()
@@ -92,27 +82,7 @@ def test_rejection_without_a_period_foretells_the_end(start) -> None:
     assert 1e-3 * (run.session.step - 100) == pytest.approx(foretold, abs=6e-3)
 
 
-def test_period_can_be_switched_off_and_on_at_rest(start) -> None:
-    run = start()
-    run.go(10)
-    run.session.change({'throw.period': 0.0})
-    run.go(3000)
-    assert run.starts() == []
-    run.session.change({'throw.period': 0.5})
-    run.go(10)
-    assert run.starts() == [3010]
-
-
 # phases and the way back
-
-
-def test_phases_follow_each_other(start) -> None:
-    run = start(throw__period=0, throw__max_events=1)
-    run.session.request_throw()
-    run.go(600)
-    assert [phase.value for phase in run.phases()] == [
-        'rest', 'contact', 'flight', 'landed', 'returning', 'rest'
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -131,6 +101,7 @@ def test_every_throw_ends(start, request_, reasons) -> None:
     run.session.request_throw()
     run.go_until(Phase.RETURNING)
     (result,) = run.results('final')
+    assert run.phases()[:2] == [Phase.REST, Phase.CONTACT]
     assert result.ended_by in reasons
     assert result.recontacts + result.landings == request_.get('throw__max_events', 0)
     assert (result.apex_height == math.inf) == ('gravity' in request_)
@@ -155,7 +126,6 @@ def test_recontact_is_contact_again_and_no_landing(start) -> None:
     run.go(1)
     (result,) = run.results('final')
     assert (result.recontacts, result.landings) == (recontacts, 1)
-    assert result.first != result.last
 
 
 @pytest.mark.parametrize('request_', [{}, {'throw__max_events': 1}, {'throw__period': 0.07}])
@@ -195,36 +165,19 @@ def test_returning_ends_at_rest_without_a_jump(start) -> None:
 # outputs
 
 
-def test_rest_is_where_the_layer_sags_to(start) -> None:
-    (outputs,) = start().go(1)
-    rig = rig_of(TWIN.defaults())
-    weight = rig.projectile.mass * rig.gravity
-    top = rig.layer.thickness - rig.static_sag
-    assert outputs.state.plate_position == 0.0
-    assert outputs.state.projectile_position == top
-    assert outputs.state.projectile_force == pytest.approx(weight)
-    assert outputs.state.plate_force == pytest.approx(-weight)
-    np.testing.assert_allclose(outputs.layer.height, np.linspace(0.0, top, 64), atol=1e-15)
-    np.testing.assert_allclose(outputs.layer.force, weight, rtol=1e-9)
-    np.testing.assert_allclose(outputs.layer.velocity, 0.0)
-
-
-def test_results_and_events_agree_with_the_exact_throw(start) -> None:
+def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_release(
+    start,
+) -> None:
     run = start()
     run.go(2000)
     exact = simulate(rig_of(TWIN.defaults()), until=0.291)
     (release,), (final,) = run.results('release'), run.results('final')
     assert release.first == final.first
     assert release.first.time == pytest.approx(exact.ejection_time, rel=1e-6)
-    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=1e-6)
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=1e-6)
     assert release.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=1e-12)
-    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=1e-3)
-    assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=1e-3)
     assert release.peak_acceleration == pytest.approx(exact.peak_acceleration, rel=1e-3)
-    assert release.apex_height == pytest.approx(exact.apex_height, rel=1e-6)
-    ejected = 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
-    assert release.plate_work > ejected
+    assert release.plate_work > 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
     loads = ('peak_strain', 'peak_force', 'peak_acceleration', 'plate_work')
     assert all(getattr(final, name) == getattr(release, name) for name in loads)
     for ours, theirs in zip(run.events()[:2], exact.events, strict=True):
@@ -326,16 +279,11 @@ def test_change_at_rest_waits_for_the_throw_and_puts_the_layer_in_first(start) -
     run.go_until(Phase.CONTACT)
     assert run.starts() == [510 + RETURN]
     assert run.outputs[-1].state.projectile_position == pytest.approx(0.01, abs=1e-4)
-
-
-def test_change_at_rest_takes_effect_at_a_reset(start) -> None:
-    run = start(throw__period=0)
-    run.session.change({'layer.thickness': 0.01})
+    run.session.change({'layer.thickness': 0.012})
     run.session.reset()
-    run.go_until(Phase.RETURNING)
-    assert run.session.pending == {}
     run.go_until(Phase.REST)
-    assert run.go(1)[0].state.projectile_position == pytest.approx(0.01, abs=1e-4)
+    assert run.session.pending == {}
+    assert run.go(1)[0].state.projectile_position == pytest.approx(0.012, abs=1e-4)
 
 
 def test_change_while_putting_back_waits_for_the_throw_after(start) -> None:
