@@ -163,7 +163,7 @@ class FitDescription:
 
         """
         root = located_yaml.read(Path(path)) or Located(str(path), items=())
-        entries = []
+        entries: list[tuple[str, Located]] = []
         for name, node in _items(root):
             if name == 'parameters':
                 entries += _items(node)
