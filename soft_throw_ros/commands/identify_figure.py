@@ -13,9 +13,9 @@ from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.ringing import Ringing, WaveSpeed
-from soft_throw_ros.identification.space_time import SpaceTime
 from soft_throw_ros.identification.throw_analysis import Ejection
 from soft_throw_ros.identification.tracks import Track
+from soft_throw_ros.identification.video import SpaceTime
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.segmentation import find_throws, split_into_throws
 from soft_throw_ros.identification.track_csv import read_csv
-from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track, TrackError
+from soft_throw_ros.identification.tracks import (
+    FEWEST,
+    find_throws,
+    split_into_throws,
+    ThrowTracks,
+    Track,
+    TrackError,
+)
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 

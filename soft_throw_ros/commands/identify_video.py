@@ -14,10 +14,16 @@ import re
 from soft_throw_ros.commands.options import number_or_text
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.space_time import space_time, SpaceTime
-from soft_throw_ros.identification.spots import BODIES, follow_spots, Picture, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
 from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.identification.video import (
+    BODIES,
+    follow_spots,
+    Picture,
+    space_time,
+    SpaceTime,
+    tracks_of,
+)
 
 _MAX_CHANNELS = 4  # of a picture at most; a stack has more
 

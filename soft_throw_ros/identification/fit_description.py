@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 import math
+from operator import attrgetter
 from pathlib import Path
 import re
 from typing import cast, Literal, NamedTuple
 
+from soft_throw_ros.configuration import located_yaml
+from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-import yaml
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LAYER = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
@@ -65,20 +67,11 @@ class Treatment(NamedTuple):
     @classmethod
     def parse(cls, text: str) -> Treatment:
         """
-        Read a treatment.
+        Read a treatment, or refuse it with ValueError.
 
-        Parameters
-        ----------
-        text : str
-            `free`; `held`; a value at which it is held; or a value with the error with which it
-            is known, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of
-            the rig. What is not held may be followed by `per throw`: then each throw has its own.
-
-        Raises
-        ------
-        ValueError
-            If the text is none of these.
-
+        It is `free`; `held`; a value at which it is held; or a value with the error with which it
+        is known, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of the
+        rig. What is not held may be followed by `per throw`: then each throw has its own.
         """
         match = _TEXT.fullmatch(text.strip())
         given = match.groupdict() if match else {}
@@ -115,11 +108,6 @@ class FitDescription:
     reference : {'face', 'centre'}
         Point of the projectile whose heights the tracks have; it matters if heights are not of
         their own.
-
-    Attributes
-    ----------
-    treatments : dict of str to Treatment
-        Of all parameters, in their order.
 
     Raises
     ------
@@ -174,46 +162,27 @@ class FitDescription:
             Naming file and line, if something is wrong.
 
         """
-        try:
-            text = Path(path).read_text(encoding='utf-8')
-            tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        except OSError as error:
-            raise ValueError(f'{path}: {error.strerror}') from None
-        except UnicodeDecodeError:
-            raise ValueError(f'{path}: is no UTF-8 text') from None
-        except yaml.YAMLError as error:
-            mark = getattr(error, 'problem_mark', None)
-            line = f':{mark.line + 1}' if mark else ''
-            raise ValueError(f'{path}{line}: is no YAML') from None
-        entries = []
-        for key, node in _items(tree, path):
-            if key.value == 'parameters':
-                entries += _items(node, path)
-            elif key.value in ('heights', 'reference'):
-                entries.append((key, node))
+        root = located_yaml.read(Path(path)) or Located(str(path), items=())
+        entries: list[tuple[str, Located]] = []
+        for name, node in _items(root):
+            if name == 'parameters':
+                entries += _items(node)
+            elif name in ('heights', 'reference'):
+                entries.append((name, node))
             else:
                 raise ValueError(
-                    f'{path}:{key.start_mark.line + 1}: must be parameters, heights or reference, '
-                    f'got {key.value!r}'
+                    f'{node.where}: must be parameters, heights or reference, got {name!r}'
                 )
         description = cls()
-        for key, node in entries:
+        for name, node in entries:
             try:
-                description = description.change({str(key.value): str(node.value)})
+                description = description.change({name: str(node.value)})
             except ValueError as error:
-                raise ValueError(f'{path}:{key.start_mark.line + 1}: {error}') from None
+                raise ValueError(f'{node.where}: {error}') from None
         return description
 
     def change(self, changes: Mapping[str, str]) -> FitDescription:
-        """
-        Treat some parameters otherwise, or set `heights` or `reference`.
-
-        Raises
-        ------
-        ValueError
-            If something is none of what it can be.
-
-        """
+        """Treat some parameters otherwise, or set `heights` or `reference`."""
         parameters = {**self.parameters, **changes}
         heights = parameters.pop('heights', self.heights)
         reference = parameters.pop('reference', self.reference)
@@ -247,15 +216,7 @@ class FitDescription:
         }
 
     def prepare(self, rig: Rig) -> Rig:
-        """
-        Give a rig the values that are said here.
-
-        Raises
-        ------
-        FitError
-            If the rig does not take one.
-
-        """
+        """Give a rig the values that are said here; one that it does not take is a FitError."""
         said = {n: each.value for n, each in self.treatments.items() if each.value is not None}
         try:
             return changed_rig(rig, said)
@@ -265,11 +226,7 @@ class FitDescription:
 
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
     """Look up some of `PARAMETERS`."""
-    values = {}
-    for name in names:
-        part, _, item = name.partition('.')
-        values[name] = float(getattr(getattr(rig, part), item))
-    return values
+    return {name: float(attrgetter(name)(rig)) for name in names}
 
 
 def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
@@ -282,10 +239,8 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     return replace(rig, **parts)
 
 
-def _items(tree: yaml.Node | None, path: str | Path) -> list[tuple[yaml.Node, yaml.Node]]:
-    """List the pairs of a mapping."""
-    if tree is None:
-        return []
-    if not isinstance(tree, yaml.MappingNode):
-        raise ValueError(f'{path}:{tree.start_mark.line + 1}: must be a mapping')
-    return list(tree.value)
+def _items(node: Located) -> tuple[tuple[str, Located], ...]:
+    """List what is in a mapping."""
+    if node.items is None:
+        raise ValueError(f'{node.where}: must be a mapping, got {node.value!r}')
+    return node.items

@@ -44,15 +44,7 @@ class ProjectilePath(NamedTuple):
 
 
 class ThrowSimulator:
-    """
-    Follows throws, and refuses to go on when that takes too long.
-
-    Parameters
-    ----------
-    throws : int
-        How many throws there are that have to be followed one by one.
-
-    """
+    """Follows throws, so many one by one, and refuses to go on when that takes too long."""
 
     def __init__(self, *, throws: int = 1) -> None:
         self._limit = MAX_COST * throws
@@ -71,11 +63,6 @@ class ThrowSimulator:
             Whether to take cells though there is no internal loss: where the loss is fitted, all
             that is compared has to be of one model.
 
-        Returns
-        -------
-        ProjectilePath
-            Heights count from the plate's position at rest.
-
         Raises
         ------
         FitError
@@ -93,18 +80,11 @@ class ThrowSimulator:
             raise
         except (ValueError, EventLimitError) as error:
             raise FitError(f'the throw cannot be followed: {error}') from None
-        return ProjectilePath(
-            states[places, PROJECTILE_POSITION],
-            states[places, PROJECTILE_VELOCITY],
-            tuple(stepper.events()),
-        )
+        position, velocity = states[places][:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]].T
+        return ProjectilePath(position, velocity, tuple(stepper.events()))
 
     def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
-        """
-        Find when the projectile comes down on the layer again.
-
-        Returns infinity if not before `until` [s]; being caught up on the way up is no landing.
-        """
+        """Find when the projectile falls onto the layer; infinity if not before `until` [s]."""
         if rig.gravity > 0.0:
             for event in self.follow(rig, np.array([until]), by_cells=by_cells).events:
                 if event.kind == 'landing':

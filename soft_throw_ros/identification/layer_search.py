@@ -43,6 +43,12 @@ class LayerCandidate(NamedTuple):
     chi2: float
     rig: Rig
 
+    def is_like(self, other: LayerCandidate) -> bool:
+        """Tell whether two layers are almost the same."""
+        layer, rival = self.rig.layer, other.rig.layer
+        pairs = (layer.wave_speed, rival.wave_speed), (layer.thickness, rival.thickness)
+        return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
+
 
 def find_layer(model: RigModel, plates: Sequence[PlateFit]) -> Rig:
     """
@@ -50,13 +56,7 @@ def find_layer(model: RigModel, plates: Sequence[PlateFit]) -> Rig:
 
     Where a stiff layer makes the projectile chatter, the sum of squares has valleys less than a
     percent wide. A loss that is looked for is none at first; it is small, and the model without
-    it the fastest.
-
-    Raises
-    ------
-    FitError
-        If no layer can be followed.
-
+    it the fastest. FitError if no layer can be followed.
     """
     free = {name for name in LAYER if model.description.is_free(name)}
     used = [channel.throw for channel in model.projectiles[:_THROWS]]
@@ -69,19 +69,24 @@ def find_layer(model: RigModel, plates: Sequence[PlateFit]) -> Rig:
     rig = model.rig
     if 'layer.loss_tangent' in free:
         rig = changed_rig(rig, {'layer.loss_tangent': 0.0})
-    rigs = [
-        changed_rig(rig, {'layer.thickness': thickness})
-        for thickness in _thicknesses(model, plates, free)
-    ]
-    candidates = [each for rig in rigs for each in _scan_wave_speeds(early, plates, rig, free)]
+    speeds = [rig.layer.wave_speed]
+    if 'layer.wave_speed' in free:
+        speeds = sorted([*_WAVE_SPEEDS.tolist(), *speeds])  # in case somebody knows it
+    candidates = []
+    for thickness in _thicknesses(model, plates, free):
+        row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
+        candidates += _valleys(early, plates, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     if 'layer.thickness' in free:
-        candidates += [
-            other
-            for each in _best_of(candidates, _REFINED)
-            for other in _valleys(early, plates, _layers_as_stiff(each.rig, free))
-        ]
+        power = 0.5 if 'layer.wave_speed' in free else 0.0  # as stiff, if it may be
+        for each in _best_of(candidates, _REFINED):
+            speed, thickness = each.rig.layer.wave_speed, each.rig.layer.thickness
+            row = [
+                {'layer.wave_speed': speed * part**power, 'layer.thickness': thickness * part}
+                for part in _THICKNESSES_NEARBY.tolist()
+            ]
+            candidates += _valleys(early, plates, [changed_rig(each.rig, part) for part in row])
     # What a projectile does early is much alike on many layers; how it flies then is not
     seen = model.cut(plates, _fall_time(model, plates))
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
@@ -109,16 +114,9 @@ def _best_of(candidates: list[LayerCandidate], count: int) -> list[LayerCandidat
     for candidate in sorted(candidates, key=lambda each: each.chi2):
         if len(chosen) == count or (chosen and candidate.chi2 > _MAX_RATIO * chosen[0].chi2):
             break
-        if not any(_are_alike(candidate.rig, other.rig) for other in chosen):
+        if not any(map(candidate.is_like, chosen)):
             chosen.append(candidate)
     return chosen
-
-
-def _are_alike(first: Rig, second: Rig) -> bool:
-    """Tell whether two layers are almost the same."""
-    speeds = first.layer.wave_speed, second.layer.wave_speed
-    thicknesses = first.layer.thickness, second.layer.thickness
-    return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in (speeds, thicknesses))
 
 
 def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
@@ -135,41 +133,14 @@ def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
     return max(min(ends), _PERIODS / model.rig.engine.frequency)
 
 
-def _scan_wave_speeds(
-    model: RigModel, plates: Sequence[PlateFit], rig: Rig, free: set[str]
-) -> list[LayerCandidate]:
-    """Look at layers from the softest to the stiffest, if the wave speed is free."""
-    speeds = [rig.layer.wave_speed]
-    if 'layer.wave_speed' in free:
-        speeds = sorted([*_WAVE_SPEEDS.tolist(), *speeds])  # in case somebody knows it
-    rigs = [changed_rig(rig, {'layer.wave_speed': speed}) for speed in speeds]
-    return _valleys(model, plates, rigs)
-
-
-def _layers_as_stiff(rig: Rig, free: set[str]) -> list[Rig]:
-    """Make rigs of other thicknesses, with layers as stiff if the wave speed is free."""
-    power = 0.5 if 'layer.wave_speed' in free else 0.0
-    speed, thickness = rig.layer.wave_speed, rig.layer.thickness
-    return [
-        changed_rig(
-            rig, {'layer.wave_speed': speed * part**power, 'layer.thickness': thickness * part}
-        )
-        for part in _THICKNESSES_NEARBY.tolist()
-    ]
-
-
 def _valleys(model: RigModel, plates: Sequence[PlateFit], rigs: list[Rig]) -> list[LayerCandidate]:
-    """
-    Find rigs with smaller sums of squares than those beside them in a row.
-
-    For the lowest of them the wave speed is then made the best between its neighbours.
-    """
+    """Find rigs in a row that fit better than their neighbours, and of the best the wave speed."""
 
     def mismatch(rig: Rig) -> LayerCandidate:
         return LayerCandidate(_mismatch(model, plates, rig), rig)
 
-    row = [LayerCandidate(math.inf, model.rig), *map(mismatch, rigs)]
-    row.append(row[0])
+    outside = LayerCandidate(math.inf, model.rig)
+    row = [outside, *map(mismatch, rigs), outside]
     valleys = [
         place
         for place in range(1, len(row) - 1)
@@ -190,28 +161,23 @@ def _valleys(model: RigModel, plates: Sequence[PlateFit], rigs: list[Rig]) -> li
 
 
 def _mismatch(model: RigModel, plates: Sequence[PlateFit], rig: Rig) -> float:
-    """
-    Sum up how far the projectiles are from those of a rig, wherever their heights count from.
-
-    Infinity if the model cannot follow it.
-    """
-    thinned = []
+    """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
+    times, tracks = [], []
     for throw, _, track in model.projectiles:
         every = -(-track.time.size // _SAMPLES)
-        since = track.time[::every] - plates[throw].start_time
-        thinned.append((since, track.position[::every], track.noise))
+        times.append(track.time[::every] - plates[throw].start_time)
+        tracks.append((track.position[::every], track.noise))
     try:
-        path = model.simulator.follow(rig, np.concatenate([since for since, _, _ in thinned]))
+        path = model.simulator.follow(rig, np.concatenate(times))
     except EffortError:
         raise
     except FitError:
         return math.inf
-    heights = np.split(path.position, np.cumsum([since.size for since, _, _ in thinned])[:-1])
-    chi2 = 0.0
-    for (_, position, noise), predicted in zip(thinned, heights, strict=True):
-        left = position - predicted
-        chi2 += float(np.sum((left - left.mean()) ** 2)) / noise**2
-    return chi2
+    heights = np.split(path.position, np.cumsum([time.size for time in times])[:-1])
+    return sum(
+        time.size * float(np.var(position - predicted)) / noise**2
+        for time, (position, noise), predicted in zip(times, tracks, heights, strict=True)
+    )
 
 
 def _thicknesses(model: RigModel, plates: Sequence[PlateFit], free: set[str]) -> list[float]:

@@ -9,16 +9,15 @@ and so are the standard errors; if it was estimated, they are multiplied by the 
 chi squared per degree of freedom, so that only the ratios of noises matter to them.
 
 A sample is an outlier if its residual is away from those around it by more than `OUTLIER_LIMIT`
-times the noise. So a model that does not fit makes no outliers: what it
-leaves changes slowly from sample to sample. If there are any, the fit is repeated with a robust
-loss, which they hardly draw to themselves; then they are left out, and the rest is fitted by
-plain least squares. Without outliers that is all there is.
+times the noise; what a model that does not fit leaves changes slowly, and makes none. If there
+are any, the fit is repeated with a robust loss; then they are left out, and the rest is fitted by
+plain least squares.
 
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 import math
@@ -61,12 +60,11 @@ class Estimate(NamedTuple):
     error: float
 
     def __str__(self) -> str:
-        if not 0.0 < self.error < math.inf:
-            return f'{self.value:.6g} +- {self.error:.2g}'
-        digits = 1 - math.floor(math.log10(self.error))
-        if -4 <= digits <= 9:
-            digits = max(digits, 0)
-            return f'{self.value:.{digits}f} +- {self.error:.{digits}f}'
+        if 0.0 < self.error < math.inf:
+            digits = 1 - math.floor(math.log10(self.error))
+            if -4 <= digits <= 9:
+                digits = max(digits, 0)
+                return f'{self.value:.{digits}f} +- {self.error:.{digits}f}'
         return f'{self.value:.6g} +- {self.error:.2g}'
 
 
@@ -85,13 +83,11 @@ class TrackResidual:
     Parameters
     ----------
     name : str
-        Of the track.
     track : Track
-        The data that were fitted.
+        The data that were fitted, without outliers.
     fitted : ndarray, shape (n,)
         What the model says at the same times. [m]
     outliers : tuple of Outlier
-        What was left out.
 
     """
 
@@ -144,17 +140,14 @@ class Fit:
     Parameters
     ----------
     names : tuple of str
-        Of the parameters.
     values : ndarray, shape (n,)
         In SI units.
     covariance : ndarray, shape (n, n)
-        Of their errors.
     chi2 : float
         Sum of the squared residuals, each over its noise, and of what is known over its error.
     dof : int
         Degrees of freedom: samples, and parameters known with an error, less parameters.
     residuals : tuple of TrackResidual
-        Track by track.
 
     """
 
@@ -188,29 +181,20 @@ class Fit:
         errors = self.errors
         return self.covariance / np.outer(errors, errors)
 
-    def inseparable(self) -> Iterator[tuple[str, str, float]]:
-        """
-        Yield pairs of parameters that the tracks do not tell apart, and their correlation.
-
-        Parameters of a single one of several throws, named with its number in brackets, are left
-        out.
-        """
-        correlation = self.correlation
-        shared = [place for place, name in enumerate(self.names) if not name.endswith(']')]
-        for i, j in combinations(shared, 2):
-            if abs(correlation[i, j]) > INSEPARABLE:
-                yield self.names[i], self.names[j], float(correlation[i, j])
-
     def warnings(self) -> list[str]:
         """Say what there is to doubt, each in a sentence."""
         found = []
-        for first, second, correlation in self.inseparable():
-            factor = 1.0 / math.sqrt(max(1.0 - correlation**2, 1e-12))
-            found.append(
-                f'{first} and {second} can hardly be told apart by these tracks (correlation '
-                f'{correlation:.4f}): the error of each is {factor:.0f} times what it would be if '
-                'the other were known; hold one'
-            )
+        correlation = self.correlation
+        # Parameters of a single one of several throws have its number in brackets
+        shared = [place for place, name in enumerate(self.names) if not name.endswith(']')]
+        for i, j in combinations(shared, 2):
+            if abs(correlation[i, j]) > INSEPARABLE:
+                factor = 1.0 / math.sqrt(max(1.0 - correlation[i, j] ** 2, 1e-12))
+                found.append(
+                    f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
+                    f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
+                    f'{factor:.0f} times what it would be if the other were known; hold one'
+                )
         if self.is_mismatch:
             found.append(
                 f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
@@ -242,23 +226,7 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class FitModel:
-    """
-    What is fitted.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Of the parameters.
-    predict : callable
-        Gives the heights of all tracks in one series, for values of the parameters. [m]
-    jacobian : callable
-        Gives its derivatives, shape (samples, parameters).
-    low, high : ndarray, shape (parameters,)
-        Between which the values stay.
-    known : mapping of int to Estimate
-        What is known of some parameters, by their places.
-
-    """
+    """What is fitted: heights of all tracks in one series [m], and their derivatives."""
 
     names: tuple[str, ...]
     predict: Callable[[Floats], Floats]
@@ -266,6 +234,37 @@ class FitModel:
     low: Floats
     high: Floats
     known: Mapping[int, Estimate] = field(default_factory=dict)
+    """What is known of some parameters, by their places."""
+
+    @classmethod
+    def with_steps(
+        cls,
+        names: Sequence[str],
+        predict: Callable[[Floats], Floats],
+        low: Floats,
+        high: Floats,
+        steps: Floats,
+    ) -> FitModel:
+        """Make a model whose derivatives are central differences with such steps."""
+
+        def jacobian(values: Floats) -> Floats:
+            columns = []
+            for place, step in enumerate(steps):
+                change, (width,) = central_difference(
+                    predict, values, [place], step=step, low=low[place], high=high[place]
+                )
+                columns.append(change / width)
+            return np.stack(columns, axis=1)
+
+        return cls(names=tuple(names), predict=predict, jacobian=jacobian, low=low, high=high)
+
+
+def fit_best(
+    model: FitModel, starts: Iterable[Floats], track: tuple[str, Track], *, max_evaluations: int
+) -> Fit:
+    """Fit a model to a track from several starts, and return the fit of least chi squared."""
+    tried = [fit_tracks(model, each, [track], max_evaluations=max_evaluations) for each in starts]
+    return min(tried, key=lambda found: found.chi2)
 
 
 def fit_tracks(
@@ -282,7 +281,6 @@ def fit_tracks(
     ----------
     model : FitModel
     start : ndarray, shape (n,)
-        Values to begin with.
     tracks : sequence of (str, Track)
         With their names, in the order of what the model predicts.
     max_evaluations : int
@@ -322,23 +320,19 @@ class _LeastSquares:
         self._model = model
         self._tracks = tracks
         self._max_evaluations = max_evaluations
+        sizes = [track.time.size for _, track in tracks]
         self._position = np.concatenate([track.position for _, track in tracks])
-        self._noise = np.concatenate(
-            [np.full(track.time.size, track.noise) for _, track in tracks]
-        )
-        self._ends = np.cumsum([track.time.size for _, track in tracks])[:-1]
+        self._noise = np.repeat([track.noise for _, track in tracks], sizes)
+        self._ends = np.cumsum(sizes)[:-1]
         self._known = np.array(list(model.known), dtype=np.intp)
-        known = list(model.known.values())
-        self._known_values = np.array([each.value for each in known])
-        self._known_errors = np.array([each.error for each in known])
+        self._known_values, self._known_errors = (
+            np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
+        )
         self.kept: Flags = np.ones(self._position.size, bool)
 
     def solve(self, start: Floats, *, loss: str = 'linear') -> Floats:
         """Return the best values."""
         model = self._model
-        # SciPy wants to start strictly within the bounds
-        width = model.high - model.low
-        margin = 1e-9 * np.where(np.isfinite(width), width, 1.0)
         is_sparse = start.size > _SPARSE_ABOVE
 
         def jacobian(values: Floats) -> Any:  # an array, or a sparse one
@@ -347,7 +341,7 @@ class _LeastSquares:
 
         solution = optimize.least_squares(
             self._residuals,
-            np.clip(start, model.low + margin, model.high - margin),
+            np.clip(start, model.low, model.high),
             jac=jacobian,
             tr_solver='lsmr' if is_sparse else 'exact',
             tr_options={'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {},
@@ -387,16 +381,13 @@ class _LeastSquares:
         fitted = np.split(self._model.predict(values), self._ends)
         kept = np.split(self.kept, self._ends)
         for (name, track), heights, is_kept in zip(self._tracks, fitted, kept, strict=True):
-            deviation = track.position - heights
-            outliers = zip(
-                track.time[~is_kept].tolist(), deviation[~is_kept].tolist(), strict=True
-            )
+            left_out = zip(track.time[~is_kept], (track.position - heights)[~is_kept], strict=True)
             residuals.append(
                 TrackResidual(
                     name=name,
                     track=track if is_kept.all() else track.where(is_kept),
                     fitted=heights[is_kept],
-                    outliers=tuple(Outlier(*pair) for pair in outliers),
+                    outliers=tuple(Outlier(float(at), float(apart)) for at, apart in left_out),
                 )
             )
         return Fit(
@@ -428,30 +419,14 @@ def central_difference(
     places: Sequence[int],
     *,
     step: float,
-    low: float = -math.inf,
-    high: float = math.inf,
+    low: float,
+    high: float,
 ) -> tuple[Floats, Floats]:
     """
-    Compute what a function changes by if some of its values change, one-sided beside a bound.
+    Change values at `places` by a step up and down, within bounds.
 
-    Parameters
-    ----------
-    function : callable
-        Of values, shape (n,).
-    values : ndarray, shape (n,)
-    places : sequence of int
-        Of the values that change together.
-    step : float
-        By how much, up and down.
-    low, high : float
-        Between which the values stay.
-
-    Returns
-    -------
-    tuple of ndarray
-        The change of the function, and for each place that of its value. Their quotient is the
-        derivative by that value, where no other of them matters; of second order in the step.
-
+    Returns the change of the function, and for each place that of its value. Their quotient is
+    the derivative, of second order in the step, where no other of the values matters.
     """
     above, below = values.copy(), values.copy()
     above[places] = np.minimum(values[places] + step, high)

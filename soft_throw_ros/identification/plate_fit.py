@@ -14,7 +14,6 @@ needed from anybody.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
@@ -22,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.least_squares import (
-    central_difference,
     Estimate,
     Fit,
-    fit_tracks,
+    fit_best,
     FitError,
     FitModel,
 )
@@ -46,7 +44,7 @@ _PERIODS_SEEN = 0.25  # at least, of the lowest one
 _MAX_MISMATCH = 0.08  # of the amplitude that may be left
 _BLOCK = 2**18  # numbers at once
 _REFINED = 3  # of the table's best
-_STEPS = (1e-5, 1e-6, 1e-5)  # for derivatives: relative in frequency and amplitude, not damping
+_STEP = 1e-5  # for derivatives, over what the values are of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +78,12 @@ class PlateFit:
     @property
     def peak_velocity(self) -> Estimate:
         """:math:`V_p^*` (D4), with its standard error. [m/s]"""
-        gradient = np.zeros(len(self.fit.names))
-        gradient[:3] = _peak_velocity_slopes(self.fit.values[:3])
-        error = math.sqrt(float(gradient @ self.fit.covariance @ gradient))
-        return Estimate(self.motion.peak_velocity, error)
+        frequency, damping, amplitude = self.fit.values[:3].tolist()
+        rest = 1.0 - damping**2
+        by_damping = damping / rest - math.acos(damping) / rest**1.5
+        peak = self.motion.peak_velocity
+        slopes = peak * np.array([1.0 / frequency, by_damping, 1.0 / amplitude])
+        return Estimate(peak, math.sqrt(float(slopes @ self.fit.covariance[:3, :3] @ slopes)))
 
 
 def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
@@ -103,29 +103,20 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     FitError
         If the track does not look like such a motion, saying what it looks like.
 
-    Examples
-    --------
-    >>> time = np.linspace(0.0, 0.1, 201)
-    >>> plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
-    >>> found = fit_plate(Track(time=time, position=plate.position(time - 0.02)))
-    >>> round(found.motion.frequency, 6), round(found.start_time, 6)
-    (63.2, 0.02)
-
     """
     free = len(NAMES) if offset is None else len(NAMES) - 1
     fixed = () if offset is None else (offset,)
-    model = FitModel(
-        names=NAMES[:free],
-        predict=lambda values: _position(np.append(values, fixed), track.time),
-        jacobian=lambda values: _slopes(np.append(values, fixed), track.time)[:, :free],
-        low=np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
-        high=np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free],
+    starts = [start[:free] for start in _starts(track.without_spikes())]
+    frequency, amplitude = starts[0][0], max(starts[0][2], 1e-12)
+    steps = np.array([frequency, 0.1, amplitude, 1.0 / frequency, amplitude])[:free]
+    model = FitModel.with_steps(
+        NAMES[:free],
+        lambda values: _position(np.append(values, fixed), track.time),
+        np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
+        np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free],
+        _STEP * steps,
     )
-    tried = [
-        fit_tracks(model, start[:free], [('plate', track)], max_evaluations=200)
-        for start in _starts(track.without_spikes())
-    ]
-    best = min(tried, key=lambda found: found.chi2)
+    best = fit_best(model, starts, ('plate', track), max_evaluations=200)
     if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
         raise FitError(
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
@@ -152,31 +143,6 @@ def _motion(values: Floats) -> Underdamped:
 def _position(values: Floats, time: Floats) -> Floats:
     """Compute heights for values of `NAMES`."""
     return np.asarray(values[4] + _motion(values).position(time - values[3]))
-
-
-def _slopes(values: Floats, time: Floats) -> Floats:
-    """Differentiate the height by all of `NAMES`."""
-    velocity = _motion(values).velocity(time - values[3])
-    shape = _differentiate(lambda changed: _position(changed, time), values)
-    return np.stack([*shape, -velocity, np.ones_like(time)], axis=1)
-
-
-def _peak_velocity_slopes(values: Floats) -> list[Floats]:
-    """Differentiate the largest velocity by frequency, damping ratio and amplitude."""
-    return _differentiate(lambda changed: np.array(_motion(changed).peak_velocity), values)
-
-
-def _differentiate(function: Callable[[Floats], Floats], values: Floats) -> list[Floats]:
-    """Differentiate a property of the motion by frequency, damping ratio and amplitude."""
-    slopes = []
-    for place, step in enumerate(_STEPS):
-        size = 1.0 if place == 1 else max(abs(float(values[place])), 1e-9)
-        high = MAX_DAMPING_RATIO if place == 1 else math.inf
-        change, width = central_difference(
-            function, values, [place], step=step * size, low=0.0, high=high
-        )
-        slopes.append(change / width[0])
-    return slopes
 
 
 def _starts(track: Track) -> list[Floats]:
@@ -210,12 +176,7 @@ def _frequencies(time: Floats, damping: float) -> Floats:
 def _best_of(
     frequencies: Floats, damping: float, time: Floats, height: Floats
 ) -> tuple[float, Floats]:
-    """
-    Find which frequency and which start leave least, for one damping.
-
-    Returns by how much the sum of squares falls, and the values of `NAMES`; the amplitude is
-    negative if the plate goes down.
-    """
+    """Find by how much the sum of squares falls at best for one damping, and values of `NAMES`."""
     count = time.size
     size = 2 ** math.ceil(math.log2(2 * count))
     mean = float(height.mean())

@@ -77,7 +77,7 @@ class RigFit:
         """Return what was varied of the rig, with the mean of what each throw has for itself."""
         found = {}
         for name in self._model.description.varied:
-            places = self._model.places[name]
+            places = self._model.places_of(name)
             variance = float(self.fit.covariance[np.ix_(places, places)].mean())
             found[name] = Estimate(float(self.fit.values[places].mean()), math.sqrt(variance))
         return found
@@ -92,33 +92,14 @@ class RigFit:
         return self._model.value(self.fit.values, 'start_time', throw)
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
-        """
-        Predict what the tracks of a throw should show.
-
-        Parameters
-        ----------
-        throw : int
-            Which, from 0.
-        time : ndarray, shape (n,)
-            On the clock of its tracks. [s]
-
-        Returns
-        -------
-        tuple of ndarray
-            Heights of plate and projectile, as the tracks count them. [m]
-
-        """
+        """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
         places = [(throw, body, time) for body in ('plate', 'projectile')]
         (plate, _), (projectile, _) = self._model.paths(self.fit.values, places)
         return plate, projectile
 
 
 def fit_rig(
-    throws: Sequence[ThrowTracks],
-    rig: Rig,
-    description: FitDescription | None = None,
-    *,
-    start: Rig | None = None,
+    throws: Sequence[ThrowTracks], rig: Rig, description: FitDescription | None = None
 ) -> RigFit:
     """
     Fit a rig to the tracks of one throw or many.
@@ -132,12 +113,6 @@ def fit_rig(
         be right to a third.
     description : FitDescription, optional
         What is fitted, held, or known with an error; what is usual by default.
-    start : Rig, optional
-        With about the right layer, which then is not looked for.
-
-    Returns
-    -------
-    RigFit
 
     Raises
     ------
@@ -157,9 +132,7 @@ def fit_rig(
     rig = _with_engine_of(plates, description.prepare(rig), description)
     simulator = ThrowSimulator(throws=len(throws) if description.per_throw else 1)
     model = RigModel(tuple(throws), rig, description, known, simulator)
-    if start is not None:
-        model = replace(model, rig=changed_rig(rig, values_of(start, free)))
-    elif free:
+    if free:
         model = replace(model, rig=find_layer(model, plates))
     return _fit_until_landing(model, plates)
 
@@ -169,7 +142,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     Let no noise that is estimated be far below the others, or below what models leave out.
 
     Both bodies are seen by the same means; where an estimate is very small it is the motion that
-    is smooth, as that of a computed projectile in flight, and the fit would see nothing else.
+    is smooth, and the fit would see nothing else.
     """
     tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
     least = max(

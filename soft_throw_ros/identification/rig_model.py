@@ -59,17 +59,7 @@ class Channel(NamedTuple):
 @dataclass(frozen=True)
 class RigModel:
     """
-    What is fitted to what.
-
-    Parameters
-    ----------
-    throws : tuple of ThrowTracks
-    rig : Rig
-        What is known, and where to start.
-    description : FitDescription
-    known : mapping of str to Estimate
-        What is known of some of its parameters, with an error.
-    simulator : ThrowSimulator
+    What is fitted to what, from the values of `rig` on.
 
     Notes
     -----
@@ -109,11 +99,13 @@ class RigModel:
         return [channel for channel in self.channels if channel.body == 'projectile']
 
     @cached_property
-    def places(self) -> dict[str, list[int]]:
-        """Where each parameter stands among the values: once, or once for each throw."""
+    def places(self) -> dict[str, dict[int | None, int]]:
+        """Where each parameter stands among the values: by throw, or once, by None."""
         per_throw = self.description.per_throw
         shared = [name for name in self.description.varied if name not in per_throw]
-        places = {name: [place] for place, name in enumerate(shared)}
+        places: dict[str, dict[int | None, int]] = {
+            name: {None: place} for place, name in enumerate(shared)
+        }
         own = [*per_throw, _START]
         own += [] if self.description.heights == 'absolute' else [_PLATE_ZERO]
         own += [_PROJECTILE_ZERO] if self.description.heights == 'own' else []
@@ -121,7 +113,7 @@ class RigModel:
         for number, throw in enumerate(self.throws):
             for name in own:
                 if name != _PROJECTILE_ZERO or throw.projectile is not None:
-                    places.setdefault(name, [-1] * len(self.throws))[number] = count
+                    places.setdefault(name, {})[number] = count
                     count += 1
         return places
 
@@ -129,23 +121,27 @@ class RigModel:
     def names(self) -> tuple[str, ...]:
         """Names of the values; of several throws each has its number from 1 in brackets."""
         named = {
-            place: f'{name}[{number}]' if len(places) > 1 else name
+            place: name if throw is None or len(self.throws) == 1 else f'{name}[{throw + 1}]'
             for name, places in self.places.items()
-            for number, place in enumerate(places, 1)
+            for throw, place in places.items()
         }
-        return tuple(named[place] for place in sorted(named) if place >= 0)
+        return tuple(named[place] for place in sorted(named))
+
+    def places_of(self, name: str) -> list[int]:
+        """Where a parameter stands among the values, of all throws."""
+        return list(self.places[name].values())
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Look up a parameter of a throw; a height from which none counts is 0."""
-        places = self.places.get(name, [-1])
-        place = places[throw if len(places) > 1 else 0]
-        return 0.0 if place < 0 else float(values[place])
+        places = self.places.get(name, {})
+        place = places.get(throw, places.get(None))
+        return 0.0 if place is None else float(values[place])
 
     def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
         """Make the rig of a throw; by default with the mean of what each has for itself."""
         changes = {}
         for name in self.description.varied:
-            mean = float(np.mean(values[self.places[name]]))
+            mean = float(np.mean(values[self.places_of(name)]))
             changes[name] = mean if throw is None else self.value(values, name, throw)
         return changed_rig(self.rig, changes)
 
@@ -165,49 +161,32 @@ class RigModel:
         self, values: Floats, places: Sequence[tuple[int, str, Floats]] | None = None
     ) -> list[tuple[Floats, Floats]]:
         """
-        Compute heights [m] and velocities [m/s].
+        Compute heights [m] and velocities [m/s], or raise FitError if a throw cannot be followed.
 
-        Parameters
-        ----------
-        values : ndarray
-        places : sequence of (int, str, ndarray), optional
-            Throw, body, and times on the clock of its tracks [s]; those of all channels by
-            default.
-
-        Raises
-        ------
-        FitError
-            If the throw cannot be followed.
-
+        They are those of throws, bodies, and times on the clock of the tracks; by default those
+        of all channels. Throws of the same rig are followed together.
         """
         if places is None:
             places = [(throw, body, track.time) for throw, body, track in self.channels]
         since = [time - self.value(values, _START, throw) for throw, _, time in places]
-        rigs = [self.rig_of(values, throw) for throw, _, _ in places]
         found: dict[int, tuple[Floats, Floats]] = {}
+        alike: dict[Rig, list[int]] = {}
         for number, (throw, body, _) in enumerate(places):
+            rig = self.rig_of(values, throw)
             if body == 'plate':
-                motion = Underdamped.of(rigs[number].engine)
-                zero = self.value(values, _PLATE_ZERO, throw)
-                found[number] = (
-                    zero + motion.position(since[number]),
-                    motion.velocity(since[number]),
-                )
-            elif number not in found:  # throws of the same rig are followed together
-                rig = rigs[number]
-                alike = [
-                    other
-                    for other, place in enumerate(places)
-                    if place[1] == body and rigs[other] == rig
-                ]
-                times = np.concatenate([since[other] for other in alike])
-                path = self.simulator.follow(rig, times, by_cells=self.by_cells)
-                end = 0
-                for other in alike:
-                    part = slice(end, end + since[other].size)
-                    end = part.stop
-                    zero = self._projectile_zero(values, places[other][0], rig)
-                    found[other] = zero + path.position[part], path.velocity[part]
+                motion = Underdamped.of(rig.engine)
+                height = self.value(values, _PLATE_ZERO, throw) + motion.position(since[number])
+                found[number] = height, motion.velocity(since[number])
+            else:
+                alike.setdefault(rig, []).append(number)
+        for rig, numbers in alike.items():
+            times = np.concatenate([since[number] for number in numbers])
+            path = self.simulator.follow(rig, times, by_cells=self.by_cells)
+            ends = np.cumsum([since[number].size for number in numbers])[:-1]
+            parts = np.split(path.position, ends), np.split(path.velocity, ends)
+            for number, position, velocity in zip(numbers, *parts, strict=True):
+                zero = self._projectile_zero(values, places[number][0], rig)
+                found[number] = zero + position, velocity
         return [found[number] for number in range(len(places))]
 
     def _projectile_zero(self, values: Floats, throw: int, rig: Rig) -> float:
@@ -219,16 +198,13 @@ class RigModel:
 
     def jacobian(self, values: Floats) -> Floats:
         """Differentiate `predict`."""
-        rows = np.concatenate(
-            [np.full(each.track.time.size, each.throw) for each in self.channels]
-        )
-        is_plate = np.concatenate(
-            [np.full(each.track.time.size, each.body == 'plate') for each in self.channels]
-        )
+        sizes = [each.track.time.size for each in self.channels]
+        rows = np.repeat([each.throw for each in self.channels], sizes)
+        is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
         velocity = np.concatenate([velocities for _, velocities in self.paths(values)])
         jacobian = np.zeros((rows.size, values.size))
-        for name, every in self.places.items():
-            places = [place for place in every if place >= 0]
+        for name, by_throw in self.places.items():
+            places = self.places_of(name)
             widths = np.ones(len(places))
             if name == _START:
                 change = -velocity
@@ -244,9 +220,8 @@ class RigModel:
                 change, widths = central_difference(
                     self.predict, values, places, step=step, low=low, high=high
                 )
-            throws = [throw for throw, place in enumerate(every) if place >= 0]
-            for throw, place, width in zip(throws, places, widths, strict=True):
-                inside = rows == throw if len(every) > 1 else slice(None)
+            for (throw, place), width in zip(by_throw.items(), widths, strict=True):
+                inside = slice(None) if throw is None else rows == throw
                 jacobian[inside, place] = change[inside] / width
         return jacobian
 
@@ -254,7 +229,7 @@ class RigModel:
         """Find where to start from, given fits of the plates alone."""
         values = np.zeros(len(self.names))
         for name, value in values_of(self.rig, self.description.varied).items():
-            values[self.places[name]] = value
+            values[self.places_of(name)] = value
         for throw, plate in enumerate(plates):
             found = {_START: plate.start_time, _PLATE_ZERO: plate.offset}
             engine = dict(zip(ENGINE, plate.fit.values[:3].tolist(), strict=True))
@@ -265,25 +240,17 @@ class RigModel:
         if _PROJECTILE_ZERO in self.places:
             paths = self.paths(values)
             for (throw, body, track), (heights, _) in zip(self.channels, paths, strict=True):
-                if body == 'plate':
-                    continue
-                zero = float(np.median(track.position - heights))
-                values[self.places[_PROJECTILE_ZERO][throw]] = zero
+                if body == 'projectile':
+                    zero = float(np.median(track.position - heights))
+                    values[self.places[_PROJECTILE_ZERO][throw]] = zero
         return values
 
     def fit(self, start: Floats, *, max_evaluations: int = 100) -> Fit:
-        """
-        Fit.
-
-        Raises
-        ------
-        FitError
-            If it cannot be done.
-
-        """
+        """Fit, or raise FitError if it cannot be done."""
         low, high = np.full((2, start.size), [[-math.inf], [math.inf]])
         for name in self.description.varied:
-            low[self.places[name]], high[self.places[name]] = _BOUNDS[name]
+            places = self.places_of(name)
+            low[places], high[places] = _BOUNDS[name]
         model = FitModel(
             names=self.names,
             predict=self.predict,
@@ -293,7 +260,7 @@ class RigModel:
             known={
                 place: estimate
                 for name, estimate in self.known.items()
-                for place in self.places[name]
+                for place in self.places_of(name)
             },
         )
         return fit_tracks(model, start, self.tracks(), max_evaluations=max_evaluations)
@@ -305,8 +272,8 @@ class RigModel:
             projectile = throw.projectile
             if projectile is not None:
                 end = plate.start_time + after
-                seen = int((projectile.time <= end).sum())
-                projectile = projectile.between(-math.inf, end) if seen >= FEWEST else None
+                is_seen = int((projectile.time <= end).sum()) >= FEWEST
+                projectile = projectile.between(-math.inf, end) if is_seen else None
             throws.append(replace(throw, projectile=projectile))
         return replace(self, throws=tuple(throws))
 

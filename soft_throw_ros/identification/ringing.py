@@ -26,10 +26,9 @@ from numpy.typing import NDArray
 from scipy import stats
 from soft_throw_ros.core import checks
 from soft_throw_ros.identification.least_squares import (
-    central_difference,
     Estimate,
     Fit,
-    fit_tracks,
+    fit_best,
     FitError,
     FitModel,
 )
@@ -52,13 +51,8 @@ class Ringing:
     r"""
     How a free layer rings.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of `period` :math:`T_0` [s], `loss_tangent` at that period [-], `length` at rest [m], and
-        of the modes.
-    start_time : float
-        From when on it was fitted. [s]
+    The fit is of `period` :math:`T_0` [s], `loss_tangent` at that period [-], `length` at rest
+    [m], and of the modes, from `start_time` [s] on.
 
     """
 
@@ -83,19 +77,7 @@ class Ringing:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveSpeed:
-    """
-    The wave speed of a material, from layers of several thicknesses.
-
-    Parameters
-    ----------
-    value : Estimate
-        :math:`c_s`. [m/s]
-    chi2 : float
-        Sum over the layers of squared differences over errors.
-    dof : int
-        Layers less one.
-
-    """
+    """The wave speed of a material [m/s], with chi squared and degrees of freedom."""
 
     value: Estimate
     chi2: float
@@ -108,15 +90,7 @@ class WaveSpeed:
 
 
 def change_of_length(bottom: Track, top: Track) -> Track:
-    """
-    Subtract the track of a layer's bottom from that of its top, where both were seen.
-
-    Raises
-    ------
-    TrackError
-        If that is too seldom.
-
-    """
+    """Subtract the track of a layer's bottom from its top's; both must be seen often enough."""
     time, lower, upper = np.intersect1d(bottom.time, top.time, return_indices=True)
     if time.size < FEWEST:
         raise TrackError(
@@ -145,14 +119,6 @@ def fit_ringing(length: Track) -> Ringing:
     FitError
         If it does not ring.
 
-    Examples
-    --------
-    >>> time = np.linspace(0.0, 0.02, 201)
-    >>> rings = 1e-3 * np.exp(-50.0 * time) * np.cos(2.0 * np.pi * 232.0 * time)
-    >>> found = fit_ringing(Track(time=time, position=16.8e-3 + rings))
-    >>> round(1.0 / found.period.value, 1)
-    232.1
-
     """
     smooth = length.without_spikes()
     late = smooth.position[smooth.position.size // 2 :]
@@ -165,8 +131,8 @@ def fit_ringing(length: Track) -> Ringing:
         free = length.between(onset, math.inf)
     except TrackError as error:
         raise FitError(f'the layer is not seen ringing: {error}') from None
-    tried = [_fit_from(free, *start) for start in _starts(free.without_spikes())]
-    best = min(tried, key=lambda found: found.chi2)
+    starts = _starts(free.without_spikes())
+    best = _fit_modes(free, starts)
     size = math.hypot(*best.values[3:5])
     if size < 5.0 * math.hypot(*best.errors[3:5]):
         raise FitError(
@@ -190,7 +156,7 @@ def fit_wave_speed(
     thicknesses : sequence of float
         [m]
     periods : sequence of Estimate
-        Eigenperiods :math:`T_0` of the free layers, with errors. [s]
+        Eigenperiods :math:`T_0` of the free layers. [s]
     thickness_error : float
         Standard error of each thickness. [m]
 
@@ -203,13 +169,6 @@ def fit_wave_speed(
     -----
     Least squares of :math:`T_0 - 2 L_s / c_s` over its error, to which both contribute. If the
     layers scatter more than that, the error of the result is larger by as much.
-
-    Examples
-    --------
-    >>> speed = fit_wave_speed([0.01, 0.02], [Estimate(2e-3, 1e-5), Estimate(4e-3, 1e-5)],
-    ...                        thickness_error=1e-4)
-    >>> str(speed.value)
-    '10.000 +- 0.050'
 
     """
     if not thicknesses or len(thicknesses) != len(periods):
@@ -233,38 +192,29 @@ def fit_wave_speed(
     return WaveSpeed(value=Estimate(speed, speed * relative), chi2=chi2, dof=dof)
 
 
-def _fit_from(length: Track, period: float, loss_tangent: float) -> Fit:
-    """Fit from a period and a loss, at which the rest is linear."""
+def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:
+    """Fit from periods and losses, at which the rest is linear."""
     time = length.time - length.time[0]
-    count = len(_MODES)
-    if _MODES[-1] / period > 0.4 / length.interval:
-        count = 1  # the others cannot be seen
-    phases = ('cosine', 'sine')
+    usual, _ = starts[0]
+    # A mode of which there are not two or three samples in a period cannot be seen
+    count = sum(mode / usual <= 0.4 / length.interval for mode in _MODES) or 1
     names = ['period', 'loss_tangent', 'length']
-    names += [f'{phase} {mode + 1}' for mode in range(count) for phase in phases]
-
-    def predict(values: Floats) -> Floats:
-        return np.asarray(_modes(time, values[0], values[1], count) @ values[2:])
-
-    def jacobian(values: Floats) -> Floats:
-        columns = []
-        for place, step in enumerate((_STEP * values[0], max(_STEP, _STEP * values[1]))):
-            low = 0.0 if place else -math.inf
-            change, width = central_difference(predict, values, [place], step=step, low=low)
-            columns.append(change / width[0])
-        return np.column_stack([*columns, _modes(time, values[0], values[1], count)])
-
-    linear, *_ = np.linalg.lstsq(
-        _modes(time, period, loss_tangent, count), length.position, rcond=None
-    )
+    names += [f'{phase} {mode + 1}' for mode in range(count) for phase in ('cosine', 'sine')]
+    values = []
+    for period, loss_tangent in starts:
+        columns = _modes(time, period, loss_tangent, count)
+        linear, *_ = np.linalg.lstsq(columns, length.position, rcond=None)
+        values.append(np.array([period, loss_tangent, *linear]))
     low, high = np.full((2, len(names)), np.array([[-np.inf], [np.inf]]))
-    low[:2] = 2.0 * length.interval, 0.0
-    high[:2] = 2.0 * length.duration, _MAX_LOSS
-    return fit_tracks(
-        FitModel(names=tuple(names), predict=predict, jacobian=jacobian, low=low, high=high),
-        np.array([period, loss_tangent, *linear]),
-        [('length', length)],
-    )
+    low[:2], high[:2] = (2.0 * length.interval, 0.0), (2.0 * length.duration, _MAX_LOSS)
+    steps = np.full(len(names), _STEP * np.ptp(length.position))
+    steps[:2] = _STEP * usual, _STEP
+    model = FitModel.with_steps(
+        names,
+        lambda values: np.asarray(_modes(time, values[0], values[1], count) @ values[2:]),
+        low, high, steps,
+    )  # fmt: skip
+    return fit_best(model, values, ('length', length), max_evaluations=100)
 
 
 def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floats:

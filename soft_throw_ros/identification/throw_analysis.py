@@ -2,13 +2,14 @@
 r"""
 What a throw gave: ejection time and speed, plate speed, energy transfer (Sec. II A of the paper).
 
-By running averages and centred differences, as in the paper, which needs to know nothing of the
-layer; or from a rig that was fitted, which is several times as exact if the model is right.
+By running averages and centred differences, which need to know nothing of the layer; or from a
+rig that was fitted, which is several times as exact if the model is right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
@@ -27,7 +28,6 @@ Floats = NDArray[np.float64]
 
 _WINDOW = 1.0 / 16.0  # of the running average, in plate periods
 _SAMPLES_PER_PERIOD = 20  # of the plate at least
-_PEAK = 0.1  # plate periods beside its fastest moment that are fitted by a parabola
 _FULL_SPEED = 0.97  # of the largest speed, at which the projectile leaves about now
 _APPROACH = 0.16  # of the ejection speed: how much of the end of its rise is fitted, ...
 _OTHER_APPROACHES = (0.12, 0.24)  # and what else one could have taken
@@ -41,26 +41,18 @@ class Ejection:
     r"""
     How the projectile left, with standard errors.
 
-    Parameters
-    ----------
-    time : Estimate
-        :math:`t_e`, since the plate began to move. [s]
-    speed : Estimate
-        :math:`V_e`. [m/s]
-    peak_plate_speed : Estimate
-        :math:`V_p^*`. [m/s]
-    energy_transfer : Estimate
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    is_near_jump : bool
-        Whether the ejection may be another within the errors, since it jumps where it passes odd
-        multiples of the crossing time. Then the errors are those of a choice between two.
-
+    Near a jump it may be another within the errors, which then are those of a choice between two:
+    it jumps where it passes odd multiples of the crossing time.
     """
 
     time: Estimate
+    r""":math:`t_e`, since the plate began to move. [s]"""
     speed: Estimate
+    r""":math:`V_e`. [m/s]"""
     peak_plate_speed: Estimate
+    r""":math:`V_p^*`. [m/s]"""
     energy_transfer: Estimate
+    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
     is_near_jump: bool = False
 
 
@@ -83,13 +75,13 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
 
     Notes
     -----
-    Running averages take a sixteenth of a plate period. :math:`V_p^*` is the top of a parabola
-    through the plate's speeds beside the largest. In flight the speed falls with gravity alone;
-    before, it falls short of that by :math:`k (t_e - t)^2 / 2`, since the contact force vanishes
-    at :math:`t_e`. That is fitted where it falls short by less than 16 %, and :math:`V_e` is the
-    speed of the flight, taken back to :math:`t_e`; if the projectile was caught up in between, it
-    is that of the last release. Both plate and flight are smoothed once more to see what
-    smoothing does, and that is taken back (twicing [1]_).
+    Running averages take a sixteenth of a plate period. In flight the speed falls with gravity
+    alone; before, it falls short of that by :math:`k (t_e - t)^2 / 2`, since the contact force
+    vanishes at :math:`t_e`. That is fitted where it falls short by less than 16 %, and
+    :math:`V_e` is the speed of the flight, taken back to :math:`t_e`; if the projectile was
+    caught up in between, it is that of the last release. What is smooth is smoothed once more to
+    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*` is that of the motion
+    that fits the plate (D4).
 
     Errors are the spread of results with other noise, half of what was taken back, and for
     :math:`t_e` the difference between fitting 12 % and 24 %.
@@ -102,27 +94,27 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     if tracks.projectile is None:
         raise FitError(f'{tracks.name}: there is no track of the projectile')
     plate = fit_plate(tracks.plate)
-    bodies = tracks.plate.without_spikes(), tracks.projectile.without_spikes()
-    period, interval = 1.0 / plate.motion.frequency, tracks.plate.interval
+    period, interval = 1.0 / plate.motion.frequency, tracks.projectile.interval
     if interval * _SAMPLES_PER_PERIOD > period:
         raise FitError(
             f'{tracks.name}: running averages need at least {_SAMPLES_PER_PERIOD} samples per '
             f'plate period ({period:.3g} s), got one every {interval:.3g} s'
         )
-    width = max(3, 2 * round(0.5 * _WINDOW * period / interval) + 1)
-    averages = _RunningAverages(width, period, gravity)
+    projectile = tracks.projectile.without_spikes()
+    averages = _RunningAverages(
+        max(3, 2 * round(0.5 * _WINDOW * period / interval) + 1), period, gravity
+    )
     try:
-        found, given_back = averages.measure_twice(*bodies)
-        others = [averages.measure(*bodies, approach)[0] for approach in _OTHER_APPROACHES]
+        found, taken_back = averages.measure_twice(projectile)
+        others = [averages.measure(projectile, approach) for approach in _OTHER_APPROACHES]
     except FitError as error:
         raise FitError(f'{tracks.name}: {error}') from None
-    spread = averages.spread(*bodies)
-    errors = np.hypot(spread, 0.5 * given_back)
-    doubt = others[1] - others[0]
-    errors[0] = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
-    errors[1] = math.hypot(errors[1], gravity * doubt)
-    found[0] -= plate.start_time
-    time, speed, plate_speed = (Estimate(*pair) for pair in zip(found, errors, strict=True))
+    doubt = (others[1] - others[0])[0]
+    errors = np.hypot(averages.spread(projectile), 0.5 * taken_back)
+    time_error = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
+    time = Estimate(float(found[0]) - plate.start_time, time_error)
+    speed = Estimate(float(found[1]), math.hypot(errors[1], gravity * doubt))
+    plate_speed = plate.peak_velocity
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
     return Ejection(
@@ -140,35 +132,25 @@ class _RunningAverages(NamedTuple):
     period: float
     gravity: float
 
-    def measure_twice(self, plate: Track, projectile: Track) -> tuple[Floats, Floats]:
+    def measure_twice(self, projectile: Track) -> tuple[Floats, Floats]:
         """Measure after smoothing once, less what smoothing once more does; and that alone."""
-        once = self.measure(plate, projectile, _APPROACH)
-        again = self.measure(self.smooth(plate), self.smooth(projectile), _APPROACH)
+        once = self.measure(projectile, _APPROACH)
+        again = self.measure(self.smooth(projectile), _APPROACH)
         return 2.0 * once - again, once - again
 
-    def spread(self, plate: Track, projectile: Track) -> Floats:
-        """Measure how results vary with noise, by giving the smoothed tracks another one."""
+    def spread(self, projectile: Track) -> Floats:
+        """Measure how results vary with noise, by giving the smoothed track another one."""
         rng = np.random.default_rng(0)
+        smooth = self.smooth(projectile)
         results = []
-        smooth = self.smooth(plate), self.smooth(projectile)
-
-        def noisy(track: Track) -> Track:
-            noise = rng.normal(0.0, track.noise, track.time.size)
-            return replace(track, position=track.position + noise)
-
         for _ in range(_REPEATS):
-            try:
-                results.append(self.measure_twice(noisy(smooth[0]), noisy(smooth[1]))[0])
-            except FitError:
-                continue  # with this noise the ejection is not to be seen
+            noise = rng.normal(0.0, smooth.noise, smooth.time.size)
+            with contextlib.suppress(FitError):  # then the ejection is not to be seen
+                noisy = replace(smooth, position=smooth.position + noise)
+                results.append(self.measure_twice(noisy)[0])
         if len(results) < 0.5 * _REPEATS:
-            return np.full(3, math.inf)
+            return np.full(2, math.inf)
         return np.asarray(np.std(results, axis=0, ddof=1))
-
-    def measure(self, plate: Track, projectile: Track, approach: float) -> Floats:
-        """Measure ejection time on the clock of the track, ejection speed and plate speed."""
-        ejection_time, speed = self._ejection(projectile, approach)
-        return np.array([ejection_time, speed, self._peak_plate_speed(plate)])
 
     def smooth(self, track: Track) -> Track:
         """Average."""
@@ -183,23 +165,12 @@ class _RunningAverages(NamedTuple):
             known_noise=track.noise,
         )
 
-    def _peak_plate_speed(self, plate: Track) -> float:
-        """Find the top of a parabola through the plate's speeds beside the largest."""
-        time, speed = _speeds(self.smooth(plate))
-        fastest = time[np.argmax(speed)]
-        near = np.abs(time - fastest) <= _PEAK * self.period
-        if near.sum() < 4:
-            raise FitError('the plate is not seen where it is fastest')
-        bend, slope, level = np.polyfit(time[near] - fastest, speed[near], 2)
-        if bend >= 0.0:
-            raise FitError('the speed of the plate is lost in noise')
-        return float(level - 0.25 * slope**2 / bend)
-
-    def _ejection(self, projectile: Track, approach: float) -> tuple[float, float]:
-        """Find when and how fast the projectile leaves."""
+    def measure(self, projectile: Track, approach: float) -> Floats:
+        """Find when, on the clock of the track, and how fast the projectile leaves."""
         smooth = self.smooth(projectile)
-        time, speed = _speeds(smooth)
-        height = smooth.position[1:-1]
+        time, position = smooth.time, smooth.position
+        speed = (position[2:] - position[:-2]) / (time[2:] - time[:-2])
+        time, height = time[1:-1], position[1:-1]
         fastest = int(np.argmax(speed >= _FULL_SPEED * speed.max()))
         is_flight = time > time[fastest] + self.period / 8.0
         fallen = np.flatnonzero(is_flight & (height < height[fastest]))
@@ -221,7 +192,7 @@ class _RunningAverages(NamedTuple):
         if part.sum() < 4:
             raise FitError('the projectile is not seen as it leaves')
         ejection_time = _hinge(time[part], short[part])
-        return ejection_time, level - self.gravity * ejection_time
+        return np.array([ejection_time, level - self.gravity * ejection_time])
 
 
 def _hinge(time: Floats, values: Floats) -> float:
@@ -231,12 +202,6 @@ def _hinge(time: Floats, values: Floats) -> float:
     weights = np.maximum(shapes @ values, 0.0)
     gains = weights**2 / np.maximum(np.sum(shapes**2, axis=1), 1e-300)
     return float(times[np.argmax(gains)])
-
-
-def _speeds(track: Track) -> tuple[Floats, Floats]:
-    """Differentiate, by centred differences."""
-    time, position = track.time, track.position
-    return time[1:-1], (position[2:] - position[:-2]) / (time[2:] - time[:-2])
 
 
 def ejection_of(found: RigFit) -> Ejection:
@@ -282,9 +247,6 @@ def _rigs_like(found: RigFit) -> Iterator[Rig]:
     powers, axes = np.linalg.eigh(found.fit.correlation[np.ix_(places, places)])
     steps = np.random.default_rng(0).normal(size=(_DRAWS, len(places)))
     for step in (steps * np.sqrt(np.maximum(powers, 0.0))) @ axes.T:
-        try:
-            yield changed_rig(
-                found.rig, dict(zip(names, (values + errors * step).tolist(), strict=True))
-            )
-        except ValueError:
-            continue  # beyond what is physical
+        drawn = dict(zip(names, (values + errors * step).tolist(), strict=True))
+        with contextlib.suppress(ValueError):  # beyond what is physical
+            yield changed_rig(found.rig, drawn)

@@ -46,72 +46,51 @@ def read_csv(
     unit : str
         Of the heights, one of `UNITS`.
 
-    Returns
-    -------
-    dict of str to Track
-
     Raises
     ------
     TrackError
         With the number of the line, if something is wrong.
 
-    Examples
-    --------
-    >>> lines = ['t [s]; plate [mm]'] + [f'{t}; {t * t}' for t in range(20)]
-    >>> track = read_csv(lines, 'example', ('plate',), unit='mm')['plate']
-    >>> round(float(track.position[3]), 6)
-    0.009
-
     """
-    scale = UNITS[unit]
-    columns: dict[str, int] = {}
-    values: dict[str, list[float]] = {}
-    times: list[float] = []
-    width = 0
-    for number, cells in _rows(lines):
-        where = f'{name}:{number}'
-        if not columns:
-            is_header = not any(map(_is_number, cells))
-            columns = (
-                _named_columns(cells, bodies, unit, where)
-                if is_header
-                else _unnamed_columns(cells, bodies)
-            )
-            values = {body: [] for body in columns if body != 'time'}
-            width = len(cells)
-            if not values:
-                raise TrackError(
-                    f'{where}: must have a time and the height of the {bodies[0]}, '
-                    f'got {cells[0]!r} alone'
-                )
-            if is_header:
-                continue
-        if len(cells) != width:
-            raise TrackError(f'{where}: must have {width} values as above, got {len(cells)}')
-        time = _read_number(cells[columns['time']], 'time', where)
-        if math.isnan(time):
-            raise TrackError(f'{where}: time must be a finite number, got {"nan"!r}')
-        if times and time <= times[-1]:
-            raise TrackError(f'{where}: time must increase, got {time:g} after {times[-1]:g}')
-        times.append(time)
-        for body, series in values.items():
-            series.append(scale * _read_number(cells[columns[body]], body, where))
-    if not columns:
+    rows = list(_rows(lines))
+    if not rows:
         raise TrackError(f'{name}: is empty; a time and the height of the {bodies[0]} are needed')
-    return dict(_tracks(times, values, bodies[0], name))
+    number, first = rows[0]
+    columns = dict(zip(('time', *bodies), range(len(first)), strict=False))
+    if not any(map(_is_number, first)):
+        columns = _named_columns(rows.pop(0)[1], bodies, unit, f'{name}:{number}')
+    if len(columns) < 2:
+        raise TrackError(
+            f'{name}:{number}: must have a time and the height of the {bodies[0]}, '
+            f'got {first[0]!r} alone'
+        )
+    clock = list(columns).index('time')
+    values = np.empty((len(rows), len(columns)))
+    for place, (number, cells) in enumerate(rows):
+        where = f'{name}:{number}'
+        if len(cells) != len(first):
+            raise TrackError(f'{where}: must have {len(first)} values as above, got {len(cells)}')
+        for column, (body, cell) in enumerate(columns.items()):
+            values[place, column] = _read_number(cells[cell], body, where)
+        time, before = values[place, clock], values[place - 1, clock] if place else -math.inf
+        if not time > before:
+            raise TrackError(f'{where}: time must increase, got {time:g} after {before:g}')
+    heights = dict(zip(columns, values.T, strict=True))
+    time = heights.pop('time')
+    tracks = {}
+    for body, series in heights.items():
+        seen = np.isfinite(series)
+        if seen.sum() >= FEWEST:
+            tracks[body] = Track(time=time[seen], position=UNITS[unit] * series[seen])
+        elif body == bodies[0] or seen.any():
+            raise TrackError(
+                f'{name}: {seen.sum()} heights of the {body}, where at least {FEWEST} are needed'
+            )
+    return tracks
 
 
 def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:
-    """
-    Write tracks as lines of text that `read_csv` reads.
-
-    Examples
-    --------
-    >>> track = Track(time=0.5 * np.arange(20.0), position=1e-3 * np.arange(20.0))
-    >>> list(csv_lines({'plate': track}))[:3]
-    ['t [s],plate [m]', '0,0', '0.5,0.001']
-
-    """
+    """Write tracks as lines of text that `read_csv` reads."""
     yield ','.join(['t [s]', *(f'{body} [m]' for body in tracks)])
     heights = [
         dict(zip(track.time.tolist(), track.position.tolist(), strict=True))
@@ -146,16 +125,11 @@ def _is_number(text: str) -> bool:
 
 
 def _read_number(text: str, what: str, where: str) -> float:
-    if text.lower() in _MISSING:
-        return math.nan
-    if not _is_number(text) or math.isinf(float(text)):
+    """Read a finite number; heights may be missing."""
+    is_missing = text.lower() in _MISSING and what != 'time'
+    if not is_missing and not (_is_number(text) and math.isfinite(float(text))):
         raise TrackError(f'{where}: {what} must be a finite number, got {text!r}')
-    return float(text)
-
-
-def _unnamed_columns(cells: Sequence[str], bodies: Sequence[str]) -> dict[str, int]:
-    """Take columns without names as they come."""
-    return {body: place for place, body in enumerate(('time', *bodies)) if place < len(cells)}
+    return math.nan if is_missing else float(text)
 
 
 def _named_columns(
@@ -181,19 +155,3 @@ def _named_columns(
                 f'{where}: no column is named {known[body][0][0]!r}, got {", ".join(cells)}'
             )
     return columns
-
-
-def _tracks(
-    times: list[float], values: dict[str, list[float]], first: str, name: str
-) -> Iterator[tuple[str, Track]]:
-    """Leave out what was not seen."""
-    time = np.array(times)
-    for body, series in values.items():
-        position = np.array(series)
-        seen = np.isfinite(position)
-        if seen.sum() >= FEWEST:
-            yield body, Track(time=time[seen], position=position[seen])
-        elif body == first or seen.any():
-            raise TrackError(
-                f'{name}: {seen.sum()} heights of the {body}, where at least {FEWEST} are needed'
-            )

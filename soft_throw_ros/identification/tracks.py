@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks: heights of bodies over time, how noisy they are, and which samples jump."""
+"""Tracks: heights of bodies over time, how noisy they are, and records cut into throws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.signal import spectrogram
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
@@ -24,6 +25,16 @@ _SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # samples that sa
 _SPIKE_SHARE = 1e-4  # of the whole way is usual at least: motions without noise have kinks
 _SPIKE_ROUNDS = 4  # of leaving them out, since there may be some in a row
 _MAX_SPIKE_SHARE = 0.1  # of the samples; where there are more it is the motion
+
+# In plate periods:
+_KEPT_BEFORE = 0.25  # of a throw among others, and ...
+_KEPT_AFTER = 6.0  # of its start
+_SEEN_AFTER = 2.0  # the start of the last one of several throws that must be seen
+_REST = 0.5  # that the plate rests between two throws at least
+_SMOOTHING = 0.125  # that are averaged over to see where it rests
+
+_ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, an oscillation is at least
+_SEGMENT = 2**15  # samples of one spectrum
 
 
 class TrackError(ValueError):
@@ -46,11 +57,6 @@ class Track:
     least_noise : float
         What an estimate is at least. [m]
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation of the positions, known or estimated. [m]
-
     Raises
     ------
     TrackError
@@ -65,6 +71,7 @@ class Track:
     known_noise: float | None = None
     least_noise: float = 0.0
     noise: float = field(init=False)
+    """Standard deviation of the positions, known or estimated. [m]"""
 
     def __post_init__(self) -> None:
         time = np.asarray(self.time, dtype=np.float64)
@@ -99,32 +106,13 @@ class Track:
         return float(self.time[-1] - self.time[0])
 
     def where(self, kept: Flags | Places) -> Track:
-        """
-        Return some of the samples, by flags or places, as noisy as all of them.
-
-        Raises
-        ------
-        TrackError
-            If they are too few.
-
-        """
+        """Return some of the samples, by flags or places, as noisy as all of them."""
         return replace(
-            self,
-            time=self.time[kept],
-            position=self.position[kept],
-            least_noise=self.noise,
+            self, time=self.time[kept], position=self.position[kept], least_noise=self.noise
         )
 
     def between(self, start: float, end: float) -> Track:
-        """
-        Return the part from `start` to `end` [s], both included.
-
-        Raises
-        ------
-        TrackError
-            If it is too short.
-
-        """
+        """Return the part from `start` to `end` [s], both included; too short a one is refused."""
         inside = (self.time >= start) & (self.time <= end)
         if inside.sum() < FEWEST:
             raise TrackError(
@@ -136,12 +124,11 @@ class Track:
 
     def without_spikes(self) -> Track:
         """
-        Leave out single samples that jump away from their neighbours.
+        Leave out single samples that jump, to start from where no model of the motion is at hand.
 
-        This is for where no model of the motion is at hand yet, to start from. A sample is a
-        spike if it is away from the cubic through the two samples on either side much farther
-        than is usual before it, after it, and than the noise. So neither kinks of the motion nor
-        what moves like that all the time are left out.
+        A spike is away from the cubic through the two samples on either side much farther than is
+        usual before it, after it, and than the noise. So neither kinks of the motion nor what
+        moves like that all the time are left out.
         """
         least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
         kept = np.arange(self.time.size)
@@ -166,40 +153,21 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowTracks:
-    """
-    What was seen of one throw.
-
-    Parameters
-    ----------
-    name : str
-        Where it comes from, for messages.
-    plate : Track
-    projectile : Track, optional
-
-    """
+    """What was seen of one throw; the name is for messages."""
 
     name: str
     plate: Track
     projectile: Track | None = None
 
     def between(self, start: float, end: float) -> ThrowTracks:
-        """
-        Return the part from `start` to `end`. [s]
-
-        Raises
-        ------
-        TrackError
-            If there is too little of the plate; of the projectile there may be none.
-
-        """
-        projectile = None
-        if self.projectile is not None:
-            inside = (self.projectile.time >= start) & (self.projectile.time <= end)
-            if inside.sum() >= FEWEST:
-                projectile = self.projectile.between(start, end)
-        return ThrowTracks(
-            name=self.name, plate=self.plate.between(start, end), projectile=projectile
-        )
+        """Return the part from `start` to `end` [s]; of the projectile there may be none."""
+        plate, projectile = self.plate.between(start, end), self.projectile
+        if projectile is not None:
+            try:
+                projectile = projectile.between(start, end)
+            except TrackError:
+                projectile = None
+        return replace(self, plate=plate, projectile=projectile)
 
     def without_spikes(self) -> ThrowTracks:
         """Leave out samples that jump, see `Track.without_spikes`."""
@@ -233,14 +201,85 @@ def _beside_neighbours(time: Floats, position: Floats) -> Floats:
     """Subtract the cubic through two samples on either side from each; 0 at the ends."""
     apart = np.zeros_like(position)
     inner = np.arange(2, time.size - 2)
-    predicted = np.zeros(inner.size)
-    offsets = (-2, -1, 1, 2)
-    for offset in offsets:
+    apart[inner] = position[inner]
+    beside = [inner + offset for offset in (-2, -1, 1, 2)]
+    for each in beside:  # Lagrange's polynomials
         weight = np.ones(inner.size)
-        for other in offsets:
-            if other != offset:
-                span = time[inner + offset] - time[inner + other]
-                weight *= (time[inner] - time[inner + other]) / span
-        predicted += weight * position[inner + offset]
-    apart[inner] = position[inner] - predicted
+        for other in beside:
+            if other is not each:
+                weight *= (time[inner] - time[other]) / (time[each] - time[other])
+        apart[inner] -= weight * position[each]
     return apart
+
+
+def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
+    """
+    Cut a long record into its throws.
+
+    Notes
+    -----
+    A throw begins where the plate leaves its lowest place of rest. If it comes back there, what
+    is kept is a quarter of a plate period before and at most six periods after that, so that the
+    plate must not be put back earlier. If there are several, the last one is left out if the
+    record ends two periods after its start or sooner. A record in which the plate rests there
+    only once, or never, is one throw and stays whole.
+
+    """
+    parts = [record.between(*span) for span in find_throws(record.plate)]
+    if len(parts) < 2:
+        return parts or [record]
+    return [
+        replace(part, name=f'{record.name}, throw {number}')
+        for number, part in enumerate(parts, 1)
+    ]
+
+
+def find_throws(plate: Track) -> list[tuple[float, float]]:
+    """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
+    plate = plate.without_spikes()
+    time = plate.time
+    period = _dominant_period(plate)
+    size = max(3, round(_REST * period / plate.interval))
+    if size >= time.size:
+        return []
+    width = max(1, round(_SMOOTHING * period / plate.interval))
+    position = uniform_filter1d(plate.position, width)
+    low = minimum_filter1d(position, size)
+    high = maximum_filter1d(position, size)
+    tolerance = 6.0 * plate.noise / math.sqrt(width) + 0.005 * float(np.ptp(position))
+    quiet = high - low < 2.0 * tolerance
+    if not quiet.any():
+        return []
+    rest = float(np.min(0.5 * (low + high)[quiet]))
+    at_rest = quiet & (np.abs(position - rest) < tolerance)
+    edges = np.diff(at_rest.astype(np.int8))
+    begins = np.flatnonzero(edges == 1) + 1
+    ends = np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1)
+    lift = rest + 0.3 * (float(position.max()) - rest)
+    starts = []
+    for end in ends.tolist():
+        soon = (time >= time[end - size // 2]) & (time <= time[end] + period)
+        if (position[soon] > lift).any():
+            starts.append(float(time[end]))
+    returns = [float(time[begin]) for begin in begins]
+    if len(starts) < 2 and not any(back > start for start in starts for back in returns):
+        return []
+    if len(starts) > 1 and time[-1] < starts[-1] + _SEEN_AFTER * period:
+        starts.pop()
+    limits = [*starts[1:], math.inf]
+    before, after = _KEPT_BEFORE * period, _KEPT_AFTER * period
+    return [
+        (start - before, min(start + after, limit - before))
+        for start, limit in zip(starts, limits, strict=True)
+    ]
+
+
+def _dominant_period(plate: Track) -> float:
+    """Find the period of the strongest oscillation of the plate's velocity."""
+    count = max(16, round(plate.duration / plate.interval) + 1)
+    even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
+    velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
+    frequency, _, powers = spectrogram(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
+    noise = 8.0 / step * (plate.noise * np.sin(np.pi * step * frequency)) ** 2
+    strength = powers.max(axis=1) - _ABOVE_NOISE * noise
+    return 1.0 / float(frequency[max(1, int(np.argmax(strength)))])

@@ -53,7 +53,7 @@ def test_file_says_what_python_says(tmp_path):
         ('reference: top', 1, "'top'"),
         ('depths: own', 1, "'depths'"),
         ('- a', 1, 'a mapping'),
-        ('parameters: [', 1, 'YAML'),
+        ('parameters: [', 1, 'expected'),
     ],
 )
 def test_file_that_is_wrong_is_refused_with_its_line(tmp_path, text, line, value):

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the projectile is, by the models that the twin runs."""
 
+import re
+
 import numpy as np
 import pytest
 from reference import method_of_steps, normal_modes
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.least_squares import FitError
 
 RIGS = {
     'usual': Rig(),
@@ -51,3 +54,9 @@ def test_landing_is_the_first_one_on_the_way_down():
     assert (
         ThrowSimulator().landing_time(RIGS['recontact'], 0.5) == np.inf
     )  # caught up, but it never falls
+
+
+def test_throw_that_would_take_too_long_is_refused():
+    slow = Rig(engine=Engine(frequency=0.2), layer=Layer(thickness=1e-3, wave_speed=50.0))
+    with pytest.raises(FitError, match=re.escape('30 s of a layer')):
+        ThrowSimulator().follow(slow, np.array([0.0, 30.0]))

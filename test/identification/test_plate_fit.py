@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plate_fit import (
-    fit_plate,
-    NAMES,
-)
+from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 
 TRUTH = {'frequency': 63.2, 'amplitude': 2e-3, 'damping_ratio': 0.064}
@@ -20,23 +17,6 @@ START = 0.0204
 def track_of(motion, time, start, *, noise=0.0, offset=0.0, seed=0):
     scatter = noise * np.random.default_rng(seed).normal(size=time.size)
     return Track(time=time, position=offset + motion.position(time - start) + scatter)
-
-
-def slopes_at_truth(time):
-    """Differentiate the heights by `NAMES`, by plain differences."""
-
-    def heights(values):
-        given = dict(zip(NAMES, values, strict=True))
-        start, offset = given.pop('start_time'), given.pop('offset')
-        return offset + Underdamped(**given).position(time - start)
-
-    values = np.array([TRUTH['frequency'], TRUTH['damping_ratio'], TRUTH['amplitude'], START, 0.0])
-    columns = []
-    for place in range(5):
-        step = np.zeros(5)
-        step[place] = 1e-5 * max(values[place], 1e-3)
-        columns.append((heights(values + step) - heights(values - step)) / (2.0 * step[place]))
-    return np.stack(columns, axis=1)
 
 
 # Least squares of the reference tracks, and Cramer-Rao bounds, by another program
@@ -73,28 +53,18 @@ def test_plate_fit_gives_the_reference_values(reference_throw, offset, expected,
     assert found.warnings() == []
 
 
-def test_plate_fit_is_unbiased_and_as_exact_as_can_be():
-    # The bound of Cramer and Rao is met by the linear estimate from the true values on. How that
-    # scatters over 200 tracks is known to 5 % only, so it is compared on the very same tracks.
+def test_plate_fit_is_unbiased_and_knows_how_exact_it_is():
     time = np.arange(0.0, 0.1, 1.0 / 1500.0)
     motion = Underdamped(**TRUTH)
-    truth = np.array([motion.frequency, motion.damping_ratio, motion.amplitude, START, 0.0])
-    slopes = slopes_at_truth(time) / 2e-5
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    bound = np.sqrt(np.diag(covariance))
-    apart, best, pulls = [], [], []
-    for seed in range(200):
-        track = track_of(motion, time, START, noise=2e-5, seed=seed)
-        found = fit_plate(track).fit
-        apart.append((found.values - truth) / bound)
-        noise = track.position - motion.position(time - START)
-        best.append(covariance @ slopes.T @ (noise / 2e-5) / bound)
-        pulls.append((found.values - truth) / found.errors)
-    assert np.abs(np.mean(apart, axis=0)).max() < 3.0 / np.sqrt(200.0)
-    assert np.abs(np.mean(np.subtract(apart, best), axis=0)).max() < 0.02
-    assert np.std(apart, axis=0) == pytest.approx(np.std(best, axis=0), rel=0.1)
-    # and it says itself how exact it is
-    assert np.std(pulls, axis=0) == pytest.approx(np.ones(5), abs=0.15)
+    truth = [63.2, 0.064, 2e-3, START, 0.0, motion.peak_velocity]
+    pulls = []
+    for seed in range(100):
+        found = fit_plate(track_of(motion, time, START, noise=2e-5, seed=seed))
+        peak = found.peak_velocity
+        values, errors = [*found.fit.values, peak.value], [*found.fit.errors, peak.error]
+        pulls.append(np.subtract(values, truth) / errors)
+    assert np.abs(np.mean(pulls, axis=0)).max() < 0.3
+    assert np.std(pulls, axis=0) == pytest.approx(np.ones(6), abs=0.25)
 
 
 @pytest.mark.parametrize('frequency', [4.0, 63.2, 400.0])
@@ -121,27 +91,12 @@ def test_plate_fit_takes_gaps_and_jitter():
     assert found.start_time == pytest.approx(START, abs=4.0 * found.fit['start_time'].error)
 
 
-def test_plate_fit_knows_how_exact_its_peak_velocity_is():
+def test_plate_that_goes_down_or_whose_rise_was_missed_is_refused():
     motion = Underdamped(**TRUTH)
-    time = np.arange(0.0, 0.1, 1e-3)
-    pulls = []
-    for seed in range(60):
-        peak = fit_plate(track_of(motion, time, START, noise=2e-5, seed=seed)).peak_velocity
-        pulls.append((peak.value - motion.peak_velocity) / peak.error)
-    assert abs(np.mean(pulls)) < 0.4
-    assert 0.75 < np.std(pulls) < 1.25
-
-
-def test_plate_that_goes_down_is_refused():
     time = np.arange(0.0, 0.1, 2e-4)
-    position = -Underdamped(**TRUTH).position(time - START)
-    with pytest.raises(FitError, match=r'goes down by about 0\.002 m; heights must count up'):
-        fit_plate(Track(time=time, position=position))
-
-
-@pytest.mark.parametrize('begin', [0.025, 0.028, 0.06])
-def test_plate_whose_rise_was_missed_is_refused(begin):
-    time = np.arange(begin, 0.2, 2e-4)
-    track = track_of(Underdamped(**TRUTH), time, START, noise=1e-5)
-    with pytest.raises(FitError, match=r'track must begin before it moves'):
-        fit_plate(track)
+    with pytest.raises(FitError, match=r'goes down by about 0\.002 m'):
+        fit_plate(Track(time=time, position=-motion.position(time - START)))
+    for begin in (0.025, 0.028, 0.06):
+        late = track_of(motion, np.arange(begin, 0.2, 2e-4), START, noise=1e-5)
+        with pytest.raises(FitError, match='track must begin before it moves'):
+            fit_plate(late)

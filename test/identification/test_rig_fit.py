@@ -6,14 +6,18 @@ import re
 
 import numpy as np
 import pytest
-from reference import method_of_steps
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.fit_description import ENGINE, FitDescription, PARAMETERS, USUAL
+from soft_throw_ros.identification.fit_description import (
+    ENGINE,
+    FitDescription,
+    PARAMETERS,
+    USUAL,
+    values_of,
+)
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
-from soft_throw_ros.identification.rig_model import rest_height
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 KNOWN = Rig(
@@ -32,15 +36,7 @@ REFERENCE = {
 
 
 def truth_of(rig, start=0.0153):
-    return {
-        'engine.frequency': rig.engine.frequency,
-        'engine.damping_ratio': rig.engine.damping_ratio,
-        'engine.amplitude': rig.engine.amplitude,
-        'layer.wave_speed': rig.layer.wave_speed,
-        'layer.thickness': rig.layer.thickness,
-        'layer.loss_tangent': rig.layer.loss_tangent,
-        'start_time': start,
-    }
+    return {'start_time': start, **values_of(rig, PARAMETERS)}
 
 
 def pulls_of(fit, truth, names=PARAMETERS):
@@ -51,11 +47,11 @@ def pulls_of(fit, truth, names=PARAMETERS):
 
 
 def test_rig_fit_gives_the_reference_values(reference_throw):
-    throw = replace(
-        reference_throw,
-        plate=replace(reference_throw.plate, known_noise=2e-5),
-        projectile=replace(reference_throw.projectile, known_noise=2e-5),
-    )
+    tracks = {
+        body: replace(getattr(reference_throw, body), known_noise=2e-5)
+        for body in ('plate', 'projectile')
+    }
+    throw = replace(reference_throw, **tracks)
     found = fit_rig(
         [throw],
         replace(KNOWN, gravity=0.0),
@@ -68,49 +64,6 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
     assert found.fit.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
     assert found.fit.dof == 995
     assert found.fit.warnings() == []
-    assert found.rig.layer.wave_speed == found.fit['layer.wave_speed'].value
-    assert found.rig.projectile == KNOWN.projectile
-
-
-def heights_of(values, time):
-    """Heights of plate and projectile by the exact model; of both from a zero of their own."""
-    frequency, damping_ratio, amplitude, wave_speed, start, plate, projectile = values
-    rig = Rig(
-        engine=Engine(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude),
-        layer=Layer(thickness=9.5e-3, wave_speed=wave_speed),
-    )
-    history = method_of_steps.follow(rig, until=time[-1] - start)
-    return np.concatenate(
-        [
-            plate + Underdamped.of(rig.engine).position(time - start),
-            projectile + history.projectile_position(time - start) - rest_height(rig),
-        ]
-    )
-
-
-def test_rig_fit_is_as_exact_as_can_be(make_throw):
-    # The bound of Cramer and Rao is met by the linear estimate from the true values on
-    rig = Rig(layer=Layer(thickness=9.5e-3))
-    time = np.arange(0.0, 0.06, 5e-4)
-    truth = np.array([63.2, 0.064, 2e-3, 7.8, 0.0153, 0.0, rest_height(rig)])
-    columns = []
-    for place, value in enumerate(truth):
-        step = np.zeros(7)
-        step[place] = 1e-4 * max(value, 1e-2)
-        columns.append(
-            (heights_of(truth + step, time) - heights_of(truth - step, time)) / (2 * step[place])
-        )
-    slopes = np.stack(columns, axis=1) / 2e-5
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    bound = np.sqrt(np.diag(covariance))
-    for seed in range(4):
-        throw = make_throw(rig, rate=2000.0, duration=0.06, seed=seed)
-        fit = fit_rig([throw], replace(KNOWN, layer=rig.layer)).fit
-        noise = np.concatenate([throw.plate.position, throw.projectile.position])
-        best = covariance @ slopes.T @ ((noise - heights_of(truth, time)) / 2e-5)
-        assert fit.names == (*USUAL, 'start_time', 'plate_offset', 'projectile_offset')
-        assert (fit.values - truth) / bound == pytest.approx(best / bound, abs=0.1)
-        assert fit.errors == pytest.approx(bound, rel=0.2)
 
 
 def test_many_throws_are_as_exact_as_they_should(make_throw):
@@ -271,12 +224,6 @@ def test_error_of_a_mass_is_carried_into_the_wave_speed(make_throw):
     assert found['layer.wave_speed'].error > 2.0 * exact['layer.wave_speed'].error
 
 
-def test_fit_that_would_take_too_long_is_refused(make_throw):
-    slow = Rig(engine=Engine(frequency=0.2), layer=Layer(thickness=1e-3, wave_speed=50.0))
-    with pytest.raises(FitError, match='take'):
-        ThrowSimulator().follow(slow, np.array([0.0, 30.0]))
-
-
 def test_plate_alone_gives_the_engine(make_throw):
     throws = [
         replace(make_throw(Rig(), rate=2000.0, seed=seed), projectile=None) for seed in range(2)
@@ -287,18 +234,14 @@ def test_plate_alone_gives_the_engine(make_throw):
     assert found.rig.layer == KNOWN.layer
 
 
-def test_layer_needs_a_projectile(make_throw):
-    throw = replace(make_throw(Rig(), rate=500.0), projectile=None)
-    with pytest.raises(FitError, match=re.escape('layer.wave_speed cannot be found without')):
-        fit_rig([throw], KNOWN)
-    with pytest.raises(FitError, match='no throw'):
-        fit_rig([], KNOWN)
-
-
-def test_throw_that_does_not_fit_is_named(make_throw):
-    throw = make_throw(Rig(), rate=2000.0)
-    still = replace(throw, name='still.csv', plate=replace(
-        throw.plate, position=1e-5 * np.random.default_rng(1).normal(size=throw.plate.time.size)
-    ))  # fmt: skip
-    with pytest.raises(FitError, match=r'still\.csv: the plate'):
-        fit_rig([throw, still], KNOWN)
+def test_tracks_that_do_not_give_the_layer_are_refused(make_throw):
+    throw = make_throw(Rig(), rate=500.0)
+    rng = np.random.default_rng(1)
+    still = replace(throw.plate, position=1e-5 * rng.normal(size=throw.plate.time.size))
+    for throws, value in (
+        ([], 'no throw'),
+        ([replace(throw, projectile=None)], 'layer.wave_speed cannot be found without'),
+        ([throw, replace(throw, name='still.csv', plate=still)], 'still.csv: the plate'),
+    ):
+        with pytest.raises(FitError, match=re.escape(value)):
+            fit_rig(throws, KNOWN)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Dark round spots on plate, layer and projectile, followed through a high-speed video.
+Tracks from high-speed videos: dark round spots, and the edges along a vertical line.
 
 Notes
 -----
@@ -10,9 +10,12 @@ for where its last step leads. Its place is the centre of mass of its darkness, 
 around that place itself which is wider than the spot by the blur, so that the grid of pixels does
 not show. Noise of the grey levels of :math:`\sigma` makes it err by at least :math:`\sigma
 \sqrt{\sum (y - y_c)^2} / \sum w`, where :math:`w` is the darkness of the pixels of the circle.
-
 Discs of 8 pixels that are 140 grey levels darker than what is around them, blurred by 1 pixel,
 are found within 0.003 pixels, and with noise of 4 levels within 0.02 pixels (rms).
+
+An edge (Fig. 8 of the paper) is where a line crosses the grey level that best divides it into dark
+and bright (Otsu). Between two pixels it is interpolated, after smoothing over about one, so that
+an edge that is blurred by the lens is found within some hundredths of a pixel.
 
 """
 
@@ -25,6 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from soft_throw_ros.core import checks
 from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
 
@@ -34,7 +38,7 @@ Picture = NDArray[Any]
 BODIES = ('plate', 'layer', 'projectile', 'none')
 """What spots may be on."""
 
-_SMOOTHING = 1.0  # of pictures, to find out what is dark [px]
+_SMOOTHING = 1.0  # of pictures and lines, to find out what is dark [px]
 _MAX_WIDTH = 3  # the shorter side of the picture over the width of the largest spot
 _MIN_AREA = 9  # pixels of a spot
 _MIN_DARKNESS = 0.3  # darkness of a spot over that of the darkest, and ...
@@ -47,28 +51,25 @@ _MARGIN = 4  # beyond its diameter that it is looked for [px]
 _ROUNDS = 3  # of finding the centre of a circle around it
 _MAX_CHANGE = 2.0  # of the area of a spot since the first picture
 _LEVELS = 63.0  # grey levels to find spots with
+_SIDE = 1  # columns on either side of a line that are averaged with it
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spot:
-    """
-    A spot as it moves, from the first picture on as long as it is seen.
-
-    Parameters
-    ----------
-    row, column : ndarray, shape (n,)
-        Its centre in n pictures, counted from the upper left. [px]
-    error : float
-        Standard error of each, were there nothing but the noise of the pictures. [px]
-    diameter : float
-        In the first picture. [px]
-
-    """
+    """A spot as it moves, from the first picture on as long as it is seen."""
 
     row: Floats
     column: Floats
+    """Its centre in each picture, counted from the upper left. [px]"""
     error: float
-    diameter: float
+    """Standard error of each, were there nothing but the noise of the pictures. [px]"""
+
+    @property
+    def place(self) -> str:
+        """Where it is at first, for messages."""
+        if not self.row.size:
+            return 'the edge'
+        return f'column {self.column[0]:.0f} row {self.row[0]:.0f}'
 
 
 def follow_spots(pictures: Iterable[Picture]) -> list[Spot]:
@@ -78,7 +79,7 @@ def follow_spots(pictures: Iterable[Picture]) -> list[Spot]:
     Parameters
     ----------
     pictures : iterable of ndarray, shape (rows, columns)
-        Grey levels. All have the same size.
+        Grey levels.
 
     Returns
     -------
@@ -134,52 +135,44 @@ def tracks_of(
     Raises
     ------
     TrackError
-        If there are not as many bodies as spots, or one is seen in less than `tracks.FEWEST`
-        pictures.
+        If there are not as many bodies as spots, or one is seen in too few pictures.
     ValueError
         If a number is not finite and positive, or a body none of `BODIES`.
 
     """
-    rate = checks.positive('rate', rate)
-    scale = checks.positive('scale', scale)
+    rate, scale = checks.positive('rate', rate), checks.positive('scale', scale)
     if bodies is None:
         bodies = ['plate', *['layer'] * (len(spots) - 2), 'projectile'][: len(spots)]
     for body in bodies:
         if body not in BODIES:
             raise ValueError(f'a spot is on one of {", ".join(BODIES)}, got {body!r}')
     if len(bodies) != len(spots):
-        there = ', '.join(map(_describe_place, spots))
         raise TrackError(
-            f'{len(spots)} dark round spots are seen, at {there}, and not {len(bodies)}, '
+            f'{len(spots)} dark round spots are seen, at '
+            f'{", ".join(spot.place for spot in spots)}, and not {len(bodies)}, '
             f'{", ".join(bodies)}'
         )
-    for spot, body in zip(spots, bodies, strict=True):
-        if spot.row.size < FEWEST and body != 'none':
+    groups: dict[str, list[Spot]] = {}
+    for number, (spot, body) in enumerate(zip(spots, bodies, strict=True)):
+        if body == 'none':
+            continue
+        if spot.row.size < FEWEST:
             raise TrackError(
-                f'the spot at {_describe_place(spot)}, on the {body}, is seen in {spot.row.size} '
+                f'the spot at {spot.place}, on the {body}, is seen in {spot.row.size} '
                 f'pictures from the first one on, where at least {FEWEST} are needed'
             )
-    numbered = [
-        f'layer {1 + bodies[:place].count("layer")}' if body == 'layer' else body
-        for place, body in enumerate(bodies)
-    ]
+        name = f'layer {1 + bodies[:number].count("layer")}' if body == 'layer' else body
+        groups.setdefault(name, []).append(spot)
     tracks = {}
-    for name in dict.fromkeys(body for body in numbered if body != 'none'):
-        some = [spot for spot, body in zip(spots, numbered, strict=True) if body == name]
+    for name, some in groups.items():
         seen = min(spot.row.size for spot in some)
         row = np.mean([spot.row[:seen] for spot in some], axis=0)
-        error = math.hypot(*(spot.error for spot in some)) / len(some)
         tracks[name] = Track(
             time=np.arange(seen) / rate,
             position=scale * (spots[0].row[0] - row),
-            least_noise=scale * error,
+            least_noise=scale * math.hypot(*(spot.error for spot in some)) / len(some),
         )
     return tracks
-
-
-def _describe_place(spot: Spot) -> str:
-    """Say where a spot is at first, for messages."""
-    return f'column {spot.column[0]:.0f} row {spot.row[0]:.0f}' if spot.row.size else 'the edge'
 
 
 class DetectedSpot(NamedTuple):
@@ -236,16 +229,15 @@ class _SpotTracker:
             self._is_lost = True
             return
         place, error = found
-        step = place - self._places[-1] if self._places else 0.0
+        self._expected = 2.0 * place - self._places[-1] if self._places else place
         self._places.append(place)
         self._errors.append(error)
-        self._expected = place + step
 
     def result(self) -> Spot:
         """Return what was seen."""
         row, column = np.array(self._places).reshape(-1, 2).T
         error = float(np.sqrt(np.mean(np.square(self._errors or [0.0]))))
-        return Spot(row=row, column=column, error=error, diameter=self._diameter)
+        return Spot(row=row, column=column, error=error)
 
     def _find(self, picture: Picture) -> tuple[Floats, float] | None:
         """Return centre and standard error; nothing if it is not there as a whole."""
@@ -287,6 +279,92 @@ class _SpotTracker:
         self._level = around - 0.5 * depth
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total
         return place + corner, error
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpaceTime:
+    """What a vertical line through the layer shows over time."""
+
+    levels: Floats
+    """Grey levels, shape (pictures, heights), from its lower end to its upper one."""
+    rate: float
+    """Pictures per second. [Hz]"""
+    scale: float
+    """Size of a pixel. [m]"""
+
+    @property
+    def time(self) -> Floats:
+        """Of the pictures. [s]"""
+        return np.arange(self.levels.shape[0]) / self.rate
+
+    def edges(self) -> tuple[Track, Track]:
+        """
+        Follow the lowest edge and the highest one, those of a layer that fills the line.
+
+        Heights count from its lower end. A picture with fewer edges raises TrackError.
+        """
+        from skimage.filters import threshold_otsu
+
+        smooth = gaussian_filter1d(self.levels, _SMOOTHING, axis=1, mode='nearest')
+        edges: list[Floats] = []
+        for number, line in enumerate(smooth - threshold_otsu(smooth), 1):
+            places = np.flatnonzero(np.diff(line > 0.0))
+            crossings = places + line[places] / (line[places] - line[places + 1])
+            if crossings.size < 2:
+                raise TrackError(
+                    f'the line crosses {crossings.size} edges in picture {number}, where the '
+                    'lower and the upper one of the layer are needed'
+                )
+            last = edges[-1] if edges else crossings[[0, -1]]
+            edges.append(crossings[np.abs(crossings[:, None] - last).argmin(axis=0)])
+        bottom, top = (
+            Track(time=self.time, position=self.scale * (0.5 + edge))
+            for edge in np.transpose(edges)
+        )
+        return bottom, top
+
+
+def space_time(
+    pictures: Iterable[Picture], *, column: int, first: int, last: int, rate: float, scale: float
+) -> SpaceTime:
+    """
+    Cut a vertical line out of every picture.
+
+    Parameters
+    ----------
+    pictures : iterable of ndarray, shape (rows, columns)
+        Grey levels.
+    column : int
+        Of the line, from the left. [px]
+    first, last : int
+        Its rows, from the top, both included. [px]
+    rate : float
+        Pictures per second of the camera. [Hz]
+    scale : float
+        Size of a pixel. [m]
+
+    Raises
+    ------
+    TrackError
+        If the line is not within the pictures, or there is none.
+    ValueError
+        If a number is not finite and positive.
+
+    """
+    rate, scale = checks.positive('rate', rate), checks.positive('scale', scale)
+    lines = []
+    for picture in pictures:
+        rows, columns = picture.shape
+        if not (0 <= first < last < rows and _SIDE <= column < columns - _SIDE):
+            raise TrackError(
+                f'a line from row {first} to row {last} of column {column} is not within pictures '
+                f'of {rows} rows and {columns} columns'
+            )
+        part = picture[first : last + 1, column - _SIDE : column + _SIDE + 1]
+        lines.append(part.astype(np.float64).mean(axis=1)[::-1])
+    if not lines:
+        raise TrackError('there is no picture')
+    return SpaceTime(levels=np.array(lines), rate=rate, scale=scale)
 
 
 def _smooth(picture: Picture) -> Floats:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spots followed through rendered pictures whose truth is known to the last digit."""
+"""Spots and edges followed through rendered pictures whose truth is known to the last digit."""
 
 from pathlib import Path
 import re
@@ -7,8 +7,15 @@ import runpy
 
 import numpy as np
 import pytest
-from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
 from soft_throw_ros.identification.tracks import TrackError
+from soft_throw_ros.identification.video import (
+    find_spots,
+    follow_spots,
+    space_time,
+    SpaceTime,
+    Spot,
+    tracks_of,
+)
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
@@ -47,12 +54,11 @@ def errors_of(spots):
         ({}, 0.025),  # the contrast, noise and blur that the module names
         ({'noise': 0.0}, 0.004),
         ({'blur': 1.6}, 0.035),
-        ({'noise': 8.0}, 0.05),
         ({'contrast': 70.0}, 0.05),
         ({'diameter': 12.0, 'noise': 8.0}, 0.05),
         ({'around': 200.0 - 0.3 * np.arange(150.0)[:, None]}, 0.05),  # lit from above
     ],
-    ids=['usual', 'no noise', 'blurred', 'noisy', 'faint', 'large', 'uneven'],
+    ids=['usual', 'no noise', 'blurred', 'faint', 'large', 'uneven'],
 )
 def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
     spots = follow_spots(video(**options))
@@ -96,9 +102,7 @@ def test_pictures_without_spots_are_refused():
 
 
 def spot(row, count=20):
-    return Spot(
-        row=row + np.arange(count) ** 2 / 100.0, column=np.full(count, 5.0), error=0.02, diameter=7
-    )
+    return Spot(row=row + np.arange(count) ** 2 / 100.0, column=np.full(count, 5.0), error=0.02)
 
 
 def test_tracks_are_heights_in_metres_over_seconds():
@@ -122,24 +126,74 @@ def test_spots_of_one_body_are_averaged():
 
 
 @pytest.mark.parametrize(
-    ('spots', 'options', 'message'),
+    ('spots', 'options', 'value'),
     [
-        ([spot(9.0)], {'rate': 0.0}, 'rate must be finite and positive, got 0.0'),
-        ([spot(9.0)], {'scale': np.inf}, 'scale must be finite, got inf'),
-        ([spot(9.0)], {'bodies': ['ball']}, "one of plate, layer, projectile, none, got 'ball'"),
-        (
-            [spot(9.0), spot(3.0)],
-            {'bodies': ['plate']},
-            '2 dark round spots are seen, at column 5 row 9, column 5 row 3, and not 1, plate',
-        ),
-        (
-            [spot(9.0), spot(3.0, 4)],
-            {},
-            'the spot at column 5 row 3, on the projectile, is seen in 4 pictures from the first',
-        ),
-        ([spot(9.0, 0)], {}, 'the spot at the edge, on the plate, is seen in 0 pictures'),
+        ([spot(9.0)], {'rate': 0.0}, '0.0'),
+        ([spot(9.0)], {'scale': np.inf}, 'inf'),
+        ([spot(9.0)], {'bodies': ['ball']}, "'ball'"),
+        ([spot(9.0), spot(3.0)], {'bodies': ['plate']}, 'column 5 row 9, column 5 row 3'),
+        ([spot(9.0), spot(3.0, 4)], {}, 'column 5 row 3, on the projectile, is seen in 4 '),
+        ([spot(9.0, 0)], {}, 'the edge, on the plate, is seen in 0 '),
     ],
 )
-def test_tracks_of_spots_that_cannot_be_are_refused(spots, options, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
+def test_tracks_of_spots_that_cannot_be_are_refused(spots, options, value):
+    with pytest.raises(ValueError, match=re.escape(value)):
         tracks_of(spots, **{'rate': 1.0, 'scale': 1.0, **options})
+
+
+LAYER_SHAPE = (120, 40)
+RATE, SCALE = 4000.0, 1e-4
+PERIOD = 2.0 * 8e-3 / 7.8
+TIME = np.arange(140) / RATE
+BOTTOM = 100.2 - 3.0 * np.sin(2.0 * np.pi * 63.2 * TIME)
+"""Row of the edge of the plate, which still shakes."""
+LENGTH = 80.0 + 6.0 * np.exp(-50.0 * TIME) * np.cos(2.0 * np.pi * TIME / PERIOD)
+"""Of the layer. [px]"""
+
+
+@pytest.fixture(scope='module')
+def layer_video():
+    """Take pictures of a bright layer with a spot on it, on a plate, before something dark."""
+    rng = np.random.default_rng(5)
+    pictures = []
+    for bottom, length in zip(BOTTOM, LENGTH, strict=True):
+        layer = CAMERA['band'](LAYER_SHAPE, bottom, bottom - length)
+        plate = CAMERA['band'](LAYER_SHAPE, LAYER_SHAPE[0] + 20.0, bottom)
+        levels = 40.0 + 150.0 * layer + 30.0 * plate
+        levels -= 110.0 * CAMERA['disc'](LAYER_SHAPE, bottom - 0.5 * length, 12.0)
+        pictures.append(CAMERA['exposed'](levels, rng))
+    return pictures
+
+
+def line_of(video, column=30, first=5, last=115):
+    return space_time(video, column=column, first=first, last=last, rate=RATE, scale=SCALE)
+
+
+@pytest.mark.parametrize('column', [30, 12], ids=['beside the spot', 'through the spot'])
+def test_edges_are_followed_within_a_tenth_of_a_pixel(layer_video, column):
+    bottom, top = line_of(layer_video, column).edges()
+    for edge, truth in ((bottom, BOTTOM), (top, BOTTOM - LENGTH)):
+        left = edge.position / SCALE - (115.5 - truth)
+        assert left.std() < 0.08
+        assert abs(left.mean()) < 0.4  # one level for edges of different depth
+
+
+def test_line_without_two_edges_is_refused():
+    levels = np.full((20, 30), 50.0)
+    levels[:, 10:] = 150.0
+    with pytest.raises(TrackError, match='crosses 1 edges in picture 1'):
+        SpaceTime(levels=levels, rate=1.0, scale=1.0).edges()
+
+
+@pytest.mark.parametrize(
+    ('options', 'value'),
+    [
+        ({'last': 120}, 'row 120 of column 30'),
+        ({'first': 115}, 'row 115 to row 115'),
+        ({'first': -1}, 'row -1'),
+        ({'column': 39}, 'column 39'),
+    ],
+)
+def test_line_that_is_not_there_is_refused(layer_video, options, value):
+    with pytest.raises(TrackError, match=re.escape(value)):
+        line_of(layer_video, **options)
