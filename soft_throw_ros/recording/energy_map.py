@@ -40,27 +40,15 @@ class LayerMark:
 
 @dataclass(frozen=True, kw_only=True)
 class EnergyMap:
-    """
-    Energy transfer over all layers that are considered.
+    """Energy transfer over all layers that are considered."""
 
-    Parameters
-    ----------
-    thickness, wave_speed : ndarray
-        From each to the next by the same factor, from end to end of the map. [m], [m/s]
-    energy_transfer : ndarray, shape (rows, columns)
-        A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
-    marks : tuple of LayerMark
-        The layer of the rig, and the recommended one if there is one.
-    title : str
-        Of the colours.
-
-    """
-
+    # From each to the next by the same factor, from end to end of the map. [m], [m/s]
     thickness: Floats
     wave_speed: Floats
+    # (rows, columns) A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
     energy_transfer: Floats
-    marks: tuple[LayerMark, ...]
-    title: str
+    marks: tuple[LayerMark, ...]  # The layer of the rig, and the recommended one if there is one
+    title: str  # Of the colours
 
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:

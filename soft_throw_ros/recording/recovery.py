@@ -15,23 +15,11 @@ from soft_throw_ros.recording.message import BagError
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """
-    What was recovered.
+    """What was recovered."""
 
-    Parameters
-    ----------
-    target : Path
-        The new bag.
-    saved : dict of str to int
-        How many messages are in it, by topic.
-    gaps : tuple of Gap
-        What of the old bag is not.
-
-    """
-
-    target: Path
-    saved: dict[str, int]
-    gaps: tuple[Gap, ...]
+    target: Path  # The new bag
+    saved: dict[str, int]  # How many messages are in it, by topic
+    gaps: tuple[Gap, ...]  # What of the old bag is not
 
     @property
     def message_count(self) -> int:

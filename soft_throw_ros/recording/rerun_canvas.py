@@ -352,45 +352,24 @@ def chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapAxis:
-    """
-    An axis of a map.
+    """An axis of a map."""
 
-    Parameters
-    ----------
-    title : str
-        What it is, with its unit.
-    values : ndarray, shape (n,)
-        In that unit; from each to the next by the same step, or by the same factor.
-
-    """
-
-    title: str
+    title: str  # What it is, with its unit
+    # (n,) In that unit; from each to the next by the same step, or by the same factor
     values: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapPanel:
-    """
-    What a map shows.
+    """What a map shows."""
 
-    Parameters
-    ----------
-    name : str
-        Of the entity.
-    title, symbol : str
-        What it is, and how that is written.
-    values : ndarray, shape (n, m)
-        Along the first and the second axis, from 0 on; NaN where there is none.
-    highest : float or None
-        Where the colours end; at the largest value if not given.
-
-    """
-
-    name: str
+    name: str  # Of the entity
+    # What it is, and how that is written
     title: str
     symbol: str
+    # (n, m) Along the first and the second axis, from 0 on; NaN where there is none
     values: Floats
-    highest: float | None = None
+    highest: float | None = None  # Where the colours end; at the largest value if not given
 
 
 def draw_landscape(

@@ -247,9 +247,9 @@ class _TwinView:
         match item:
             case series.RigStates():
                 self._draw_states(item)
-            case series.Positions():
+            case series.Positions(topic=TWIN_TOPICS.joint_states):
                 self._side.draw_positions(item.stamps, item.position)
-            case series.AuxiliaryPositions():
+            case series.Positions():
                 self._draw_auxiliary(item)
             case series.LayerStates():
                 self._side.draw_layer(item)
@@ -295,7 +295,7 @@ class _TwinView:
         self._draw_series('energy/projectile', stamps, _MILLI * states.projectile_energy)
         self._side.draw_positions(stamps, states.position)
 
-    def _draw_auxiliary(self, positions: series.AuxiliaryPositions) -> None:
+    def _draw_auxiliary(self, positions: series.Positions) -> None:
         name, factor = _AUXILIARY[positions.topic]
         values = factor * positions.position
         self._draw_series(name, positions.stamps, values)
