@@ -222,14 +222,13 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
     Raises
     ------
     BagError
-        Where the stream is no MCAP (any more), after all that came before; not where it ends, since
-        whoever writes it may be killed.
+        Where the stream is no MCAP (any more); not where it ends, since a writer may be killed.
 
     """
     definitions = Definitions({})
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise BagError(f'{name}: it does not begin as MCAP does')
     try:
-        if stream.read(len(MAGIC)) != MAGIC:
-            raise DamageError('it does not begin as MCAP does')
         for record in read_records(stream):
             for item in unpack(record) if isinstance(record, mcap.Chunk) else [record]:
                 match item:

@@ -30,15 +30,6 @@ _SAME = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class LayerMark:
-    """A layer in the map, and what is said of it. [m], [m/s]"""
-
-    thickness: float
-    wave_speed: float
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class EnergyMap:
     """Energy transfer over all layers that are considered."""
 
@@ -47,7 +38,8 @@ class EnergyMap:
     wave_speed: Floats
     # (rows, columns) A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
     energy_transfer: Floats
-    marks: tuple[LayerMark, ...]  # The layer of the rig, and the recommended one if there is one
+    # Thickness, wave speed and a text: of the layer of the rig, and of a recommended one. [m], [m/s]
+    marks: tuple[tuple[float, float, str], ...]
     title: str  # Of the colours
 
 
@@ -113,7 +105,7 @@ def compute_energy_map(
         said = None if source is None else recommendation.get(f'{source}energy_transfer')
         alpha = said if isinstance(said, float) else float(energy_transfer(rig, *np.array(layer)))
         text = f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
-        marks.append(LayerMark(thickness=layer[0], wave_speed=layer[1], text=text))
+        marks.append((*layer, text))
     thickness, wave_speed = (
         np.geomspace(
             min(settings[f'recommendation.{name}_min'], *values),

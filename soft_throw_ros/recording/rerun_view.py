@@ -380,7 +380,7 @@ class _TwinView:
                 y=drawing.Axis(float(y[0]), float(y[-1]), is_log=True),
                 titles=('Lₛ (mm)', 'cₛ (m/s)', found.title),
                 marks=[
-                    (_MILLI * mark.thickness, mark.wave_speed, mark.text) for mark in found.marks
+                    (_MILLI * thickness, speed, text) for thickness, speed, text in found.marks
                 ],
             )
 

@@ -514,9 +514,7 @@ class _TwinDecoder:
                 return
             position -= [self._rest[0], self._rest[1] - _rest_height(self._rig)]
         is_number = (np.abs(position) <= _LARGEST).any(axis=1)
-        yield Positions(
-            topic=topic, stamps=read.stamps[is_number], position=position[is_number]
-        )
+        yield Positions(topic=topic, stamps=read.stamps[is_number], position=position[is_number])
 
     # the layer
 
