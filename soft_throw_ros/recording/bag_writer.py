@@ -479,7 +479,7 @@ class _Output:
 def register_channel(
     writer: Writer, channel: Channel, schemas: dict[tuple[str, str, str], int]
 ) -> list[SchemaRecord | ChannelRecord]:
-    """Define a channel, and its schema unless `schemas` has it; return the records, its own last."""
+    """Define a channel, and its schema unless it is in `schemas`; return the records."""
     records: list[SchemaRecord | ChannelRecord] = []
     key = (channel.type, channel.schema_encoding, channel.schema)
     if key not in schemas:

@@ -38,7 +38,7 @@ class EnergyMap:
     wave_speed: Floats
     # (rows, columns) A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
     energy_transfer: Floats
-    # Thickness, wave speed and a text: of the layer of the rig, and of a recommended one. [m], [m/s]
+    # Thickness [m], wave speed [m/s] and text: the layer of the rig, and maybe a recommended one
     marks: tuple[tuple[float, float, str], ...]
     title: str  # Of the colours
 

@@ -202,7 +202,7 @@ def test_definition_with_a_checksum_wins_over_its_copy_without_one(
         }
 
 
-@pytest.mark.parametrize('size', [1, 9, 5000, 300_000])
+@pytest.mark.parametrize('size', [1, 10, 5000, 300_000])
 def test_reading_goes_on_after_bytes_that_do_not_belong_there(recording, size):
     recording.write(2000, flush_every=300)
     (path,) = recording.files
