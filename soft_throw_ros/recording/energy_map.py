@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 _SHAPE = (160, 100)
 """Thicknesses and wave speeds."""
 
-_STRIDES = (8, 4, 2, 1)
+_COARSENESSES = (8, 4, 2, 1)
 _TIME_BUDGET = 1.0
 """The finest map is taken that needs no longer: too heavy a projectile takes minutes. [s]"""
 
@@ -33,10 +33,10 @@ _SAME = 0.01
 class EnergyMap:
     """Energy transfer over all layers that are considered."""
 
-    # From each to the next by the same factor, from end to end of the map. [m], [m/s]
+    # From each to the next by the same factor. [m], [m/s]
     thickness: Floats
     wave_speed: Floats
-    # (rows, columns) A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
+    # A row for each wave speed; NaN where nothing is thrown. [-]
     energy_transfer: Floats
     # Thickness [m], wave speed [m/s] and text: the layer of the rig, and maybe a recommended one
     marks: tuple[tuple[float, float, str], ...]
@@ -106,19 +106,22 @@ def compute_energy_map(
         alpha = said if isinstance(said, float) else float(energy_transfer(rig, *np.array(layer)))
         text = f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
         marks.append((*layer, text))
-    thickness, wave_speed = (
-        np.geomspace(
+    bounds = [
+        (
             min(settings[f'recommendation.{name}_min'], *values),
             max(settings[f'recommendation.{name}_max'], *values),
-            count,
         )
-        for name, values, count in zip(
-            ('thickness', 'wave_speed'), zip(*layers, strict=True), _SHAPE, strict=True
+        for name, values in zip(
+            ('thickness', 'wave_speed'), zip(*layers, strict=True), strict=True
         )
-    )
-    for stride in _STRIDES:
+    ]
+    for coarseness in _COARSENESSES:
         begin = time.monotonic()
-        values = energy_transfer(rig, thickness[None, ::stride], wave_speed[::stride, None])
+        thickness, wave_speed = (
+            np.geomspace(low, high, count // coarseness)
+            for (low, high), count in zip(bounds, _SHAPE, strict=True)
+        )
+        values = energy_transfer(rig, thickness[None], wave_speed[:, None])
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # what the next one takes
             break
     return EnergyMap(

@@ -400,15 +400,12 @@ def draw_landscape(
     stream.send_recording_name(name)
     canvas = Canvas()
     canvas.connect(stream)
-    x, y = axes
     for panel in panels:
-        path = f'/{panel.name}'
         draw_map(
-            canvas, path, 0, values=panel.values.T, highest=panel.highest,
-            x=Axis.of_pixels(x.values), y=Axis.of_pixels(y.values),
-            titles=(x.title, y.title, panel.symbol), marks=marks,
+            canvas, f'/{panel.name}', 0, axes, panel.values,
+            symbol=panel.symbol, highest=panel.highest, marks=marks,
         )  # fmt: skip
-        tensor = rr.Tensor(panel.values, dim_names=[x.title, y.title])
+        tensor = rr.Tensor(panel.values, dim_names=[axis.title for axis in axes])
         stream.log(f'/values/{panel.name}', tensor, static=True)
     canvas.arrange(
         rrb.Blueprint(
@@ -426,16 +423,18 @@ MAP_HEIGHT = 84.0
 
 
 def draw_map(
-    canvas: Canvas, path: str, stamp: int, *, values: Floats, highest: float | None = None,
-    x: Axis, y: Axis, titles: tuple[str, str, str], marks: Sequence[tuple[float, float, str]],
+    canvas: Canvas, path: str, stamp: int, axes: tuple[MapAxis, MapAxis], values: Floats,
+    *, symbol: str, highest: float | None = None, marks: Sequence[tuple[float, float, str]] = (),
 ) -> None:  # fmt: skip
-    """Draw a map, a row of values for each y; titles are those of x, y and the values."""
+    """Draw a map, whose values are along the first and the second axis, as those of a panel."""
     if highest is None:
         known = values[np.isfinite(values)]
         highest = float(known.max()) if known.size and known.max() > 0.0 else 1.0
+    x, y = (Axis.of_pixels(axis.values) for axis in axes)
     chart = Chart(canvas, path, stamp, height=MAP_HEIGHT, x=x, y=y)
-    chart.draw(colours_of(values[::-1], 0.0, highest, UNSIGNED), titles=titles[:2])
-    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=titles[2])
+    pixels = colours_of(values.T[::-1], 0.0, highest, UNSIGNED)
+    chart.draw(pixels, titles=(axes[0].title, axes[1].title))
+    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=symbol)
     if marks:
         chart.draw_marks(marks)
 

@@ -370,18 +370,14 @@ class _TwinView:
         while self._maps and (is_waiting or self._maps[0][1].done()):
             stamp, future = self._maps.pop(0)
             found = future.result()
-            x, y = _MILLI * found.thickness, found.wave_speed
+            axes = (
+                drawing.MapAxis(title='Lₛ (mm)', values=_MILLI * found.thickness),
+                drawing.MapAxis(title='cₛ (m/s)', values=found.wave_speed),
+            )
+            marks = [(_MILLI * length, speed, text) for length, speed, text in found.marks]
+            path, values = self._path('landscape'), found.energy_transfer.T
             drawing.draw_map(
-                self._canvas,
-                self._path('landscape'),
-                stamp,
-                values=found.energy_transfer,
-                x=drawing.Axis(float(x[0]), float(x[-1]), is_log=True),
-                y=drawing.Axis(float(y[0]), float(y[-1]), is_log=True),
-                titles=('Lₛ (mm)', 'cₛ (m/s)', found.title),
-                marks=[
-                    (_MILLI * thickness, speed, text) for thickness, speed, text in found.marks
-                ],
+                self._canvas, path, stamp, axes, values, symbol=found.title, marks=marks
             )
 
     def _write(self, name: str, stamp: int, text: str) -> None:
