@@ -247,7 +247,8 @@ class McapFile:
         if summary is None or summary.statistics is None or not self._has_sound_summary():
             return None
         statistics = summary.statistics
-        for record in (*summary.schemas.values(), *summary.channels.values()):
+        definitions: list[mcap.Schema | mcap.Channel] = [*summary.schemas.values()]
+        for record in [*definitions, *summary.channels.values()]:
             self._definitions.add(record)
         is_complete = (
             self._definitions.all().keys() >= statistics.channel_message_counts.keys()

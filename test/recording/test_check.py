@@ -35,7 +35,7 @@ def text(line: str) -> bytes:
     return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
 
 
-class Twin(twins['TwinMessages']):  # type: ignore[misc]  # a module that is no package's
+class Twin(twins['TwinMessages']):
     """A twin whose clock shows what the test says, and what a recorder gets of it."""
 
     def restart(self) -> None:
