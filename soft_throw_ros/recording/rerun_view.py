@@ -331,9 +331,9 @@ class _TwinView:
         limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
         chart = drawing.Chart(
-            self._canvas,
-            self._path('strain'),
-            field.start,
+            canvas=self._canvas,
+            path=self._path('strain'),
+            stamp=field.start,
             height=_STRAIN_HEIGHT,
             x=drawing.Axis(0.0, _MILLI * float(field.times[-1])),
             y=drawing.Axis(0.0, _MILLI * field.thickness),

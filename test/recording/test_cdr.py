@@ -99,16 +99,6 @@ def joint_state(stamp: int = STAMP, names=('plate', 'projectile'), lengths=(2, 2
     return bytes(JAZZY.serialize_cdr(message, 'sensor_msgs/msg/JointState'))
 
 
-def test_joint_states_come_back_in_one_go() -> None:
-    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
-    values = np.random.default_rng(3).normal(size=(100, 6))
-    datas = [encoder.encode(STAMP + n, State(*row)) for n, row in enumerate(values)]
-    read = decode_joint_states(datas)
-    assert read.names == ('plate', 'projectile')
-    np.testing.assert_array_equal(read.stamps, STAMP + np.arange(100))
-    np.testing.assert_array_equal(np.hstack([read.position, read.velocity, read.effort]), values)
-
-
 @pytest.mark.parametrize('names', [(), ('a',), ('abc', 'defg', 'h')])
 @pytest.mark.parametrize('lengths', [(0, 0, 0), (3, 0, 3), (0, 1, 0), (2, 3, 4)])
 def test_joint_states_of_others_come_back(names, lengths) -> None:
