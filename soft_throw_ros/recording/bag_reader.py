@@ -15,26 +15,21 @@ from mcap import records as mcap
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording.bag_writer import is_being_written, METADATA_FILE, METADATA_KEY
 from soft_throw_ros.recording.mcap_file import (
-    check_magic,
     Chunk,
     DamageError,
     Definitions,
+    EndOfStreamError,
     Gap,
     Known,
     McapFile,
     not_mcap,
-    read_exactly,
-    read_record,
+    read_records,
     unpack,
 )
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 from soft_throw_ros.recording.qos import load_yaml
 
-_LARGEST_METADATA_FILE = 2**20  # PyYAML is slow [characters]
-
 _FILES = 'relative_file_paths'
-
-_SUFFIXES = ('.mcap', '.mcap.zstd')
 
 
 class BagReader:
@@ -44,8 +39,7 @@ class BagReader:
     Parameters
     ----------
     path : path_like
-        A folder with `metadata.yaml`, or with MCAP files; or a single file, `.mcap` or
-        `.mcap.zstd`.
+        A folder with MCAP files, or one such file.
     by_scan : bool
         Whether to look at every record first, instead of believing the indexes of the files.
 
@@ -80,14 +74,11 @@ class BagReader:
         self._gaps: list[Gap] = []
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
-        is_compressed = str(information.get('compression_mode')).lower() == 'message'
         known: Known = {}
         self._files: list[McapFile] = []
         try:
             for file in self._paths(information):
-                self._files.append(
-                    McapFile(file, known, by_scan=by_scan, has_compressed_messages=is_compressed)
-                )
+                self._files.append(McapFile(file, known, by_scan=by_scan))
         except BagError:
             self.close()
             raise
@@ -185,9 +176,7 @@ class BagReader:
         """Read `metadata.yaml`; what is not there is left to the files."""
         path = self.path / METADATA_FILE
         try:
-            with path.open(encoding='utf-8') as file:
-                text = file.read(_LARGEST_METADATA_FILE)
-            information = load_yaml(text)[METADATA_KEY]
+            information = load_yaml(path.read_text(encoding='utf-8'))[METADATA_KEY]
             return {**information, _FILES: [str(name) for name in information[_FILES]]}
         except FileNotFoundError:
             reason = 'the file is missing'
@@ -200,27 +189,23 @@ class BagReader:
         """List the files of the bag."""
         if not self.path.is_dir():
             return [self.path]
-        storage = str(information.get('storage_identifier', 'mcap'))
+        is_sqlite = any(self.path.glob('*.db3'))
+        storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
         if storage != 'mcap':
-            raise BagError(f'{self.path} {not_mcap(storage)}')
-        names = information.get(_FILES, ())
-        listed = [self.path / Path(name).name for name in names]
-        missing = [path for path in listed if not path.is_file()]
-        self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
-        found = listed
-        if missing or not listed:
-            found = [path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)]
-            found.sort(key=_by_number)
+            raise BagError(f'{self.path} {not_mcap(f"in {storage}")}')
+        if str(information.get('compression_mode')).lower() in ('file', 'message'):
+            raise BagError(f'{self.path} {not_mcap("compressed")}')
+        found = sorted(self.path.glob('*.mcap'), key=_by_number)
+        listed = [self.path / Path(name).name for name in information.get(_FILES, ())]
+        self._gaps += [
+            Gap(path, 0, 0, 'the file is missing') for path in listed if path not in found
+        ]
+        if not found:
+            raise BagError(f'{self.path} is no bag, there is no MCAP file in it')
         # What a machine leaves that loses its power is no reason to refuse the others
         empty = [path for path in found if path.is_file() and not path.stat().st_size]
         self._gaps += [Gap(path, 0, 0, 'the file is empty') for path in empty]
-        if len(empty) < len(found):
-            return [path for path in found if path not in empty]
-        if found:
-            return found
-        other = next(self.path.glob('*.db3'), None)
-        reason = 'is no bag, there is no MCAP file in it' if other is None else not_mcap('sqlite3')
-        raise BagError(f'{self.path} {reason}')
+        return [path for path in found if path not in empty] or found
 
 
 def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message | mcap.Metadata]:
@@ -237,14 +222,14 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
     Raises
     ------
     BagError
-        Where the stream is no MCAP (any more), after all that came before; not if it ends after a
-        whole record, since whoever writes it may be killed.
+        Where the stream is no MCAP (any more); not where it ends, since a writer may be killed.
 
     """
     definitions = Definitions({})
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise BagError(f'{name}: it does not begin as MCAP does')
     try:
-        check_magic(read_exactly(stream, len(MAGIC)))
-        while not isinstance(record := read_record(stream), mcap.Footer):
+        for record in read_records(stream):
             for item in unpack(record) if isinstance(record, mcap.Chunk) else [record]:
                 match item:
                     case mcap.Message():
@@ -253,7 +238,7 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
                         definitions.add(item)
                     case mcap.Metadata():
                         yield item
-    except EOFError:
+    except EndOfStreamError:
         return
     except DamageError as error:
         raise BagError(f'{name}: {error}') from None

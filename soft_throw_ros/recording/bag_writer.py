@@ -355,7 +355,35 @@ class BagWriter:
             raise BagError(f'{path}: {error.strerror}') from None
 
     def _information(self) -> dict[str, Any]:
-        return _information(self._files, self.counts, self._distribution)
+        """Return what rosbag2 wants to know of the bag, to write it as YAML."""
+        first = min(file.first for file in self._files)
+        last = max((file.last for file in self._files if file.count), default=first)
+        return {
+            'version': METADATA_VERSION,
+            'storage_identifier': 'mcap',
+            'duration': {'nanoseconds': last - first},
+            'starting_time': {'nanoseconds_since_epoch': first},
+            'message_count': sum(file.count for file in self._files),
+            'topics_with_message_count': [
+                {
+                    'topic_metadata': {
+                        'name': channel.topic,
+                        'type': channel.type,
+                        'serialization_format': 'cdr',
+                        'offered_qos_profiles': [profile.to_dict() for profile in channel.qos],
+                        'type_description_hash': channel.type_hash,
+                    },
+                    'message_count': count,
+                }
+                for channel, count in self.counts.items()
+            ],
+            'compression_format': '',
+            'compression_mode': '',
+            'relative_file_paths': [file.name for file in self._files],
+            'files': [file.to_dict() for file in self._files],
+            'custom_data': {},
+            'ros_distro': self._distribution,
+        }
 
     def _write_information(self) -> None:
         """Replace `metadata.yaml` at once."""
@@ -389,41 +417,6 @@ class _FileInformation:
             'duration': {'nanoseconds': max(self.last - self.first, 0)},
             'message_count': self.count,
         }
-
-
-def _information(
-    written: list[_FileInformation], counts: dict[Channel, int], distribution: str
-) -> dict[str, Any]:
-    """Return what rosbag2 wants to know of a bag, to write it as YAML."""
-    files = [file for file in written if file.count]
-    first = min((file.first for file in files), default=LATEST)
-    last = max((file.last for file in files), default=first)
-    return {
-        'version': METADATA_VERSION,
-        'storage_identifier': 'mcap',
-        'duration': {'nanoseconds': last - first},
-        'starting_time': {'nanoseconds_since_epoch': first},
-        'message_count': sum(file.count for file in files),
-        'topics_with_message_count': [
-            {
-                'topic_metadata': {
-                    'name': channel.topic,
-                    'type': channel.type,
-                    'serialization_format': 'cdr',
-                    'offered_qos_profiles': [profile.to_dict() for profile in channel.qos],
-                    'type_description_hash': channel.type_hash,
-                },
-                'message_count': count,
-            }
-            for channel, count in counts.items()
-        ],
-        'compression_format': '',
-        'compression_mode': '',
-        'relative_file_paths': [file.name for file in written],
-        'files': [file.to_dict() for file in written],
-        'custom_data': {},
-        'ros_distro': distribution,
-    }
 
 
 class _Output:
@@ -486,24 +479,7 @@ class _Output:
 def register_channel(
     writer: Writer, channel: Channel, schemas: dict[tuple[str, str, str], int]
 ) -> list[SchemaRecord | ChannelRecord]:
-    """
-    Define a channel in an MCAP file, and its schema if it is not in it yet.
-
-    Parameters
-    ----------
-    writer : Writer
-        Of the file.
-    channel : Channel
-        What is defined.
-    schemas : dict
-        The schemas that are defined; a new one is added.
-
-    Returns
-    -------
-    list of Schema and Channel
-        The new records, the channel last.
-
-    """
+    """Define a channel, and its schema unless it is in `schemas`; return the records."""
     records: list[SchemaRecord | ChannelRecord] = []
     key = (channel.type, channel.schema_encoding, channel.schema)
     if key not in schemas:

@@ -225,22 +225,11 @@ class _Layout:
 
 @dataclass(frozen=True, kw_only=True)
 class JointStates:
-    """
-    Messages sensor_msgs/JointState of the same joints, one after another.
+    """Messages sensor_msgs/JointState of the same joints, one after another."""
 
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (n,)
-        Of the headers. [ns]
-    names : tuple of str
-        Of the joints.
-    position, velocity, effort : ndarray, shape (n, joints)
-        In SI units; (n, 0) where the messages have none.
-
-    """
-
-    stamps: NDArray[np.int64]
-    names: tuple[str, ...]
+    stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
+    names: tuple[str, ...]  # Of the joints
+    # (n, joints) In SI units; (n, 0) where the messages have none
     position: Floats
     velocity: Floats
     effort: Floats

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-import heapq
 import math
 import struct
 from typing import Any, NamedTuple
@@ -40,7 +39,6 @@ _TEXT, _JOINT_STATE = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState'
 _COMPARED = ('throw', 'result', 'checksum')
 _SAME_OR_LOST = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
 _LATEST = 3_000_000_000  # after the journal tells of a state, in which it may be logged [ns]
-_REORDERED = 64  # lines that are waited for, since clocks of recorders are set back at times
 _LONGEST = 3_600_000  # steps from one entry to the next: an hour at the default rate
 _SHOWN = 5  # of what may be many
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
@@ -66,36 +64,19 @@ class Count:
 
 @dataclass(kw_only=True)
 class CheckResult:
-    """
-    What was found out about a twin in a bag.
+    """What was found out about a twin in a bag."""
 
-    Parameters
-    ----------
-    twin : str
-        Name of the node.
-    checksums, results : Count
-        Of the journal.
-    states : Count
-        Seconds, or parts of one before and after a throw starts, whose states are in the bag.
-    differences : list of str
-        What is not the same.
-    gaps : list of str
-        What is missing in the journal.
-    versions : dict of str to (str, str)
-        What was another there, and here.
-    reason : str
-        Why it cannot be checked, empty if it can.
-
-    """
-
-    twin: str
+    twin: str  # Name of the node
+    # Of the journal
     checksums: Count = field(default_factory=Count)
     results: Count = field(default_factory=Count)
+    # Seconds, or parts of one before and after a throw starts, whose states are in the bag
     states: Count = field(default_factory=Count)
-    differences: list[str] = field(default_factory=list)
-    gaps: list[str] = field(default_factory=list)
+    differences: list[str] = field(default_factory=list)  # What is not the same
+    gaps: list[str] = field(default_factory=list)  # What is missing in the journal
+    # What was another there, and here
     versions: dict[str, tuple[str, str]] = field(default_factory=dict)
-    reason: str = ''
+    reason: str = ''  # Why it cannot be checked, empty if it can
 
     @property
     def exit_code(self) -> int:
@@ -163,11 +144,11 @@ def check_bag(reader: BagReader) -> list[CheckResult]:
 
 
 def _check_twin(reader: BagReader, node: str) -> CheckResult:
-    """Check one twin, in one pass."""
+    """Check one twin, in one pass over its journal and one over its states."""
     result = CheckResult(twin=node)
-    states = _RecordedStates()
-    repetition = _Repetition(result, states)
-    for entry in _in_order(_entries(reader, node, states)):
+    repetition = _Repetition(result, _RecordedStates(reader, f'{node}/{_STATES}'))
+    for message in reader.messages(f'{node}/{_JOURNAL}', by_log_time=False):
+        entry = _entry(message)
         if 'line' not in entry:
             version = entry.get('versions', {}).get('soft_throw_ros', 'an earlier version')
             result.reason = (
@@ -175,74 +156,37 @@ def _check_twin(reader: BagReader, node: str) -> CheckResult:
                 f'soft_throw_ros {version}, before there were any'
             )
             return result
-        repetition.take(entry)
+        repetition.take(entry, message.log_time)
     repetition.finish()
     if not repetition.has_begun:
         result.reason = 'cannot be checked: its journal has no start of a throw'
     return result
 
 
-def _entries(reader: BagReader, node: str, states: _RecordedStates) -> Iterator[dict[str, Any]]:
-    """Yield the lines of a journal, each when the states it tells of have been read."""
-    waiting: deque[Message] = deque()
-    for message in reader.messages({f'{node}/{_JOURNAL}', f'{node}/{_STATES}'}):
-        while waiting and message.log_time > waiting[0].log_time + _LATEST:
-            yield _entry(waiting.popleft())
-        if message.channel.topic.endswith(f'/{_JOURNAL}'):
-            waiting.append(message)
-        else:
-            states.add(message.data)
-    yield from map(_entry, waiting)
-
-
 def _entry(message: Message) -> dict[str, Any]:
     """Read a line; what is none has no number."""
     try:
         text = str(decode(message.channel.type, message.channel.schema, message.data).data)
-        entry = journal.decode(text)
+        return journal.decode(text)
     except (MessageError, AttributeError, journal.JournalError) as error:
         return {'kind': 'unreadable', 'line': -1, 'reason': str(error)}
-    return entry
-
-
-def _in_order(entries: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield entries in the order of their numbers, and what has none at once."""
-    waiting: list[tuple[int, int, dict[str, Any]]] = []
-    following = None
-    for count, entry in enumerate(entries):
-        line = entry.get('line', -1)
-        if line < 0:
-            yield entry
-            continue
-        if entry['kind'] == 'start':
-            yield from (entry for _, _, entry in sorted(waiting))
-            waiting, following = [], line
-        heapq.heappush(waiting, (line, count, entry))
-        while waiting and (
-            following is None or waiting[0][0] <= following or len(waiting) > _REORDERED
-        ):
-            line, _, coming = heapq.heappop(waiting)
-            following = line + 1
-            yield coming
-    yield from (entry for _, _, entry in sorted(waiting))
 
 
 class _RecordedStates:
     """The states in a bag, by their stamps, until they are asked for."""
 
-    def __init__(self) -> None:
-        self._unread: list[bytes] = []
+    def __init__(self, reader: BagReader, topic: str) -> None:
+        self._messages = reader.messages(topic, by_log_time=False)
+        self._next = next(self._messages, None)
         self._states: dict[int, bytes] = {}
 
-    def add(self, data: bytes) -> None:
-        """Take a message."""
-        self._unread.append(data)
-
-    def take(self, stamps: Iterable[int]) -> list[bytes | None]:
-        """Return the states of these stamps, None where there is none, and forget them."""
-        for stamp, values in _read_states(self._unread):
-            self._states[stamp] = values
-        self._unread.clear()
+    def take(self, stamps: Iterable[int], log_time: int) -> list[bytes | None]:
+        """Return and forget the states of stamps that the journal tells of at a time."""
+        datas = []
+        while self._next is not None and self._next.log_time <= log_time + _LATEST:
+            datas.append(self._next.data)
+            self._next = next(self._messages, None)
+        self._states.update(_read_states(datas))
         return [self._states.pop(stamp, None) for stamp in stamps]
 
 
@@ -294,6 +238,7 @@ class _Repetition:
         self._recorded_states = recorded_states
         self._session: Session | None = None
         self._line = -1  # the last that was taken
+        self._log_time = 0
         self._throw = 0
         self._recorded: deque[dict[str, Any]] = deque()  # by the journal, not compared yet
         self._repeated: deque[dict[str, Any]] = deque()  # by the repeated session
@@ -302,7 +247,7 @@ class _Repetition:
         self._has_landed = False
         self._versions: dict[str, tuple[str, str]] = {}
 
-    def take(self, entry: dict[str, Any]) -> None:
+    def take(self, entry: dict[str, Any], log_time: int) -> None:
         """Go on to an entry, or begin with it."""
         is_start = entry['kind'] == 'start'
         is_next = entry['line'] == self._line + 1
@@ -311,7 +256,7 @@ class _Repetition:
             self._result.gaps.append(f'{missing} (after throw {self._throw})')
         if is_start or not is_next:
             self.finish()
-        self._line = entry['line']
+        self._line, self._log_time = entry['line'], log_time
         self._throw = entry.get('throw', 0 if is_start else self._throw)
         try:
             if self._session is not None:
@@ -439,7 +384,7 @@ class _Repetition:
                 self._differ(self._result.checksums, f'{where}: checksum, {" and ".join(wrong)}')
             else:
                 self._result.checksums.same += 1
-        found = self._recorded_states.take(step.due_ns for step in steps)
+        found = self._recorded_states.take((step.due_ns for step in steps), self._log_time)
         values = [value for value in found if value is not None]
         if len(values) < len(found):
             self._result.states.unchecked += 1

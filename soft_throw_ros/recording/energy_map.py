@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 _SHAPE = (160, 100)
 """Thicknesses and wave speeds."""
 
-_STRIDES = (8, 4, 2, 1)
+_COARSENESSES = (8, 4, 2, 1)
 _TIME_BUDGET = 1.0
 """The finest map is taken that needs no longer: too heavy a projectile takes minutes. [s]"""
 
@@ -30,37 +30,17 @@ _SAME = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class LayerMark:
-    """A layer in the map, and what is said of it. [m], [m/s]"""
-
-    thickness: float
-    wave_speed: float
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class EnergyMap:
-    """
-    Energy transfer over all layers that are considered.
+    """Energy transfer over all layers that are considered."""
 
-    Parameters
-    ----------
-    thickness, wave_speed : ndarray
-        From each to the next by the same factor, from end to end of the map. [m], [m/s]
-    energy_transfer : ndarray, shape (rows, columns)
-        A row for each wave speed, maybe of fewer; NaN where nothing is thrown. [-]
-    marks : tuple of LayerMark
-        The layer of the rig, and the recommended one if there is one.
-    title : str
-        Of the colours.
-
-    """
-
+    # From each to the next by the same factor. [m], [m/s]
     thickness: Floats
     wave_speed: Floats
+    # A row for each wave speed; NaN where nothing is thrown. [-]
     energy_transfer: Floats
-    marks: tuple[LayerMark, ...]
-    title: str
+    # Thickness [m], wave speed [m/s] and text: the layer of the rig, and maybe a recommended one
+    marks: tuple[tuple[float, float, str], ...]
+    title: str  # Of the colours
 
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
@@ -125,20 +105,23 @@ def compute_energy_map(
         said = None if source is None else recommendation.get(f'{source}energy_transfer')
         alpha = said if isinstance(said, float) else float(energy_transfer(rig, *np.array(layer)))
         text = f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
-        marks.append(LayerMark(thickness=layer[0], wave_speed=layer[1], text=text))
-    thickness, wave_speed = (
-        np.geomspace(
+        marks.append((*layer, text))
+    bounds = [
+        (
             min(settings[f'recommendation.{name}_min'], *values),
             max(settings[f'recommendation.{name}_max'], *values),
-            count,
         )
-        for name, values, count in zip(
-            ('thickness', 'wave_speed'), zip(*layers, strict=True), _SHAPE, strict=True
+        for name, values in zip(
+            ('thickness', 'wave_speed'), zip(*layers, strict=True), strict=True
         )
-    )
-    for stride in _STRIDES:
+    ]
+    for coarseness in _COARSENESSES:
         begin = time.monotonic()
-        values = energy_transfer(rig, thickness[None, ::stride], wave_speed[::stride, None])
+        thickness, wave_speed = (
+            np.geomspace(low, high, count // coarseness)
+            for (low, high), count in zip(bounds, _SHAPE, strict=True)
+        )
+        values = energy_transfer(rig, thickness[None], wave_speed[:, None])
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # what the next one takes
             break
     return EnergyMap(

@@ -9,7 +9,7 @@ and of what waits for it the oldest goes first.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 import contextlib
 import fcntl
 from io import BytesIO
@@ -86,16 +86,6 @@ class StreamWriter:
             self._writer.add_message(
                 self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
             )
-        return self._take()
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
-        """Write named texts."""
-        self._writer.add_metadata(name, dict(values))
-        return self._take()
-
-    def end(self) -> bytes:
-        """End the stream, as a file that has no index."""
-        self._writer.finish()
         return self._take()
 
     def _begin(self) -> None:

@@ -18,55 +18,22 @@ class BagError(ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Channel:
-    """
-    A topic in a bag; two channels are the same if they are one object.
+    """A topic in a bag; two channels are the same if they are one object."""
 
-    Parameters
-    ----------
-    topic : str
-        Its full name.
-    type : str
-        As `sensor_msgs/msg/JointState`.
-    schema : str
-        Definition of the type and of all that it depends on, from `schemas.find_schema`.
-    type_hash : str
-        `RIHS01_...`, or empty.
-    qos : tuple of Qos
-        What its publishers offer.
-    schema_encoding : str
-        How the schema is written; those of others may be in `ros2idl`.
-
-    """
-
-    topic: str
-    type: str
-    schema: str
-    type_hash: str = ''
-    qos: tuple[Qos, ...] = ()
+    topic: str  # Its full name
+    type: str  # As `sensor_msgs/msg/JointState`
+    schema: str  # Definition of the type and of all that it depends on, from `schemas.find_schema`
+    type_hash: str = ''  # `RIHS01_...`, or empty
+    qos: tuple[Qos, ...] = ()  # What its publishers offer
+    # How the schema is written; those of others may be in `ros2idl`
     schema_encoding: str = 'ros2msg'
 
 
 class Message(NamedTuple):
-    """
-    A message, as it came.
+    """A message, as it came."""
 
-    Parameters
-    ----------
-    channel : Channel
-        What it came through.
-    data : bytes
-        Serialised as CDR.
-    log_time : int
-        When it was received. [ns]
-    publish_time : int
-        When it was published. [ns]
-    sequence : int
-        Its number at the publisher; a bag keeps the lower 32 bits.
-
-    """
-
-    channel: Channel
-    data: bytes
-    log_time: int
-    publish_time: int
-    sequence: int = 0
+    channel: Channel  # What it came through
+    data: bytes  # Serialised as CDR
+    log_time: int  # When it was received. [ns]
+    publish_time: int  # When it was published. [ns]
+    sequence: int = 0  # Its number at the publisher; a bag keeps the lower 32 bits

@@ -40,23 +40,6 @@ class Qos:
     """
     What a publisher offers.
 
-    Parameters
-    ----------
-    history : {'system_default', 'keep_last', 'keep_all', 'unknown'}
-        What it keeps to send again.
-    depth : int
-        How many messages it keeps.
-    reliability : {'system_default', 'reliable', 'best_effort', 'unknown', 'best_available'}
-        Whether it sends again what was lost.
-    durability : {'system_default', 'transient_local', 'volatile', 'unknown', 'best_available'}
-        Whether late subscribers get what it keeps.
-    deadline, lifespan, liveliness_lease_duration : int
-        `INFINITE` by default. [ns]
-    liveliness : {'system_default', 'automatic', 'manual_by_node', 'manual_by_topic', ...}
-        How it shows that it is alive.
-    avoid_ros_namespace_conventions : bool
-        Whether its topic is called the same in DDS.
-
     Raises
     ------
     ValueError
@@ -64,15 +47,16 @@ class Qos:
 
     """
 
-    history: str = 'keep_last'
-    depth: int = 10
-    reliability: str = 'reliable'
-    durability: str = 'volatile'
+    history: str = 'keep_last'  # What it keeps to send again
+    depth: int = 10  # How many messages it keeps
+    reliability: str = 'reliable'  # Whether it sends again what was lost
+    durability: str = 'volatile'  # Whether late subscribers get what it keeps
+    # `INFINITE` by default. [ns]
     deadline: int = INFINITE
     lifespan: int = INFINITE
-    liveliness: str = 'automatic'
+    liveliness: str = 'automatic'  # How it shows that it is alive
     liveliness_lease_duration: int = INFINITE
-    avoid_ros_namespace_conventions: bool = False
+    avoid_ros_namespace_conventions: bool = False  # Whether its topic is called the same in DDS
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():

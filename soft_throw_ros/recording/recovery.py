@@ -15,23 +15,11 @@ from soft_throw_ros.recording.message import BagError
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """
-    What was recovered.
+    """What was recovered."""
 
-    Parameters
-    ----------
-    target : Path
-        The new bag.
-    saved : dict of str to int
-        How many messages are in it, by topic.
-    gaps : tuple of Gap
-        What of the old bag is not.
-
-    """
-
-    target: Path
-    saved: dict[str, int]
-    gaps: tuple[Gap, ...]
+    target: Path  # The new bag
+    saved: dict[str, int]  # How many messages are in it, by topic
+    gaps: tuple[Gap, ...]  # What of the old bag is not
 
     @property
     def message_count(self) -> int:
@@ -48,8 +36,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write what can be read of a bag into a new one, which every reader opens.
 
-    Every chunk is taken that is whole, by its checksum if it has one; what is said of a topic
-    without a checksum is believed only if nothing with one says it. The messages keep their
+    Every chunk is taken that is whole, by its checksum if it has one. The messages keep their
     order, times and numbers; metadata and attachments come first; several files become one.
 
     Parameters
@@ -77,7 +64,14 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         writer = BagWriter(target, distribution=reader.distribution)
         try:
             with writer:
-                _copy(reader, writer)
+                for channel in reader.channels:
+                    writer.add_channel(channel)
+                for metadata in reader.metadata:
+                    writer.add_metadata(metadata.name, metadata.metadata)
+                for item in reader.attachments():
+                    writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+                for message in reader.messages(by_log_time=False):
+                    writer.write(message)
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise
@@ -85,16 +79,3 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         for channel, count in writer.counts.items():
             saved[channel.topic] += count
         return Recovery(target=target, saved=dict(saved), gaps=tuple(reader.gaps))
-
-
-def _copy(reader: BagReader, writer: BagWriter) -> None:
-    for channel in reader.channels:
-        writer.add_channel(channel)
-    for metadata in reader.metadata:
-        writer.add_metadata(metadata.name, metadata.metadata)
-    for attachment in reader.attachments():
-        writer.attach(
-            attachment.name, attachment.data, attachment.media_type, time=attachment.log_time
-        )
-    for message in reader.messages(by_log_time=False):
-        writer.write(message)

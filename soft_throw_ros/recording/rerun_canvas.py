@@ -240,80 +240,63 @@ def round_up(value: float, digits: Sequence[float] = (1.0, 1.5, 2.0, 3.0, 5.0, 1
     return unit * next(digit for digit in digits if digit * unit >= value)
 
 
+@dataclass(frozen=True, kw_only=True)
 class Chart:
-    """
-    A picture with axes, of `WIDTH`. Coordinates of the view: x from 0, y from 0 downwards.
+    """A picture with axes, of `WIDTH`. Coordinates of the view: x from 0, y from 0 downwards."""
 
-    Parameters
-    ----------
-    canvas : Canvas
-        Where it is drawn.
-    path : str
-        Its entity.
-    stamp : int
-        When it begins to hold. [ns]
-    height : float
-        Of the picture.
-    x, y : Axis
-        To the right, and upwards.
-
-    """
-
-    def __init__(
-        self, canvas: Canvas, path: str, stamp: int, *, height: float, x: Axis, y: Axis
-    ) -> None:
-        self._canvas = canvas
-        self._path = path
-        self._stamp = stamp
-        self._height = height
-        self._x, self._y = x, y
+    canvas: Canvas
+    path: str  # of its entity
+    stamp: int  # when it begins to hold [ns]
+    height: float  # of the picture
+    x: Axis  # to the right
+    y: Axis  # upwards
 
     def x_at(self, value: float) -> float:
         """Return where a value of the x-axis is."""
-        return WIDTH * self._x.part(value)
+        return WIDTH * self.x.part(value)
 
     def y_at(self, value: float) -> float:
         """Return where a value of the y-axis is."""
-        return self._height * (1.0 - self._y.part(value))
+        return self.height * (1.0 - self.y.part(value))
 
     def draw(self, pixels: Bytes, *, titles: tuple[str, str]) -> None:
         """Draw picture, frame, ticks and titles."""
-        height, path, stamp = self._height, self._path, self._stamp
-        self._canvas.picture(f'{path}/picture', stamp, pixels, x=0.0, y=0.0, w=WIDTH, h=height)
-        x_ticks = [(self.x_at(tick), f'{tick:g}') for tick in self._x.ticks(6)]
-        y_ticks = [(self.y_at(tick), f'{tick:g}') for tick in self._y.ticks(5)]
+        height, path, stamp = self.height, self.path, self.stamp
+        self.canvas.picture(f'{path}/picture', stamp, pixels, x=0.0, y=0.0, w=WIDTH, h=height)
+        x_ticks = [(self.x_at(tick), f'{tick:g}') for tick in self.x.ticks(6)]
+        y_ticks = [(self.y_at(tick), f'{tick:g}') for tick in self.y.ticks(5)]
         short, left = 0.4 * _LINE, -1.8 * _LINE
         strips = [[(0.0, 0.0), (WIDTH, 0.0), (WIDTH, height), (0.0, height), (0.0, 0.0)]]
         strips += [[(x, height), (x, height + short)] for x, _ in x_ticks]
         strips += [[(-short, y), (0.0, y)] for y, _ in y_ticks]
-        self._canvas.lines(f'{path}/frame', stamp, strips, GREY)
+        self.canvas.lines(f'{path}/frame', stamp, strips, GREY)
         texts = [Text(x, height + short, text) for x, text in x_ticks]
         texts += [Text(left, y - _LINE, text) for y, text in y_ticks]
         texts.append(Text(1.075 * WIDTH, height + short, titles[0], WHITE))
         texts.append(Text(left, -2.6 * _LINE, titles[1], WHITE))
-        self._canvas.texts(f'{path}/texts', stamp, texts)
+        self.canvas.texts(f'{path}/texts', stamp, texts)
 
     def draw_bar(self, axis: Axis, ramp: Bytes, *, title: str) -> None:
         """Draw what the colours mean, to the right."""
-        left, thick, path = WIDTH + _LINE, 1.2 * _LINE, f'{self._path}/bar'
-        self._canvas.picture(
-            path, self._stamp, ramp[::-1, None], x=left, y=0.0, w=thick, h=self._height
+        left, thick, path = WIDTH + _LINE, 1.2 * _LINE, f'{self.path}/bar'
+        self.canvas.picture(
+            path, self.stamp, ramp[::-1, None], x=left, y=0.0, w=thick, h=self.height
         )
         x = left + thick + 1.8 * _LINE
         places = [(axis.part(tick), f'{tick:g}') for tick in axis.ticks(4)]
         texts = [
-            Text(x, self._height * (1.0 - part) - _LINE, text)
+            Text(x, self.height * (1.0 - part) - _LINE, text)
             for part, text in places
             if part > _BAR_FOOT
         ]
         texts.append(Text(left + thick, -2.6 * _LINE, title, WHITE))
-        self._canvas.texts(f'{self._path}/bar_texts', self._stamp, texts)
+        self.canvas.texts(f'{self.path}/bar_texts', self.stamp, texts)
 
     def draw_line(self, name: str, x: float, text: str) -> None:
         """Draw a vertical line with a text at its top."""
-        path = f'{self._path}/{name}'
-        self._canvas.lines(path, self._stamp, [[(x, 0.0), (x, self._height)]], BLACK)
-        self._canvas.texts(f'{path}/text', self._stamp, [Text(x, -2.6 * _LINE, text, WHITE)])
+        path = f'{self.path}/{name}'
+        self.canvas.lines(path, self.stamp, [[(x, 0.0), (x, self.height)]], BLACK)
+        self.canvas.texts(f'{path}/text', self.stamp, [Text(x, -2.6 * _LINE, text, WHITE)])
 
     def draw_marks(self, marks: Sequence[tuple[float, float, str]]) -> None:
         """Draw up to two dots with a dark rim, and their texts, that of the upper one above it."""
@@ -328,11 +311,11 @@ class Chart:
             )
             for index, (x, y) in enumerate(places)
         ]
-        path, stamp, colours = self._path, self._stamp, (WHITE, RED)[: len(marks)]
+        path, stamp, colours = self.path, self.stamp, (WHITE, RED)[: len(marks)]
         rims = [BLACK] * len(marks)
-        self._canvas.dots(f'{path}/rims', stamp, places, rims, radius=6.0, order=_BEHIND)
-        self._canvas.dots(f'{path}/marks', stamp, places, colours, radius=4.0)
-        self._canvas.texts(f'{path}/mark_texts', stamp, texts)
+        self.canvas.dots(f'{path}/rims', stamp, places, rims, radius=6.0, order=_BEHIND)
+        self.canvas.dots(f'{path}/marks', stamp, places, colours, radius=4.0)
+        self.canvas.texts(f'{path}/mark_texts', stamp, texts)
 
 
 def chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
@@ -352,45 +335,24 @@ def chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapAxis:
-    """
-    An axis of a map.
+    """An axis of a map."""
 
-    Parameters
-    ----------
-    title : str
-        What it is, with its unit.
-    values : ndarray, shape (n,)
-        In that unit; from each to the next by the same step, or by the same factor.
-
-    """
-
-    title: str
+    title: str  # What it is, with its unit
+    # (n,) In that unit; from each to the next by the same step, or by the same factor
     values: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapPanel:
-    """
-    What a map shows.
+    """What a map shows."""
 
-    Parameters
-    ----------
-    name : str
-        Of the entity.
-    title, symbol : str
-        What it is, and how that is written.
-    values : ndarray, shape (n, m)
-        Along the first and the second axis, from 0 on; NaN where there is none.
-    highest : float or None
-        Where the colours end; at the largest value if not given.
-
-    """
-
-    name: str
+    name: str  # Of the entity
+    # What it is, and how that is written
     title: str
     symbol: str
+    # (n, m) Along the first and the second axis, from 0 on; NaN where there is none
     values: Floats
-    highest: float | None = None
+    highest: float | None = None  # Where the colours end; at the largest value if not given
 
 
 def draw_landscape(
@@ -421,15 +383,12 @@ def draw_landscape(
     stream.send_recording_name(name)
     canvas = Canvas()
     canvas.connect(stream)
-    x, y = axes
     for panel in panels:
-        path = f'/{panel.name}'
         draw_map(
-            canvas, path, 0, values=panel.values.T, highest=panel.highest,
-            x=Axis.of_pixels(x.values), y=Axis.of_pixels(y.values),
-            titles=(x.title, y.title, panel.symbol), marks=marks,
+            canvas, f'/{panel.name}', 0, axes, panel.values,
+            symbol=panel.symbol, highest=panel.highest, marks=marks,
         )  # fmt: skip
-        tensor = rr.Tensor(panel.values, dim_names=[x.title, y.title])
+        tensor = rr.Tensor(panel.values, dim_names=[axis.title for axis in axes])
         stream.log(f'/values/{panel.name}', tensor, static=True)
     canvas.arrange(
         rrb.Blueprint(
@@ -447,16 +406,18 @@ MAP_HEIGHT = 84.0
 
 
 def draw_map(
-    canvas: Canvas, path: str, stamp: int, *, values: Floats, highest: float | None = None,
-    x: Axis, y: Axis, titles: tuple[str, str, str], marks: Sequence[tuple[float, float, str]],
+    canvas: Canvas, path: str, stamp: int, axes: tuple[MapAxis, MapAxis], values: Floats,
+    *, symbol: str, highest: float | None = None, marks: Sequence[tuple[float, float, str]] = (),
 ) -> None:  # fmt: skip
-    """Draw a map, a row of values for each y; titles are those of x, y and the values."""
+    """Draw a map, whose values are along the first and the second axis, as those of a panel."""
     if highest is None:
         known = values[np.isfinite(values)]
         highest = float(known.max()) if known.size and known.max() > 0.0 else 1.0
-    chart = Chart(canvas, path, stamp, height=MAP_HEIGHT, x=x, y=y)
-    chart.draw(colours_of(values[::-1], 0.0, highest, UNSIGNED), titles=titles[:2])
-    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=titles[2])
+    x, y = (Axis.of_pixels(axis.values) for axis in axes)
+    chart = Chart(canvas=canvas, path=path, stamp=stamp, height=MAP_HEIGHT, x=x, y=y)
+    pixels = colours_of(values.T[::-1], 0.0, highest, UNSIGNED)
+    chart.draw(pixels, titles=(axes[0].title, axes[1].title))
+    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=symbol)
     if marks:
         chart.draw_marks(marks)
 

@@ -247,9 +247,9 @@ class _TwinView:
         match item:
             case series.RigStates():
                 self._draw_states(item)
-            case series.Positions():
+            case series.Positions(topic=TWIN_TOPICS.joint_states):
                 self._side.draw_positions(item.stamps, item.position)
-            case series.AuxiliaryPositions():
+            case series.Positions():
                 self._draw_auxiliary(item)
             case series.LayerStates():
                 self._side.draw_layer(item)
@@ -295,7 +295,7 @@ class _TwinView:
         self._draw_series('energy/projectile', stamps, _MILLI * states.projectile_energy)
         self._side.draw_positions(stamps, states.position)
 
-    def _draw_auxiliary(self, positions: series.AuxiliaryPositions) -> None:
+    def _draw_auxiliary(self, positions: series.Positions) -> None:
         name, factor = _AUXILIARY[positions.topic]
         values = factor * positions.position
         self._draw_series(name, positions.stamps, values)
@@ -331,9 +331,9 @@ class _TwinView:
         limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
         chart = drawing.Chart(
-            self._canvas,
-            self._path('strain'),
-            field.start,
+            canvas=self._canvas,
+            path=self._path('strain'),
+            stamp=field.start,
             height=_STRAIN_HEIGHT,
             x=drawing.Axis(0.0, _MILLI * float(field.times[-1])),
             y=drawing.Axis(0.0, _MILLI * field.thickness),
@@ -370,18 +370,14 @@ class _TwinView:
         while self._maps and (is_waiting or self._maps[0][1].done()):
             stamp, future = self._maps.pop(0)
             found = future.result()
-            x, y = _MILLI * found.thickness, found.wave_speed
+            axes = (
+                drawing.MapAxis(title='Lₛ (mm)', values=_MILLI * found.thickness),
+                drawing.MapAxis(title='cₛ (m/s)', values=found.wave_speed),
+            )
+            marks = [(_MILLI * length, speed, text) for length, speed, text in found.marks]
+            path, values = self._path('landscape'), found.energy_transfer.T
             drawing.draw_map(
-                self._canvas,
-                self._path('landscape'),
-                stamp,
-                values=found.energy_transfer,
-                x=drawing.Axis(float(x[0]), float(x[-1]), is_log=True),
-                y=drawing.Axis(float(y[0]), float(y[-1]), is_log=True),
-                titles=('Lₛ (mm)', 'cₛ (m/s)', found.title),
-                marks=[
-                    (_MILLI * mark.thickness, mark.wave_speed, mark.text) for mark in found.marks
-                ],
+                self._canvas, path, stamp, axes, values, symbol=found.title, marks=marks
             )
 
     def _write(self, name: str, stamp: int, text: str) -> None:

@@ -29,21 +29,12 @@ class SchemaError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Schema:
-    """
-    What a message type is.
+    """What a message type is."""
 
-    Parameters
-    ----------
-    text : str
-        Its `.msg` file, and after separators those of the types it consists of, as MCAP's
-        encoding `ros2msg` wants them.
-    type_hash : str
-        `RIHS01_...`; empty where there is none, as in ROS 2 Humble.
-
-    """
-
+    # Its `.msg` file, and after separators those of the types it consists of, as MCAP's encoding
+    # `ros2msg` wants them
     text: str
-    type_hash: str
+    type_hash: str  # `RIHS01_...`; empty where there is none, as in ROS 2 Humble
 
 
 def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:

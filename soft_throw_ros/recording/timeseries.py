@@ -72,28 +72,18 @@ _SAME_CLOCK = 3600 * SECOND
 
 @dataclass(frozen=True, kw_only=True)
 class RigStates:
-    """
-    Plate and projectile.
+    """Plate and projectile."""
 
-    Parameters
-    ----------
-    stamps, published : ndarray, shape (n,)
-        When they were so, in ascending order, and when that was said. [ns]
-    position, velocity, force : ndarray, shape (n, 2)
-        Of plate and projectile; the force is that of the layer on each, up. [m], [m/s], [N]
-    plate_work : ndarray, shape (n,)
-        Of the plate since it was last at rest; NaN while the rig is put back. [J]
-    projectile_energy : ndarray, shape (n,)
-        Kinetic and potential, relative to rest; NaN as before, or if the rig is not known. [J]
-
-    """
-
+    # (n,) When they were so, in ascending order, and when that was said. [ns]
     stamps: Stamps
     published: Stamps
+    # (n, 2) Of plate and projectile; the force is that of the layer on each, up. [m], [m/s], [N]
     position: Floats
     velocity: Floats
     force: Floats
+    # (n,) Of the plate since it was last at rest; NaN while the rig is put back. [J]
     plate_work: Floats
+    # (n,) Kinetic and potential, relative to rest; NaN as before, or if the rig is not known. [J]
     projectile_energy: Floats
 
     @classmethod
@@ -165,61 +155,31 @@ _STATE_FIELDS = tuple(item.name for item in fields(RigStates))
 
 @dataclass(frozen=True, kw_only=True)
 class Positions:
-    """Plate and projectile at times between those of states: shape (n,), (n, 2). [ns], [m]"""
-
-    stamps: Stamps
-    position: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuxiliaryPositions:
     """
-    Positions besides those of the states.
+    Positions besides those that a `RigStates` has.
 
-    Parameters
-    ----------
-    topic : Topic
-        What they are: measured (relative to rest before the throw), predicted (of the projectile)
-        or residual (by the model less those measured).
-    stamps : ndarray, shape (n,)
-        [ns]
-    position : ndarray, shape (n, joints)
-        NaN for a joint that is not measured. [m]
-
+    The topic says what they are: those of the states at times between them, measured (relative to
+    rest before the throw), predicted (of the projectile), or residual (by the model less those
+    measured). A joint that is not measured is NaN.
     """
 
     topic: Topic
-    stamps: Stamps
-    position: Floats
+    stamps: Stamps  # (n,) [ns]
+    position: Floats  # (n, joints) [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class LayerStates:
-    """
-    The layer at some times.
+    """The layer at some times."""
 
-    Parameters
-    ----------
-    stamps : ndarray, shape (n,)
-        [ns]
-    height : ndarray, shape (n, points)
-        Of points from plate to top, evenly spaced at rest. [m]
-    thickness : float
-        At rest. [m]
-    energy : ndarray, shape (n,)
-        Elastic and kinetic, relative to rest; NaN while the rig is put back. [J]
-    total_energy : ndarray, shape (n,)
-        With that of the projectile; without loss it is the work of the plate. [J]
-    is_throw : bool
-        Whether these are all times of a throw's field, close together, and of nothing else.
-
-    """
-
-    stamps: Stamps
-    height: Floats
-    thickness: float
+    stamps: Stamps  # (n,) [ns]
+    height: Floats  # (n, points) Of points from plate to top, evenly spaced at rest. [m]
+    thickness: float  # At rest. [m]
+    # (n,) Elastic and kinetic, relative to rest; NaN while the rig is put back. [J]
     energy: Floats
+    # (n,) With that of the projectile; without loss it is the work of the plate. [J]
     total_energy: Floats
+    # Whether these are all times of a throw's field, close together, and of nothing else
     is_throw: bool = False
 
     @property
@@ -231,32 +191,14 @@ class LayerStates:
 
 @dataclass(frozen=True, kw_only=True)
 class StrainField:
-    """
-    Strain of the layer over time and height, in one throw.
+    """Strain of the layer over time and height, in one throw."""
 
-    Parameters
-    ----------
-    start : int
-        When the throw began. [ns]
-    time_scale : float
-        Time of the rig over time of the stamps. [-]
-    times : ndarray, shape (n,)
-        Since the start, in time of the rig. [s]
-    strain : ndarray, shape (n, points)
-        A row for each time, from plate to top. [-]
-    thickness : float
-        Of the layer at rest. [m]
-    ejection_time : float or None
-        When the projectile left; None if it did not. [s]
-
-    """
-
-    start: int
-    time_scale: float
-    times: Floats
-    strain: Floats
-    thickness: float
-    ejection_time: float | None
+    start: int  # When the throw began. [ns]
+    time_scale: float  # Time of the rig over time of the stamps. [-]
+    times: Floats  # (n,) Since the start, in time of the rig. [s]
+    strain: Floats  # (n, points) A row for each time, from plate to top. [-]
+    thickness: float  # Of the layer at rest. [m]
+    ejection_time: float | None  # When the projectile left; None if it did not. [s]
 
     def stamps(self) -> Stamps:
         """Return the times by the clock of the stamps. [ns]"""
@@ -333,7 +275,6 @@ class LogLine:
 Item = (
     RigStates
     | Positions
-    | AuxiliaryPositions
     | LayerStates
     | StrainField
     | PhaseChange
@@ -560,9 +501,7 @@ class _TwinDecoder:
         work[is_put_back] = energy[is_put_back] = math.nan
         return replace(states, plate_work=work, projectile_energy=energy)
 
-    def _auxiliary(
-        self, topic: Topic, messages: Sequence[Message]
-    ) -> Iterator[AuxiliaryPositions]:
+    def _auxiliary(self, topic: Topic, messages: Sequence[Message]) -> Iterator[Positions]:
         read = decode_joint_states([message.data for message in messages])
         if topic.joints[0] not in read.names or read.position.shape[1] != len(read.names):
             return  # it is of another machine
@@ -575,9 +514,7 @@ class _TwinDecoder:
                 return
             position -= [self._rest[0], self._rest[1] - _rest_height(self._rig)]
         is_number = (np.abs(position) <= _LARGEST).any(axis=1)
-        yield AuxiliaryPositions(
-            topic=topic, stamps=read.stamps[is_number], position=position[is_number]
-        )
+        yield Positions(topic=topic, stamps=read.stamps[is_number], position=position[is_number])
 
     # the layer
 
@@ -651,7 +588,7 @@ class _TwinDecoder:
         seconds = (states.stamps - field.start) * (field.time_scale / SECOND)
         path = CubicHermiteSpline(seconds, states.position, states.velocity)
         position, speed = path(field.times), path(field.times, 1)
-        yield Positions(stamps=stamps, position=position)
+        yield Positions(topic=TWIN_TOPICS.joint_states, stamps=stamps, position=position)
         # the field has no velocity, but a strain that changes moves what is above it
         rate = np.gradient(field.strain, field.times, axis=0, edge_order=2)
         velocity = _integral(rate, field.thickness) + speed[:, :1]

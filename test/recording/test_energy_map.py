@@ -49,7 +49,7 @@ def test_energy_transfer_of_other_layers_is_that_of_the_model() -> None:
 )
 def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
     found = compute_energy_map(Rig(), TWIN.defaults(), values)
-    assert [mark.text for mark in found.marks] == expected
+    assert [text for *_, text in found.marks] == expected
 
 
 def test_map_reaches_to_layers_beyond_those_considered() -> None:
@@ -61,6 +61,6 @@ def test_map_reaches_to_layers_beyond_those_considered() -> None:
 def test_map_of_what_never_leaves_says_so() -> None:
     """To find out takes some milliseconds for every layer, so the map is coarse."""
     found = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
-    assert [mark.text for mark in found.marks] == ['now: no release']
+    assert [text for *_, text in found.marks] == ['now: no release']
     assert np.isnan(found.energy_transfer).any()
     assert found.energy_transfer.size < 160 * 100

@@ -57,27 +57,6 @@ def test_profiles_of_every_version_are_read(pairs):
     assert from_yaml(dump_qos_v8(theirs)) == ours
 
 
-def test_profile_of_rosbag2_itself_is_read():
-    # As it is in a bag that ROS 2 Humble has recorded
-    text = """\
-- history: 3
-  depth: 0
-  reliability: 1
-  durability: 2
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: 1
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false"""
-    assert from_yaml(text) == (Qos(history='unknown', depth=0),)
-
-
 @pytest.mark.parametrize(
     ('text', 'profiles'),
     [

@@ -10,7 +10,6 @@ import threading
 from typing import Any
 
 import pytest
-from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.writer_thread import WriterThread
@@ -38,18 +37,6 @@ def test_all_is_written_in_its_order(tmp_path: Path) -> None:
     bag = read(tmp_path / 'bag')
     assert [(item.name, item.metadata) for item in bag.metadata] == [('name', {'key': 'value'})]
     assert [item.name for item in bag.attachments] == ['file.txt']
-
-
-def test_what_is_put_lasts_before_the_bag_is_closed(tmp_path: Path) -> None:
-    writer = thread(tmp_path / 'bag')
-    writer.put([plain(number) for number in range(100)])
-
-    def count() -> int:
-        with BagReader(tmp_path / 'bag') as bag:
-            return len(list(bag.messages()))
-
-    wait_until(lambda: count() == 100)
-    writer.close()
 
 
 def test_bag_that_cannot_be_made_is_tried_again_and_what_waits_is_counted(tmp_path: Path) -> None:
@@ -117,11 +104,3 @@ def test_what_waits_is_bounded_and_the_rest_is_counted(tmp_path: Path) -> None:
     SlowBag.goes_on.set()
     writer.close()
     assert numbers(tmp_path / 'bag') == list(range(100))
-
-
-def test_message_without_a_valid_time_is_counted_and_left_out(tmp_path: Path) -> None:
-    writer = thread(tmp_path / 'bag')
-    writer.put([plain(0), Message(PLAIN, b'', -1, 0), plain(1)])
-    writer.close()
-    assert writer.lost() == {PLAIN: 1}
-    assert numbers(tmp_path / 'bag') == [0, 1]

@@ -83,6 +83,9 @@ class TwinMessages:
             outputs = self.session.advance()
             self.outputs.append(outputs)
             self._publish(outputs)
+            if self.session.rate != self.pace.rate:
+                self.pace.change_rate(step=self.session.step - 1, rate=self.session.rate)
+                self.session.set_tick_schedule(self.pace)
         return self
 
     def go_until(self, is_enough: Callable[[Outputs], bool], limit: int = 100_000) -> TwinMessages:
