@@ -180,15 +180,10 @@ def aim(
         What is to be reached.
     vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
         What may change of the layer besides the amplitude.
-    limits : Limits, optional
-        What must not be exceeded; a strain of `MAX_STRAIN` never is. Those of the layer do not
-        concern what may not change.
+    limits, materials, cancelled : optional
+        As for `recommend`; a strain of `MAX_STRAIN` is never exceeded.
     max_amplitude : float
         That the plate can do. [m]
-    materials : mapping of str to Material, optional
-        From which one is picked, if `vary` is 'library'.
-    cancelled : callable, optional
-        Asked between batches of throws, some tenths of a second each, whether to give up.
 
     Returns
     -------

@@ -120,14 +120,7 @@ MODELS: Mapping[str, tuple[str, ...]] = {
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LandscapeAxis:
     """
-    An axis of a landscape.
-
-    Parameters
-    ----------
-    name : str
-        One of `AXES`.
-    values : array_like, shape (n,)
-        Increasing, in SI units.
+    An axis of a landscape: one of `AXES`, and its values, increasing, in SI units.
 
     Raises
     ------
@@ -183,21 +176,13 @@ class Landscape:
 
     Parameters
     ----------
-    rig : Rig
-        What all throws have in common, apart from the axes.
-    axes : tuple of LandscapeAxis
-        The two.
-    ejection_phase : ndarray, shape (n, m)
-        :math:`t_e f` along the first and the second axis, in plate periods. NaN where the
-        projectile does not leave, or the model cannot tell when. [-]
-    energy_transfer : ndarray, shape (n, m)
-        :math:`\alpha = (V_e / V_p^*)^2`, NaN as above. [-]
-    model : str
-        One of `MODELS`.
-    release : {'first', 'last'}
-        Which release it is.
-    density_ratio : float
-        Projectile over layer, for the axes x and C. [-]
+    rig, axes
+        What all throws have in common, and the two axes.
+    ejection_phase, energy_transfer : ndarray, shape (n, m)
+        :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
+        NaN where the projectile does not leave, or the model cannot tell when. [-]
+    model, release, density_ratio
+        As for `compute_landscape`.
 
     """
 
