@@ -254,7 +254,7 @@ def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
 
 
 class _Needs(NamedTuple):
-    """Amplitudes that layers need, and are allowed [m], and the speed over one of them [1/s]."""
+    """Amplitudes that layers need and are allowed [m], and speeds over amplitude [1/s]."""
 
     needed: Floats
     allowed: Floats

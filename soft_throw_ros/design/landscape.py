@@ -23,7 +23,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed, Executor
 from dataclasses import asdict, dataclass
 import functools
@@ -476,15 +476,14 @@ def _compute(model: str, release: Release, threads: int | None, cases: Floats) -
     if release == 'first':
         throws = first_throws(Ratios(*cases), model=model, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    releases = [_last(model, Ratios(*case)) for case in cases.T.tolist()]
+    releases = [_last(model, case) for case in cases.T.tolist()]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(model: str, case: Ratios) -> tuple[float, float]:
+def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    mass, frequency = float(case.mass_ratio), 1.0 / float(case.speed_ratio)
-    engine = Engine(frequency=frequency, amplitude=1.0, damping_ratio=float(case.damping_ratio))
-    crossing = float(case.crossing_ratio) or 1.0
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent, crossing_ratio = case
+    engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
     rig = Rig(
         engine=engine,
         layer=Layer(
@@ -492,14 +491,16 @@ def _last(model: str, case: Ratios) -> tuple[float, float]:
             wave_speed=1.0,
             density=1.0,
             diameter=2.0 / math.sqrt(math.pi),
-            loss_tangent=float(case.loss_tangent),
+            loss_tangent=loss_tangent,
         ),
-        projectile=Projectile(mass=mass, length=1.0, youngs_modulus=mass / crossing**2),
-        gravity=float(case.gravity_ratio) * engine.angular_frequency**2,
+        projectile=Projectile(
+            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / (crossing_ratio or 1.0) ** 2
+        ),
+        gravity=gravity_ratio * engine.angular_frequency**2,
     )
     try:
         last = last_release(rig, model=model)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
     peak = engine.speed_scale * peak_velocity_ratio(engine.damping_ratio)
-    return last.time * frequency, (last.speed / peak) ** 2
+    return last.time * engine.frequency, (last.speed / peak) ** 2
