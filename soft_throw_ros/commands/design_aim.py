@@ -19,8 +19,9 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.design.aiming import Aim, fly
-from soft_throw_ros.design.recommendation import predict, Prediction
+from soft_throw_ros.design.aiming import Aim
+from soft_throw_ros.design.evaluate import last_release
+from soft_throw_ros.design.recommendation import predict, PredictedThrow
 from soft_throw_ros.design.requests import answer
 
 _NOT_OF_AIMING = ('objective', 'quantile', 'masses', 'frequencies')
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Now(Prediction):
+class _Now(PredictedThrow):
     """The throw of the rig as it is."""
 
     amplitude: float
@@ -93,7 +94,7 @@ class _Now(Prediction):
 def _now(settings: Settings) -> _Now | None:
     rig = rig_of(settings)
     try:
-        prediction, flight = predict(rig), fly(rig)
+        prediction, flight = predict(rig), last_release(rig)
     except ThrowUnresolvedError:
         return None
     return _Now(
@@ -113,7 +114,7 @@ def _lines(settings: Settings, best: Aim) -> Iterator[str]:
     yield uncertainty_line(best.rig, settings)
 
 
-def _with_this_layer(settings: Settings, best: Aim) -> dict[str, Prediction | None]:
+def _with_this_layer(settings: Settings, best: Aim) -> dict[str, PredictedThrow | None]:
     """Aim with the layer as it is as well, if another one was looked for."""
     if best.rig.layer == rig_of(settings).layer:
         return {}

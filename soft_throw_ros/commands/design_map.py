@@ -26,9 +26,9 @@ from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.landscape import (
     AXES,
-    Axis,
     compute_landscape,
     Landscape,
+    LandscapeAxis,
     MODELS,
     Release,
     RESULTS,
@@ -221,7 +221,7 @@ def _read_axis(text: str) -> tuple[str, Floats]:
     if points < 2:
         raise ValueError(f'{name} must have at least 2 points, got {text!r}')
     for bound in bounds:
-        Axis(name=name, values=np.array([bound]))
+        LandscapeAxis(name=name, values=np.array([bound]))
     if spaced is np.geomspace and bounds[0] == 0.0:
         raise ValueError(f'{name} cannot begin at 0 with :log, got {text!r}')
     return name, spaced(*bounds, points)
@@ -416,7 +416,7 @@ def _send(landscape: Landscape, stream: Any) -> None:
     )
 
 
-def _map_axis(axis: Axis) -> rerun_canvas.MapAxis:
+def _map_axis(axis: LandscapeAxis) -> rerun_canvas.MapAxis:
     from soft_throw_ros.recording import rerun_canvas
 
     unit, factor = _SHOWN.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
@@ -449,7 +449,7 @@ def _title(landscape: Landscape) -> str:
     return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
 
 
-def _shown(axis: Axis) -> tuple[Floats, str, str]:
+def _shown(axis: LandscapeAxis) -> tuple[Floats, str, str]:
     """Return the values of an axis as they are drawn, its scale and its label."""
     quantity = axis.quantity
     unit, factor = _SHOWN.get(quantity.unit, (quantity.unit, 1.0))

@@ -20,7 +20,7 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.design.recommendation import (
-    Prediction,
+    PredictedThrow,
     Recommendation,
     Sensitivity,
     TOLERATED,
@@ -103,7 +103,7 @@ def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
         for name in ('thickness', 'wave_speed', 'both')
         if name != best.vary and getattr(best, f'by_{name}') is not None
     }
-    columns: dict[str, Prediction | None] = {'now': best.now, 'recommended': best, **others}
+    columns: dict[str, PredictedThrow | None] = {'now': best.now, 'recommended': best, **others}
     yield from prediction_lines(columns, max_strain=settings['max_strain'])
     yield uncertainty_line(best.rig, settings)
     yield ''

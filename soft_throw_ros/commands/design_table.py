@@ -12,7 +12,7 @@ from typing import Any
 from soft_throw_ros.commands.options import OPTIONS, Row, write_columns
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
-from soft_throw_ros.design.recommendation import Prediction
+from soft_throw_ros.design.recommendation import PredictedThrow
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
@@ -40,14 +40,14 @@ _ROWS = (
 
 
 def prediction_lines(
-    predictions: Mapping[str, Prediction | None], *, max_strain: float
+    predictions: Mapping[str, PredictedThrow | None], *, max_strain: float
 ) -> Iterator[str]:
     """
     Write predictions side by side.
 
     Parameters
     ----------
-    predictions : mapping of str to Prediction or None
+    predictions : mapping of str to PredictedThrow or None
         Under which head stands what; the second one is what is proposed.
     max_strain : float
         Beyond it the layer is no longer linear. [-]

@@ -27,25 +27,13 @@ _KEY = 'ros__parameters'
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """
-    A value somebody gave.
-
-    Parameters
-    ----------
-    value : object
-        As ROS would type it.
-    where : str
-        `FILE:LINE` or `-p NAME:=VALUE`.
-    order : int
-        Of the file, or row of arguments, among all; later ones win.
-    in_file : bool
-        Whether it stands in a file.
-
-    """
+    """A value somebody gave, typed as ROS would."""
 
     value: Any
     where: str
+    """`FILE:LINE` or `-p NAME:=VALUE`."""
     order: int = 0
+    """Of the file, or row of arguments, among all; later ones win."""
     in_file: bool = True
 
 

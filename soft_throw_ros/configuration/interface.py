@@ -59,20 +59,15 @@ class Topic:
     ----------
     name : str
         `~` stands for the node; a name without leading slash is relative to its namespace.
-    type : str
-        Of the messages, as `std_msgs/msg/String`.
-    meaning : str
-        What it says, one sentence without full stop.
+    type, meaning : str
+        Of the messages, as `std_msgs/msg/String`; what it says, a sentence without full stop.
     depth : int
         How many messages are kept for a subscriber that is slow, or late if it is latched.
-    is_reliable : bool
-        Whether messages that are lost on the way are sent again.
-    is_latched : bool
-        Whether the last `depth` messages reach those who subscribe later (transient local).
-    joints : tuple of str
-        Of a JointState; an input may lack the last of them.
-    quantities : tuple of str
-        Which arrays of a JointState are filled.
+    is_reliable, is_latched : bool
+        Whether messages that are lost on the way are sent again, and whether the last `depth`
+        messages reach those who subscribe later (transient local).
+    joints, quantities : tuple of str
+        Of a JointState, and which of its arrays are filled; an input may lack the last joints.
     axes : tuple of str
         Labels of the dimensions of an array.
     is_input : bool

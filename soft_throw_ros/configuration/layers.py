@@ -16,6 +16,7 @@ import math
 from pathlib import Path
 import re
 from types import MappingProxyType
+from typing import NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
@@ -40,18 +41,8 @@ _KEYS = (*_REQUIRED, *_STIFFNESS, 'thicknesses', 'diameter')
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """
-    A property of a material.
-
-    Parameters
-    ----------
-    value : float
-        What to compute with.
-    low, high : float
-        What its source gives as a range; `value` if it gives none.
-
-    """
+class MaterialProperty:
+    """What to compute with, and the range that its source gives, or the value if it gives none."""
 
     value: float
     low: float
@@ -65,18 +56,10 @@ class Material:
 
     Parameters
     ----------
-    name : str
-        What it is called.
-    description : str
-        What it is.
-    source : str
-        Where the numbers are from.
-    density : Quantity
-        [kg/m3]
-    wave_speed : Quantity
-        Of longitudinal waves in a thin bar. [m/s]
-    loss_tangent : Quantity
-        At the frequency of the plate. [-]
+    name, description, source : str
+        What it is called, what it is, and where the numbers are from.
+    density, wave_speed, loss_tangent : MaterialProperty
+        [kg/m3]; of longitudinal waves in a thin bar [m/s]; at the frequency of the plate [-].
     thicknesses : tuple of float
         In which it comes; if empty, it is cast as wanted. [m]
     diameter : float or None
@@ -87,9 +70,9 @@ class Material:
     name: str
     description: str
     source: str
-    density: Quantity
-    wave_speed: Quantity
-    loss_tangent: Quantity
+    density: MaterialProperty
+    wave_speed: MaterialProperty
+    loss_tangent: MaterialProperty
     thicknesses: tuple[float, ...] = ()
     diameter: float | None = None
 
@@ -116,19 +99,8 @@ class Material:
         return f'{self.name}_{text}mm'
 
 
-@dataclass(frozen=True)
-class Library:
-    """
-    Materials by their names, and what choosing a layer's name sets.
-
-    Parameters
-    ----------
-    materials : mapping of str to Material
-        By their names.
-    layers : mapping of str to mapping
-        Parameters of the twin, by the names that `layer.name` may have.
-
-    """
+class Library(NamedTuple):
+    """Materials by name, and which parameters of the twin choosing a layer's name sets."""
 
     materials: Mapping[str, Material]
     layers: Mapping[str, Mapping[str, float]]
@@ -158,11 +130,9 @@ def library(path: str | Path = '') -> Library:
     if not str(path):
         return _library('', 0)
     try:
-        changed_ns = Path(path).stat().st_mtime_ns
+        return _library(str(path), Path(path).stat().st_mtime_ns)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}', 'layer.library') from None
-    try:
-        return _library(str(path), changed_ns)
     except ParameterError as error:
         raise ParameterError(str(error), 'layer.library') from None
 
@@ -214,26 +184,25 @@ def _material(name: str, node: Located) -> Material:
             f'{node.where}: {name} must have either wave_speed or youngs_modulus, got '
             f'{"both" if stiffness else "neither"}'
         )
-    density = _quantity('density', parts['density'])
-    wave_speed = _quantity(stiffness[0], parts[stiffness[0]])
-    if 'youngs_modulus' in parts:
-        moduli = (wave_speed.value, wave_speed.low, wave_speed.high)
-        value, low, high = (math.sqrt(modulus / density.value) for modulus in moduli)
+    properties = {
+        key: _property(key, parts[key]) for key in ('density', 'loss_tangent', *stiffness)
+    }
+    modulus = properties.pop('youngs_modulus', None)
+    if modulus is not None:
+        value, low, high = (
+            math.sqrt(each / properties['density'].value)
+            for each in (modulus.value, modulus.low, modulus.high)
+        )
         _number('wave_speed', value, parts['youngs_modulus'])
-        wave_speed = Quantity(value=value, low=low, high=high)
+        properties['wave_speed'] = MaterialProperty(value=value, low=low, high=high)
+    width = parts.get('diameter')
     return Material(
         name=name,
         description=_text('description', parts['description']),
         source=_text('source', parts['source']),
-        density=density,
-        wave_speed=wave_speed,
-        loss_tangent=_quantity('loss_tangent', parts['loss_tangent']),
         thicknesses=_numbers('thickness', parts['thicknesses']) if 'thicknesses' in parts else (),
-        diameter=(
-            _number('diameter', parts['diameter'].value, parts['diameter'])
-            if 'diameter' in parts
-            else None
-        ),
+        diameter=None if width is None else _number('diameter', width.value, width),
+        **properties,
     )
 
 
@@ -255,11 +224,11 @@ def _text(key: str, node: Located) -> str:
     return node.value.strip()
 
 
-def _quantity(key: str, node: Located) -> Quantity:
+def _property(key: str, node: Located) -> MaterialProperty:
     """Read a number, or a number and its range."""
     if node.items is None:
         value = _number(key, node.value, node)
-        return Quantity(value=value, low=value, high=value)
+        return MaterialProperty(value=value, low=value, high=value)
     parts = _parts(node, '{value: ..., range: [..., ...]}')
     if set(parts) != {'value', 'range'}:
         raise ParameterError(
@@ -273,7 +242,7 @@ def _quantity(key: str, node: Located) -> Quantity:
             f'{node.where}: the range of {key} must be two numbers around {value:g}, got '
             f'{list(bounds)}'
         )
-    return Quantity(value=value, low=bounds[0], high=bounds[1])
+    return MaterialProperty(value=value, low=bounds[0], high=bounds[1])
 
 
 def _numbers(key: str, node: Located) -> tuple[float, ...]:

@@ -18,23 +18,13 @@ _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', '
 
 @dataclass(frozen=True)
 class Located:
-    """
-    A value, and where it stands.
-
-    Parameters
-    ----------
-    where : str
-        `FILE:LINE`, or the argument it is from.
-    value : object
-        A bool, number or text as ROS types it, or a list of such; None of a mapping.
-    items : tuple of (str, Located), optional
-        Of a mapping, in their order; a key may come twice.
-
-    """
+    """A value, and where it stands: `FILE:LINE`, or the argument it is from."""
 
     where: str
     value: Any = None
+    """A bool, number or text as ROS types it, or a list of such; None of a mapping."""
     items: tuple[tuple[str, Located], ...] | None = None
+    """Of a mapping, in their order; a key may come twice."""
 
 
 def read(path: Path) -> Located | None:

@@ -9,15 +9,7 @@ from soft_throw_ros.configuration.table import NAME, ParameterError, row, Settin
 
 
 def contradictions(settings: Settings) -> Iterator[ParameterError]:
-    """
-    Find settings with which nothing would be recorded nor shown.
-
-    Yields
-    ------
-    ParameterError
-        Quoting both values.
-
-    """
+    """Find settings with which nothing would be recorded nor shown."""
     if settings['storage'] == settings['rerun.sink'] == 'none':
         yield ParameterError(
             "storage and rerun.sink are both 'none', so that nothing would be recorded nor "

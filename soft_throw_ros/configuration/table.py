@@ -58,18 +58,12 @@ class Entry:
         Full name; the part before the first dot is its group.
     default : bool, float, int, str, or tuple of str or of float
         Its type is the parameter's type; that of a tuple is that of its first value.
-    meaning : str
-        One sentence, without full stop.
-    unit : str
-        SI, empty if there is none.
-    low, high : float
-        Smallest and largest number allowed.
-    or_zero : bool
-        Whether 0 is allowed besides.
+    meaning, unit : str
+        One sentence, without full stop; SI, empty if there is none.
+    low, high, or_zero : float, float, bool
+        Smallest and largest number allowed, and whether 0 is besides.
     choices : tuple of str
-        The texts allowed; without, any text is that matches `pattern`.
-    pattern : str
-        Regular expression that a text matches.
+        The texts allowed; without, any text is that matches the expression `pattern`.
     kind : str
         What a text is, in words.
     max_length : int
@@ -202,14 +196,7 @@ class Table:
 
     def check_value(self, name: str, value: Any) -> Value:
         """
-        Return `value` in the parameter's own type.
-
-        Parameters
-        ----------
-        name : str
-            Full name of a parameter.
-        value : bool, float, int, str or sequence of str or of numbers
-            See `Entry.convert`.
+        Return `value` in the parameter's own type, see `Entry.convert`.
 
         Raises
         ------
@@ -279,7 +266,4 @@ def _number(text: str) -> float | None:
 def _shown(value: Any) -> str:
     """Quote a value; of a very long one the beginning."""
     text = repr(value)
-    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]}... ({len(text)} characters)'
-
-
-_LONGEST = 200
+    return text if len(text) <= 200 else f'{text[:200]}... ({len(text)} characters)'

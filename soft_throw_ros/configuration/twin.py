@@ -207,21 +207,10 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
 
 def contradictions(settings: Settings) -> Iterator[ParameterError]:
     """
-    Find values that contradict each other.
+    Find values of complete settings that contradict each other.
 
     Any of them may come about by single changes, which are all accepted; refused is what is asked
     for at once.
-
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings.
-
-    Yields
-    ------
-    ParameterError
-        Quoting two values, with the names of both.
-
     """
     layers, layer = _layers(settings), settings['layer.name']
     for name in _departures(layers, settings, settings):

@@ -24,10 +24,8 @@ class MeasurementConfig:
 
     Parameters
     ----------
-    smoothing_window_ns : int
-        Over which the plate is smoothed. [ns]
-    wait_ns : int
-        For samples that come after later ones. [ns]
+    smoothing_window_ns, wait_ns : int
+        Over which the plate is smoothed, and for samples that come after later ones. [ns]
     position_noise, velocity_noise : float
         Standard deviations. [m], [m/s]
     start_speed : float
@@ -60,12 +58,9 @@ class TwinConfig:
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    model : str
-        By which it is followed, see `model_of`.
-    motion : str
-        How the plate moves: 'underdamped', 'harmonic' or 'measured'.
+    rig, model, motion
+        The rig, the model by which it is followed (see `model_of`), and how the plate moves:
+        'underdamped', 'harmonic' or 'measured'.
     measurement : MeasurementConfig
         How the plate is estimated if it is measured.
     state_rate, field_rate : float
@@ -74,10 +69,8 @@ class TwinConfig:
         Time of the rig over time of the clock, 1 with a measured plate. [-]
     throw_period : float
         From one throw to the next; 0 throws only on request. [s]
-    max_events : int
-        Contacts after which a throw is over.
-    max_strain : float
-        Where the linear range ends. [-]
+    max_events, max_strain
+        Contacts after which a throw is over, and where the linear range ends [-].
 
     """
 
@@ -110,11 +103,21 @@ class TwinConfig:
 
         """
         rig, motion = rig_of(settings), settings['engine.motion']
+        plate = Underdamped.of(rig.engine)
         return cls(
             rig=rig,
             model=model_of(settings),
             motion=motion,
-            measurement=_measurement(settings, Underdamped.of(rig.engine)),
+            measurement=MeasurementConfig(
+                smoothing_window_ns=round(settings['measured.window'] * _SECOND),
+                wait_ns=round(settings['measured.wait'] * _SECOND),
+                position_noise=settings['measured.position_noise'],
+                velocity_noise=settings['measured.velocity_noise'],
+                # relative to the plate's
+                start_speed=settings['measured.start'] * plate.peak_velocity,
+                residual_threshold=settings['measured.band'],
+                plate=plate,
+            ),
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
             time_scale=1.0 if motion == 'measured' else settings['time_scale'],
@@ -134,16 +137,3 @@ def model_of(settings: Settings) -> str:
     if settings['model'] == 'travelling_wave' and settings['layer.loss_tangent'] > 0.0:
         return 'finite_difference'
     return str(settings['model'])
-
-
-def _measurement(settings: Settings, plate: Underdamped) -> MeasurementConfig:
-    """Make the part that is about measuring; its speeds are relative to the plate's."""
-    return MeasurementConfig(
-        smoothing_window_ns=round(settings['measured.window'] * _SECOND),
-        wait_ns=round(settings['measured.wait'] * _SECOND),
-        position_noise=settings['measured.position_noise'],
-        velocity_noise=settings['measured.velocity_noise'],
-        start_speed=settings['measured.start'] * plate.peak_velocity,
-        residual_threshold=settings['measured.band'],
-        plate=plate,
-    )

@@ -19,24 +19,20 @@ from scipy.optimize import brentq
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.stepper import FirstThrows
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design import texts
 from soft_throw_ros.design.evaluate import (
     Cancelled,
     first_throws,
     last_release,
+    LastRelease,
     SEARCH_CELLS,
     SearchCancelledError,
 )
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.optimise import find_best_layer
-from soft_throw_ros.design.recommendation import (
-    grid_step,
-    predict,
-    Prediction,
-    search_spaces,
-    SearchSpace,
-)
+from soft_throw_ros.design.recommendation import predict, PredictedThrow
+from soft_throw_ros.design.search_space import Candidate, search_spaces, SearchSpace
 from soft_throw_ros.design.uncertainty import Variants
 
 Floats = NDArray[np.float64]
@@ -55,9 +51,9 @@ _ROUNDS = 4  # of layer and amplitude in turn
 _SAME = 1e-6  # amplitudes of two rounds that differ by less are the same
 _ITERATIONS = 3  # of the amplitude that a layer needs, which gravity makes depend on itself
 _WORTH = 1.1  # times the least amplitude that others may seem to need to be looked at
+_OUT_OF_REACH = 1e6  # a speed for which every amplitude that is allowed is needed [m/s]
 _NEAREST = 3  # layers that are followed to the last release if none reaches the target
-_MARGIN = 1e-6  # a load this far beyond its limit is at the limit, ...
-_ROOM = 1e-3  # and so much is left for what is not seen in a search
+_ROOM = 1e-3  # part of a limit that is left for what is not seen in a search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +99,9 @@ class Target:
         assert value is not None  # one of them is positive
         return value
 
-    def reached(self, flight: FreeFlight) -> float:
-        """Return what of a flight compares with `value`."""
-        return flight.height if self.height else flight.speed
+    def reached(self, throw: LastRelease | Aim) -> float:
+        """Return what of a throw compares with `value`."""
+        return throw.height if self.height else throw.speed
 
     def speed_after(self, rise: float, gravity: float) -> float:
         """Return the speed that reaches it for a projectile that has risen so far. [m/s]"""
@@ -114,49 +110,8 @@ class Target:
         return math.sqrt(2.0 * gravity * max(self.height - rise, 1e-3 * self.height))
 
 
-class FreeFlight(NamedTuple):
-    """Speed of the last release [m/s], rise until then [m], and the height reached [m]."""
-
-    speed: float
-    rise: float
-    height: float
-
-
-def fly(rig: Rig) -> FreeFlight:
-    r"""
-    Follow a throw until the projectile has left for good.
-
-    Parameters
-    ----------
-    rig : Rig
-        What throws.
-
-    Returns
-    -------
-    FreeFlight
-        The height counts from where the projectile rested on the layer.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave.
-
-    Examples
-    --------
-    >>> flight = fly(Rig())
-    >>> round(flight.speed, 4), round(1e3 * flight.height, 2)
-    (1.375, 100.51)
-
-    """
-    last = last_release(rig)
-    if rig.gravity == 0.0:
-        return FreeFlight(last.speed, last.rise, math.inf)
-    height = last.rise + max(last.speed, 0.0) ** 2 / (2.0 * rig.gravity)
-    return FreeFlight(last.speed, last.rise, height)
-
-
 @dataclass(frozen=True, kw_only=True)
-class Aim(Prediction):
+class Aim(PredictedThrow):
     """
     A throw that reaches its target, or the one that comes nearest.
 
@@ -193,7 +148,7 @@ class Aim(Prediction):
     speed: float
     is_reached: bool
     rig: Rig
-    summary: str
+    summary: str = ''
 
     def values(self) -> dict[str, float | str | bool]:
         """Return all that is one value by its name."""
@@ -225,15 +180,10 @@ def aim(
         What is to be reached.
     vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
         What may change of the layer besides the amplitude.
-    limits : Limits, optional
-        What must not be exceeded; a strain of `MAX_STRAIN` never is. Those of the layer do not
-        concern what may not change.
+    limits, materials, cancelled : optional
+        As for `recommend`; a strain of `MAX_STRAIN` is never exceeded.
     max_amplitude : float
         That the plate can do. [m]
-    materials : mapping of str to Material, optional
-        From which one is picked, if `vary` is 'library'.
-    cancelled : callable, optional
-        Asked between batches of throws, some tenths of a second each, whether to give up.
 
     Returns
     -------
@@ -243,8 +193,8 @@ def aim(
     Raises
     ------
     ValueError
-        If a choice is unknown, `max_amplitude` is not positive, the layer is graded, or a height
-        is aimed at without gravity.
+        If a choice is unknown, `max_amplitude` is not positive, the layer is not of one material,
+        or a height is aimed at without gravity.
     ThrowUnresolvedError
         If nothing is thrown at all within the limits.
     SearchCancelledError
@@ -268,59 +218,47 @@ def aim(
     checks.positive('max_amplitude', max_amplitude)
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    if type(rig.layer) is not Layer:  # a graded one is a kind of it
-        raise ValueError(f'only layers of one material are aimed with, got {rig.layer!r}')
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     limits = replace(limits, max_strain=min(limits.max_strain, MAX_STRAIN))
-    task = _Task(rig, target, limits, max_amplitude, cancelled)
-    spaces = list(search_spaces(rig, vary, limits, materials or {}))
-    # What each layer needs when its loads do not matter: it never needs less.
-    free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
-    speed = target.speed_after(0.0, rig.gravity)
-    guesses = [_layer_that_needs_least(task, space, space.rig, free, speed) for space in spaces]
-    order = sorted((guess.amplitude, i) for i, guess in enumerate(guesses) if guess is not None)
-    easiest: _Candidate | None = None
-    best: _Candidate | None = None
-    for amplitude, i in order:
+    task = _Task(rig, target, vary, limits, max_amplitude, cancelled)
+    spaces = search_spaces(rig, vary, limits, materials or {})
+    # Without its loads no layer needs more than with them, so this tells which one to try first.
+    free = task.without_limits()
+    needs = [(best.score, i) for i, space in enumerate(spaces) if (best := free.search(space))]
+    easiest: Aim | None = None
+    found: Aim | None = None
+    for score, i in sorted(needs, key=lambda need: -need[0]):
         # Re-contacts may make a throw better than its first release tells, but not by so much.
-        if best is not None and amplitude > _WORTH * best.amplitude:
+        if found is not None and _HIGHEST / score > _WORTH * found.amplitude:
             break
-        found = _reach(task, spaces[i], free)
-        if found is not None and (easiest is None or found.amplitude < easiest.amplitude):
-            easiest = found
-        if found is not None and task.excess(found):
-            found = _reach(task, spaces[i], limits)
-        if found is not None and not task.excess(found):
-            best = found if best is None or found.amplitude < best.amplitude else best
-    if best is not None:
-        return _aim(task, vary, best, _how(task, best), is_reached=True)
-    most = _approach(task, spaces)
+        throw = free.reach(spaces[i])
+        if throw is not None and (easiest is None or throw.amplitude < easiest.amplitude):
+            easiest = throw
+        if throw is not None and task.excess(throw):
+            throw = task.reach(spaces[i])
+        if throw is not None and not task.excess(throw):
+            found = throw if found is None or throw.amplitude < found.amplitude else found
+    if found is not None:
+        return replace(found, is_reached=True, summary=_how(task, found))
+    most = task.approach(spaces)
     if most is None:
         raise ThrowUnresolvedError(
             f'nothing is thrown within the limits, let alone {target.summary}'
         )
-    reason = task.excess(easiest) if easiest is not None else ''
-    return _aim(task, vary, most, _why_not(task, vary, reason, most), is_reached=False)
+    return replace(most, summary=_why_not(task, easiest, most))
 
 
-class _Candidate(NamedTuple):
-    """A rig, the name of its layer in the library, and what its throw gives."""
+def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
+    return replace(rig, engine=replace(rig.engine, amplitude=amplitude))
 
-    rig: Rig
-    layer: str
-    flight: FreeFlight
-    prediction: Prediction
 
-    @classmethod
-    def of(cls, rig: Rig, layer: str) -> _Candidate:
-        """Throw."""
-        return cls(rig, layer, fly(rig), predict(rig))
+class _Needs(NamedTuple):
+    """Amplitudes that layers need and are allowed [m], and speeds over amplitude [1/s]."""
 
-    @property
-    def amplitude(self) -> float:
-        """Of the plate. [m]"""
-        return self.rig.engine.amplitude
+    needed: Floats
+    allowed: Floats
+    rate: Floats
 
 
 class _Task(NamedTuple):
@@ -328,267 +266,174 @@ class _Task(NamedTuple):
 
     rig: Rig
     target: Target
+    vary: Vary
     limits: Limits
     max_amplitude: float
     cancelled: Cancelled | None
 
-    def excess(self, found: _Candidate) -> str:
+    def without_limits(self) -> _Task:
+        """Return the same with whatever amplitude and loads it takes."""
+        limits = replace(self.limits, max_strain=math.inf, max_acceleration=math.inf)
+        return self._replace(limits=limits, max_amplitude=_HIGHEST)
+
+    def excess(self, throw: Aim) -> str:
         """Say what of a throw is beyond the limits; nothing if nothing is."""
-        loads = found.prediction
-        parts = [
-            f'{what} of {scale * value:.3g}{unit} instead of at most {scale * limit:.3g}{unit}'
-            for what, value, limit, scale, unit in (
-                ('an amplitude', found.amplitude, self.max_amplitude, 1e3, ' mm'),
-                ('a strain', loads.peak_strain, self.limits.max_strain, 1e2, ' %'),
-                ('an acceleration', loads.peak_acceleration, self.limits.max_acceleration,
-                 1.0, ' m/s2'),
-            )
-            if value > limit * (1.0 + _MARGIN)
-        ]  # fmt: skip
-        return ' and '.join(parts)
+        return texts.excess_of(throw, self.limits, self.max_amplitude)
 
+    def throw(self, rig: Rig, layer: str) -> Aim:
+        """Follow a throw."""
+        last = last_release(rig)
+        return Aim(
+            **vars(predict(rig)),
+            target_height=self.target.height,
+            target_speed=self.target.speed,
+            vary=self.vary,
+            layer=layer,
+            amplitude=rig.engine.amplitude,
+            height=last.height,
+            speed=last.speed,
+            is_reached=False,
+            rig=rig,
+        )
 
-class _Throws(NamedTuple):
-    """Throws from layers of a rig, at an amplitude for each."""
-
-    rig: Rig
-    wave_speed: Floats
-    amplitude: Floats
-    throws: FirstThrows
-
-    @classmethod
-    def compute(
-        cls,
-        task: _Task,
-        rig: Rig,
-        thickness: Floats,
-        wave_speed: Floats,
-        amplitude: Floats,
-        *,
-        loads: bool,
-    ) -> _Throws:
-        """Throw."""
-        ratios, _ = Variants.of(rig).ratios(rig, thickness, wave_speed)
+    def needs(
+        self, rig: Rig, thickness: Floats, wave_speed: Floats, *, speed: float, room: float = 0.0
+    ) -> _Needs:
+        """Find what layers need for a speed, and are allowed, by their first releases."""
         omega = rig.engine.angular_frequency
-        ratios = ratios._replace(gravity_ratio=rig.gravity / (amplitude * omega * omega))
-        throws = first_throws(ratios, loads=loads, cells=SEARCH_CELLS, cancelled=task.cancelled)
-        return cls(rig, wave_speed, amplitude, throws)
-
-    def needed(self, speed: float) -> Floats:
-        """Compute the amplitudes that give a speed, as far as gravity stays as it is."""
-        relative = np.where(self.throws.speed > 0.0, self.throws.speed, np.inf)
-        amplitude: Floats = np.asarray(speed / (relative * self.rig.engine.angular_frequency))
-        return np.where(amplitude > 0.0, amplitude, np.inf)
-
-    def allowed(self, limits: Limits) -> Floats:
-        """Compute the amplitudes that the limits allow, were the loads proportional to them."""
-        omega = self.rig.engine.angular_frequency
-        strain = self.throws.peak_strain * self.amplitude * omega / self.wave_speed
-        acceleration = self.throws.peak_acceleration * self.amplitude * omega * omega
-        factor = np.minimum(limits.max_strain / strain, limits.max_acceleration / acceleration)
-        return np.where(self.throws.speed > 0.0, self.amplitude * factor, 0.0)
-
-
-def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
-    return replace(rig, engine=replace(rig.engine, amplitude=amplitude))
-
-
-class _Need(NamedTuple):
-    """A layer, and the amplitude that it needs by its first release. [m]"""
-
-    layer: Layer
-    amplitude: float
-
-
-def _reach(task: _Task, space: SearchSpace, limits: Limits) -> _Candidate | None:
-    """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
-    target = task.target
-    rise = 0.0
-    found = None
-    rig = space.rig
-    for _ in range(_ROUNDS):
-        speed = target.speed_after(rise, rig.gravity)
-        need = _layer_that_needs_least(task, space, rig, limits, speed)
-        if need is None:
-            return None
-        rig = replace(rig, layer=need.layer)
-        amplitude = _amplitude(rig, target, task.cancelled)
-        if amplitude is None:
-            return None
-        is_same = abs(amplitude / rig.engine.amplitude - 1.0) < _SAME
-        rig = _with_amplitude(rig, amplitude)
-        found = _Candidate.of(rig, space.name)
-        rise = found.flight.rise
-        if is_same or _is_one(space):
-            break
-    return found
-
-
-def _is_one(space: SearchSpace) -> bool:
-    """Tell whether there is but one layer to choose."""
-    return all(low == high for low, high in space.layers)
-
-
-def _layer_that_needs_least(
-    task: _Task, space: SearchSpace, rig: Rig, limits: Limits, speed: float
-) -> _Need | None:
-    """Find the layer that reaches a speed with the least amplitude."""
-    limits = replace(
-        limits,
-        max_strain=limits.max_strain * (1.0 - _ROOM),
-        max_acceleration=limits.max_acceleration * (1.0 - _ROOM),
-    )
-    has_limits = limits.of_loads and not _is_one(space)
-
-    def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
-        """Compute what the amplitudes needed are below a metre."""
-        amplitude = np.full(thickness.shape, speed / rig.engine.angular_frequency)
+        ratios, _ = Variants.of(rig).ratios(rig, thickness, wave_speed)
+        amplitude = np.full(np.shape(thickness), min(speed / omega, self.max_amplitude))
+        has_loads = self.limits.of_loads
+        # Without gravity all is proportional to the amplitude, and found at once.
         for _ in range(_ITERATIONS if rig.gravity > 0.0 else 1):
-            step = _Throws.compute(task, rig, thickness, wave_speed, amplitude, loads=False)
-            amplitude = np.minimum(step.needed(speed), _HIGHEST)
-        result = np.where(amplitude < _HIGHEST, 1.0 / amplitude, 0.0)
-        alive = np.flatnonzero(result > least)
-        if has_limits and alive.size:
-            loaded = _Throws.compute(
-                task, rig, thickness[alive], wave_speed[alive], amplitude[alive], loads=True
+            throws = first_throws(
+                ratios._replace(gravity_ratio=rig.gravity / (amplitude * omega * omega)),
+                loads=has_loads,
+                cells=SEARCH_CELLS,
+                cancelled=self.cancelled,
             )
-            result[alive] *= loaded.allowed(limits) >= amplitude[alive]
-        return result
+            rate = np.where(throws.speed > 0.0, throws.speed * omega, 0.0)
+            needed = speed / np.maximum(rate, 1e-300)
+            allowed = np.full(amplitude.shape, self.max_amplitude)
+            if has_loads:
+                strain = throws.peak_strain * omega / wave_speed
+                acceleration = throws.peak_acceleration * omega * omega
+                for limit, load in (
+                    (self.limits.max_strain, strain),
+                    (self.limits.max_acceleration, acceleration),
+                ):
+                    allowed = np.fmin(allowed, (1.0 - room) * limit / load)
+            amplitude = np.minimum(needed, allowed)
+        return _Needs(needed, allowed, rate)
 
-    best = find_best_layer(score, space.layers, step=grid_step(space))
-    if best is None:
-        return None
-    layer = replace(rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
-    return _Need(layer, 1.0 / best.score)
+    def search(
+        self, space: SearchSpace, rig: Rig | None = None, rise: float = 0.0
+    ) -> Candidate | None:
+        """
+        Find the layer that needs the least amplitude, or that reaches most if none does.
 
+        Its score is `max_amplitude` over the amplitude that it needs, or below 1 the part of the
+        speed that it reaches.
+        """
+        there = rig or space.rig
+        speed = self.target.speed_after(rise, there.gravity)
+        room = 0.0 if space.is_single else _ROOM
 
-def _approach(task: _Task, spaces: list[SearchSpace]) -> _Candidate | None:
-    """Find layer and amplitude that reach the most within the limits; None if none throws."""
-    found = []
-    for space in spaces:
-        nearest = _layer_that_reaches_most(task, space)
-        if nearest is not None:
-            speed, rig = nearest
-            found.append((speed, rig, space.name))
-    found.sort(key=lambda item: -item[0])
-    candidates = []
-    for _, rig, name in found[:_NEAREST]:
-        with contextlib.suppress(ThrowUnresolvedError):
-            candidates.append(_Candidate.of(rig, name))
-    return max(candidates, key=lambda each: task.target.reached(each.flight), default=None)
+        def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
+            needs = self.needs(there, thickness, wave_speed, speed=speed, room=room)
+            is_enough = needs.needed <= needs.allowed
+            parts = np.minimum(needs.allowed * needs.rate / speed, 1.0 - 1e-9)
+            found = np.where(is_enough, self.max_amplitude / needs.needed, parts)
+            return np.where(found >= least, found, 0.0)
 
+        best = find_best_layer(score, space.layers, step=space.grid_step())
+        return None if best is None else space._replace(rig=there).candidate(best)
 
-def _layer_that_reaches_most(task: _Task, space: SearchSpace) -> tuple[float, Rig] | None:
-    """Find the layer whose projectile leaves fastest within the limits: (speed, rig)."""
-    omega = space.rig.engine.angular_frequency
+    def reach(self, space: SearchSpace) -> Aim | None:
+        """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
+        rig, rise = space.rig, 0.0
+        throw: Aim | None = None
+        for _ in range(_ROUNDS):
+            best = self.search(space, rig, rise)
+            if best is None or (best.score < 1.0 and not space.is_single):
+                return None
+            amplitude = self.amplitude(best.rig)
+            if amplitude is None:
+                return None
+            is_same = abs(amplitude / rig.engine.amplitude - 1.0) < _SAME
+            rig = _with_amplitude(best.rig, amplitude)
+            throw = self.throw(rig, space.name)
+            if is_same or space.is_single:
+                break
+            if rig.gravity > 0.0:
+                rise = throw.height - throw.speed**2 / (2.0 * rig.gravity)
+        return throw
 
-    def throw(thickness: Floats, wave_speed: Floats) -> tuple[Floats, Floats]:
-        """Compute the amplitudes allowed, and the speeds that they give."""
-        amplitude = np.full(np.shape(thickness), task.max_amplitude)
-        for _ in range(_ITERATIONS):
-            step = _Throws.compute(task, space.rig, thickness, wave_speed, amplitude, loads=True)
-            allowed = np.minimum(step.allowed(task.limits), task.max_amplitude)
-            amplitude = np.where(allowed > 0.0, allowed, amplitude)
-        speed = np.where(step.throws.speed > 0.0, step.throws.speed, 0.0)
-        return amplitude, amplitude * speed * omega
+    def approach(self, spaces: list[SearchSpace]) -> Aim | None:
+        """Find layer and amplitude that reach the most within the limits; None if none throws."""
+        found = [best for space in spaces if (best := self.search(space)) is not None]
+        throws = []
+        for best in sorted(found, key=lambda each: -each.score)[:_NEAREST]:
+            layer = best.rig.layer
+            place = np.array([layer.thickness]), np.array([layer.wave_speed])
+            needs = self.needs(best.rig, *place, speed=_OUT_OF_REACH)
+            rig = _with_amplitude(best.rig, float(needs.allowed[0]))
+            with contextlib.suppress(ThrowUnresolvedError):
+                throws.append(self.throw(rig, best.layer))
+        return max(throws, key=self.target.reached, default=None)
 
-    def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
-        _, speed = throw(thickness, wave_speed)
-        return np.where(speed >= least, speed, 0.0)
+    def amplitude(self, rig: Rig) -> float | None:
+        """Find the smallest amplitude that reaches the target with a layer; None if none does."""
+        target = self.target
 
-    best = find_best_layer(score, space.layers, step=grid_step(space))
-    if best is None:
-        return None
-    amplitude, _ = throw(np.array([best.thickness]), np.array([best.wave_speed]))
-    layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
-    return best.score, _with_amplitude(replace(space.rig, layer=layer), float(amplitude[0]))
+        def excess(logarithm: float) -> float:
+            """Compute the logarithm of what is reached over the target."""
+            if self.cancelled is not None and self.cancelled():
+                raise SearchCancelledError('the search was cancelled')
+            try:
+                reached = target.reached(last_release(_with_amplitude(rig, math.exp(logarithm))))
+            except ThrowUnresolvedError:
+                return _NOTHING
+            return math.log(reached / target.value) if reached > 0.0 else _NOTHING
 
-
-def _amplitude(rig: Rig, target: Target, cancelled: Cancelled | None) -> float | None:
-    """Find the smallest amplitude that reaches a target with a layer; None if none does."""
-
-    def excess(logarithm: float) -> float:
-        """Compute the logarithm of what is reached over the target."""
-        if cancelled is not None and cancelled():
-            raise SearchCancelledError('the search was cancelled')
         try:
-            flight = fly(_with_amplitude(rig, math.exp(logarithm)))
+            free = last_release(replace(rig, gravity=0.0)).speed
         except ThrowUnresolvedError:
-            return _NOTHING
-        reached = target.reached(flight)
-        return math.log(reached / target.value) if reached > 0.0 else _NOTHING
-
-    try:
-        free = fly(replace(rig, gravity=0.0)).speed
-    except ThrowUnresolvedError:
-        return None
-    speed = target.speed_after(0.0, rig.gravity)
-    low = math.log(rig.engine.amplitude * speed / free)
-    if rig.gravity == 0.0:
-        return math.exp(low)
-    while excess(low) >= 0.0:
-        low -= _STEP
-    high = low + _STEP
-    while excess(high) < 0.0:
-        low, high = high, high + _STEP
-        if high > math.log(_HIGHEST):
             return None
-    logarithm = brentq(excess, low, high, xtol=_EXACT, rtol=_EXACT)
-    # a jump over the target is no solution
-    return math.exp(logarithm) if abs(excess(logarithm)) < _JUMP else None
+        low = math.log(rig.engine.amplitude * target.speed_after(0.0, rig.gravity) / free)
+        if rig.gravity == 0.0:
+            return math.exp(low)
+        while excess(low) >= 0.0:
+            low -= _STEP
+        high = low + _STEP
+        while excess(high) < 0.0:
+            low, high = high, high + _STEP
+            if high > math.log(_HIGHEST):
+                return None
+        logarithm = brentq(excess, low, high, xtol=_EXACT, rtol=_EXACT)
+        # a jump over the target is no solution
+        return math.exp(logarithm) if abs(excess(logarithm)) < _JUMP else None
 
 
-def _aim(task: _Task, vary: Vary, found: _Candidate, summary: str, *, is_reached: bool) -> Aim:
-    return Aim(
-        **vars(found.prediction),
-        target_height=task.target.height,
-        target_speed=task.target.speed,
-        vary=vary,
-        layer=found.layer,
-        amplitude=found.amplitude,
-        height=found.flight.height,
-        speed=found.flight.speed,
-        is_reached=is_reached,
-        rig=found.rig,
-        summary=summary,
-    )
-
-
-def _describe_layer(found: _Candidate) -> str:
-    layer = found.rig.layer
-    name = f'{found.layer}, ' if found.layer else ''
-    return f'{name}{1e3 * layer.thickness:.4g} mm and {layer.wave_speed:.4g} m/s'
-
-
-def _describe_loads(found: _Candidate) -> str:
-    loads = found.prediction
-    return (
-        f'amplitude {1e3 * found.amplitude:.4g} mm, strain {1e2 * loads.peak_strain:.3g} %, '
-        f'acceleration {loads.peak_acceleration:.3g} m/s2'
-    )
-
-
-def _how(task: _Task, found: _Candidate) -> str:
+def _how(task: _Task, found: Aim) -> str:
     """Say what reaches the target."""
-    changed = found.rig.layer != task.rig.layer
-    layer = (
-        f'a layer of {_describe_layer(found)}' if changed or found.layer else 'the layer as it is'
-    )
-    return f'{layer} reaches {task.target.summary}: {_describe_loads(found)}'
+    is_other = found.layer or found.rig.layer != task.rig.layer
+    layer = texts.layer_of(found) if is_other else 'the layer as it is'
+    return f'{layer} reaches {task.target.summary}: {texts.loads_of(found)}'
 
 
-def _why_not(task: _Task, vary: Vary, reason: str, most: _Candidate) -> str:
+def _why_not(task: _Task, easiest: Aim | None, most: Aim) -> str:
     """Say why the target is not reached, and what would reach it."""
-    flight = most.flight
-    reached = f'{flight.height:.4g} m high' if task.target.height else f'{flight.speed:.4g} m/s'
+    excess = task.excess(easiest) if easiest is not None else ''
+    reached = f'{most.height:.4g} m high' if task.target.height else f'{most.speed:.4g} m/s'
     text = (
         f'{task.target.summary} is not reached: '
-        f'{f"it takes {reason}" if reason else "no amplitude does it"}; '
-        f'the most is {reached}, with {_describe_loads(most)}'
+        f'{f"it takes {excess}" if excess else "no amplitude does it"}; '
+        f'the most is {reached}, with {texts.loads_of(most)}'
     )
-    if vary == 'amplitude':
+    if task.vary == 'amplitude':
         (other,) = search_spaces(task.rig, 'both', task.limits, {})
-        found = _reach(task, other, task.limits)
+        found = task.reach(other)
         if found is not None and not task.excess(found):
-            text += f'; a layer of {_describe_layer(found)} would do it: {_describe_loads(found)}'
+            text += f'; {texts.layer_of(found)} would do it: {texts.loads_of(found)}'
     return text

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
-from soft_throw_ros.core.throw import simulate, ThrowUnfinishedError
+from soft_throw_ros.core.throw import apex_height, simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
 
@@ -44,20 +44,9 @@ class Ratios(NamedTuple):
     r"""
     What decides throws: arrays that broadcast against each other.
 
-    Attributes
-    ----------
-    mass_ratio, speed_ratio : array_like
-        :math:`\mu` and :math:`\kappa`. [-]
-    damping_ratio : array_like
-        Of the plate, :math:`\zeta`. [-]
-    gravity_ratio : array_like
-        :math:`g / (A \omega^2)`. [-]
-    loss_tangent : array_like
-        Of the layer at the plate's frequency. [-]
-    crossing_ratio : array_like
-        What a wave needs through the projectile over what it needs through the layer; for the
-        elastic model. [-]
-
+    They are :math:`\mu`, :math:`\kappa`, :math:`\zeta`, :math:`g / (A \omega^2)`, the layer's loss
+    tangent at the plate's frequency, and, for the elastic model, what a wave needs through the
+    projectile over what it needs through the layer. [-]
     """
 
     mass_ratio: ArrayLike
@@ -85,14 +74,13 @@ def first_throws(
     ratios : Ratios
         A throw per element.
     model : str
-        One of the models of `core.throw`. The travelling wave gives way to finite differences
-        wherever the layer has loss.
+        Of the layer; the travelling wave gives way to finite differences where there is loss.
     loads : bool
         Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
     cells : int, optional
         Of the layer for finite differences; as many as it takes for 1e-4 if not given.
     threads : int, optional
-        Largest number of threads, all cores if not given. Results do not depend on it.
+        All cores if not given. Results do not depend on it.
     cancelled : callable, optional
         Asked between batches of some tenths of a second.
 
@@ -193,11 +181,16 @@ def _throw_with_cells(part: Ratios, model: str, cells: int | None, threads: int 
 
 
 class LastRelease(NamedTuple):
-    """When a projectile leaves for good [s], how fast [m/s], and how far it has risen [m]."""
+    """When and how fast a projectile leaves for good, and how high it flies."""
 
     time: float
+    """From the start of the throw. [s]"""
     speed: float
+    """[m/s]"""
     rise: float
+    """Above where it rested on the layer. [m]"""
+    height: float
+    """Of its apex, above the same; infinite without gravity. [m]"""
 
 
 def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
@@ -209,18 +202,18 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     rig : Rig
         What throws.
     model : str
-        One of the models of `core.throw`. The travelling wave gives way to finite differences
-        where the layer has loss.
-
-    Returns
-    -------
-    LastRelease
-        The rise counts from where the projectile rested.
+        Of the layer; the travelling wave gives way to finite differences where there is loss.
 
     Raises
     ------
     ThrowUnresolvedError
         If the projectile does not leave, or the model cannot follow it.
+
+    Examples
+    --------
+    >>> last = last_release(Rig())
+    >>> round(last.speed, 4), round(1e3 * last.height, 2)
+    (1.375, 100.51)
 
     """
     if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
@@ -230,4 +223,12 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release cannot be told: {error}') from error
     rest = rig.layer.thickness - rig.static_sag
-    return LastRelease(last.time, last.velocity, last.position - rest)
+    height = apex_height(last, rig.gravity) - rest
+    return LastRelease(last.time, last.velocity, last.position - rest, height)
+
+
+def require_uniform(rig: Rig) -> Rig:
+    """Return the rig if its layer is of one material, or raise ValueError."""
+    if type(rig.layer) is not Layer:
+        raise ValueError(f'only layers of one material are designed, got {rig.layer!r}')
+    return rig

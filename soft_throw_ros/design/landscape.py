@@ -23,7 +23,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed, Executor
 from dataclasses import asdict, dataclass
 import functools
@@ -32,7 +32,7 @@ import json
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import get_args, Literal, NamedTuple, TYPE_CHECKING
+from typing import get_args, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,10 +44,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios
-
-if TYPE_CHECKING:
-    import xarray
+from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios, require_uniform
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +54,7 @@ Progress = Callable[[int], object]
 """Is told that so many more throws are done."""
 
 
-class Quantity(NamedTuple):
+class QuantityLabel(NamedTuple):
     """What numbers are: their symbol (as TeX), their unit (SI, empty if none), their meaning."""
 
     symbol: str
@@ -78,21 +75,21 @@ _SYMBOLS = {
     'gravity': 'g',
 }
 
-AXES: Mapping[str, Quantity] = {
-    'x': Quantity('x = L_s/(L_s+L_r)', '', 'Layer over total length'),
-    'C': Quantity('C = c_s/(L_s+L_r)f', '', 'Crossings of the total length per plate period'),
-    'mu': Quantity(r'\mu = m/\rho_sSL_s', '', 'Projectile over layer mass'),
-    'kappa': Quantity(r'\kappa = c_s/L_sf', '', 'Crossings of the layer per plate period'),
+AXES: Mapping[str, QuantityLabel] = {
+    'x': QuantityLabel('x = L_s/(L_s+L_r)', '', 'Layer over total length'),
+    'C': QuantityLabel('C = c_s/(L_s+L_r)f', '', 'Crossings of the total length per plate period'),
+    'mu': QuantityLabel(r'\mu = m/\rho_sSL_s', '', 'Projectile over layer mass'),
+    'kappa': QuantityLabel(r'\kappa = c_s/L_sf', '', 'Crossings of the layer per plate period'),
     **{
-        name: Quantity(symbol, TWIN.by_name[name].unit, TWIN.by_name[name].meaning)
+        name: QuantityLabel(symbol, TWIN.by_name[name].unit, TWIN.by_name[name].meaning)
         for name, symbol in _SYMBOLS.items()
     },
 }
 """What can be an axis: those of the paper, the ratios behind them, and parameters of the rig."""
 
-RESULTS: Mapping[str, Quantity] = {
-    'ejection_phase': Quantity('t_e f', '', 'Ejection time in plate periods'),
-    'energy_transfer': Quantity(r'\alpha', '', 'Energy transfer factor'),
+RESULTS: Mapping[str, QuantityLabel] = {
+    'ejection_phase': QuantityLabel('t_e f', '', 'Ejection time in plate periods'),
+    'energy_transfer': QuantityLabel(r'\alpha', '', 'Energy transfer factor'),
 }
 """What a landscape has at every point, by the names of its arrays."""
 
@@ -107,48 +104,23 @@ _RATIO_OF = {
 """Parameters that not every model knows, and the ratio that they are for."""
 
 
-class Model(NamedTuple):
-    """
-    A model of the layer, as landscapes use it.
-
-    Attributes
-    ----------
-    ratios : tuple of str
-        Fields of `Ratios` that it knows.
-    blocks : mapping of str to int
-        Throws per call, by the releases that it can tell: some tenths of a second.
-
-    """
-
-    ratios: tuple[str, ...]
-    blocks: Mapping[Release, int]
-
-
 _RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
 _LOSSY = (*_RIGID, 'loss_tangent')
-_CELLS: Mapping[Release, int] = {'first': 256, 'last': 8}
 
-MODELS: Mapping[str, Model] = {
-    'travelling_wave': Model(_RIGID, {'first': 1 << 16, 'last': 32}),
-    'finite_difference': Model(_LOSSY, _CELLS),
-    'finite_difference_elastic': Model(Ratios._fields, _CELLS),
-    'finite_difference_glued': Model(_LOSSY, _CELLS),
-    'spring_mass': Model(('mass_ratio', 'speed_ratio'), {'first': 1 << 16}),
+MODELS: Mapping[str, tuple[str, ...]] = {
+    'travelling_wave': _RIGID,
+    'finite_difference': _LOSSY,
+    'finite_difference_elastic': Ratios._fields,
+    'finite_difference_glued': _LOSSY,
+    'spring_mass': _RIGID[:2],
 }
-"""Models by name."""
+"""Models of the layer by name, with the fields of `Ratios` that each knows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Axis:
+class LandscapeAxis:
     """
-    An axis of a landscape.
-
-    Parameters
-    ----------
-    name : str
-        One of `AXES`.
-    values : array_like, shape (n,)
-        Increasing, in SI units.
+    An axis of a landscape: one of `AXES`, and its values, increasing, in SI units.
 
     Raises
     ------
@@ -179,7 +151,7 @@ class Axis:
         object.__setattr__(self, 'values', values)
 
     @property
-    def quantity(self) -> Quantity:
+    def quantity(self) -> QuantityLabel:
         """What it shows."""
         return AXES[self.name]
 
@@ -204,26 +176,18 @@ class Landscape:
 
     Parameters
     ----------
-    rig : Rig
-        What all throws have in common, apart from the axes.
-    axes : tuple of Axis
-        The two.
-    ejection_phase : ndarray, shape (n, m)
-        :math:`t_e f` along the first and the second axis, in plate periods. NaN where the
-        projectile does not leave, or the model cannot tell when. [-]
-    energy_transfer : ndarray, shape (n, m)
-        :math:`\alpha = (V_e / V_p^*)^2`, NaN as above. [-]
-    model : str
-        One of `MODELS`.
-    release : {'first', 'last'}
-        Which release it is.
-    density_ratio : float
-        Projectile over layer, for the axes x and C. [-]
+    rig, axes
+        What all throws have in common, and the two axes.
+    ejection_phase, energy_transfer : ndarray, shape (n, m)
+        :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
+        NaN where the projectile does not leave, or the model cannot tell when. [-]
+    model, release, density_ratio
+        As for `compute_landscape`.
 
     """
 
     rig: Rig
-    axes: tuple[Axis, Axis]
+    axes: tuple[LandscapeAxis, LandscapeAxis]
     ejection_phase: Floats
     energy_transfer: Floats
     model: str
@@ -255,7 +219,7 @@ class Landscape:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Name the parameters of the rig that would count, but not in this model."""
-        known = MODELS[self.model].ratios
+        known = MODELS[self.model]
         return tuple(
             name
             for name in ('engine.damping_ratio', 'gravity')
@@ -279,24 +243,6 @@ class Landscape:
             'gravity': gravity,
         }
 
-    def to_xarray(self) -> xarray.Dataset:
-        """
-        Return it as a data set of xarray, which nothing else needs.
-
-        Raises
-        ------
-        ModuleNotFoundError
-            If xarray is not installed.
-
-        """
-        import xarray
-
-        variables = {
-            name: (dimensions, values, _described(quantity))
-            for name, dimensions, values, quantity in _variables(self)
-        }
-        return xarray.Dataset(variables, attrs=self.attributes)
-
     def save(self, path: Path) -> None:
         """
         Write it into a file, which is there as a whole or not at all.
@@ -314,48 +260,27 @@ class Landscape:
             If it cannot be written.
 
         """
-        write = _WRITERS.get(path.suffix)
-        if write is None:
-            raise ValueError(f'a landscape is saved as {" or ".join(_WRITERS)}, got {str(path)!r}')
-        with atomic_file(path) as unfinished:
-            write(self, unfinished)
-
-
-def _variables(landscape: Landscape) -> Iterator[tuple[str, tuple[str, ...], Floats, Quantity]]:
-    """Give name, dimensions, values and meaning of axes and results."""
-    keys = tuple(axis.key for axis in landscape.axes)
-    for axis in landscape.axes:
-        yield axis.key, (axis.key,), axis.values, axis.quantity
-    for name, quantity in RESULTS.items():
-        yield name, keys, getattr(landscape, name), quantity
-
-
-def _write_npz(landscape: Landscape, path: Path) -> None:
-    arrays = {name: values for name, _, values, _ in _variables(landscape)}
-    attributes = {'dimensions': [axis.key for axis in landscape.axes], **landscape.attributes}
-    with path.open('wb') as file:
-        np.savez(file, allow_pickle=False, attributes=np.array(json.dumps(attributes)), **arrays)
-
-
-def _write_netcdf(landscape: Landscape, path: Path) -> None:
-    with netcdf_file(path, 'w', version=2) as data:
-        for name, value in {'Conventions': 'CF-1.11', **landscape.attributes}.items():
-            setattr(data, name, value)
-        for axis in landscape.axes:
-            data.createDimension(axis.key, axis.values.size)
-        for name, dimensions, values, quantity in _variables(landscape):
-            variable = data.createVariable(name, 'f8', dimensions)
-            variable[:] = values
-            for attribute, text in _described(quantity).items():
-                setattr(variable, attribute, text)
-
-
-_WRITERS = {'.npz': _write_npz, '.nc': _write_netcdf}
-
-
-def _described(quantity: Quantity) -> dict[str, str]:
-    """Describe a quantity as the conventions of NetCDF ask for."""
-    return {'long_name': quantity.meaning, 'units': quantity.unit or '1'}
+        if path.suffix not in ('.npz', '.nc'):
+            raise ValueError(f'a landscape is saved as .npz or .nc, got {str(path)!r}')
+        keys = [axis.key for axis in self.axes]
+        arrays = {axis.key: axis.values for axis in self.axes}
+        arrays.update((name, getattr(self, name)) for name in RESULTS)
+        with atomic_file(path) as unfinished, unfinished.open('wb') as file:
+            if path.suffix == '.npz':
+                attributes = json.dumps({'dimensions': keys, **self.attributes})
+                np.savez(file, allow_pickle=False, attributes=np.array(attributes), **arrays)
+                return
+            labels = {axis.key: axis.quantity for axis in self.axes} | dict(RESULTS)
+            with netcdf_file(file, 'w', version=2) as data:
+                for name, value in {'Conventions': 'CF-1.11', **self.attributes}.items():
+                    setattr(data, name, value)
+                for axis in self.axes:
+                    data.createDimension(axis.key, axis.values.size)
+                for name, values in arrays.items():
+                    variable = data.createVariable(name, 'f8', keys if name in RESULTS else [name])
+                    variable[:] = values
+                    variable.long_name = labels[name].meaning
+                    variable.units = labels[name].unit or '1'
 
 
 def compute_landscape(
@@ -431,7 +356,7 @@ def compute_landscape(
     """
     if len(axes) != 2:
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
-    first, second = (Axis(name=name, values=np.asarray(axes[name])) for name in axes)
+    first, second = (LandscapeAxis(name=name, values=np.asarray(axes[name])) for name in axes)
     _check_axes(first.name, second.name)
     _check_model(rig, axes, model, release)
     if density_ratio is None:
@@ -445,10 +370,11 @@ def compute_landscape(
     for name, row, ratio in zip(
         Ratios._fields, cases, _ratios(rig, along, density_ratio), strict=True
     ):
-        if name in MODELS[model].ratios:
+        if name in MODELS[model]:
             row.reshape(shape)[...] = ratio
     compute = functools.partial(_compute, model, release, None if executor is None else 1)
-    size = MODELS[model].blocks[release]
+    is_fast = model in ('travelling_wave', 'spring_mass')
+    size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
     for start, part in _computed(compute, blocks, executor):
@@ -473,15 +399,12 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
         raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
-    if release not in MODELS[model].blocks:
-        able = ', '.join(name for name, other in MODELS.items() if release in other.blocks)
-        raise ValueError(f'the {release} release is known to {able}, got model {model!r}')
+    if model == 'spring_mass' and release == 'last':
+        raise ValueError(f'the last release is known to all models but one, got model {model!r}')
     for name, ratio in _RATIO_OF.items():
-        if name in axes and ratio not in MODELS[model].ratios:
+        if name in axes and ratio not in MODELS[model]:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
-    if type(rig.layer) is not Layer:  # a graded one is a kind of it
-        raise ValueError(f'landscapes are of layers of one material, got {rig.layer!r}')
-    if rig.layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model].ratios:
+    if require_uniform(rig).layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model]:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
             f'got {rig.layer.loss_tangent:g}'
@@ -553,22 +476,14 @@ def _compute(model: str, release: Release, threads: int | None, cases: Floats) -
     if release == 'first':
         throws = first_throws(Ratios(*cases), model=model, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    releases = [_last(model, *case) for case in cases.T.tolist()]
+    releases = [_last(model, case) for case in cases.T.tolist()]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(
-    model: str,
-    mass_ratio: float,
-    speed_ratio: float,
-    damping_ratio: float,
-    gravity_ratio: float,
-    loss_tangent: float,
-    crossing_ratio: float,
-) -> tuple[float, float]:
+def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent, crossing_ratio = case
     engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
-    omega = engine.angular_frequency
     rig = Rig(
         engine=engine,
         layer=Layer(
@@ -581,11 +496,11 @@ def _last(
         projectile=Projectile(
             mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / (crossing_ratio or 1.0) ** 2
         ),
-        gravity=gravity_ratio * omega * omega,
+        gravity=gravity_ratio * engine.angular_frequency**2,
     )
     try:
         last = last_release(rig, model=model)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
-    peak = engine.speed_scale * peak_velocity_ratio(damping_ratio)
-    return last.time / speed_ratio, (last.speed / peak) ** 2
+    peak = engine.speed_scale * peak_velocity_ratio(engine.damping_ratio)
+    return last.time * engine.frequency, (last.speed / peak) ** 2

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+import functools
 import itertools
 import math
 from typing import ClassVar, TypeAlias
@@ -12,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import FirstThrows
 from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
@@ -33,10 +33,8 @@ class Limits:
 
     Parameters
     ----------
-    thickness_min, thickness_max : float
-        Of the layer. [m]
-    wave_speed_min, wave_speed_max : float
-        Of the layer. [m/s]
+    thickness_min, thickness_max, wave_speed_min, wave_speed_max : float
+        Of the layer. [m], [m/s]
     max_strain : float
         Largest magnitude of the strain anywhere in the layer. [-]
     max_acceleration : float
@@ -65,7 +63,7 @@ class Limits:
             if value != math.inf or item.name.startswith(('thickness', 'wave_speed')):
                 object.__setattr__(self, item.name, checks.positive(item.name, value))
         for name in ('thickness', 'wave_speed'):
-            low, high = getattr(self, f'{name}_min'), getattr(self, f'{name}_max')
+            low, high = getattr(self, name)
             if low >= high:
                 raise ValueError(f'{name}_min must be below {name}_max, got {low:g} and {high:g}')
 
@@ -144,14 +142,8 @@ class Robust:
         else:
             # Thickness, wave speed and frequency count by c / (L f) above all, which is farthest
             # off where the frequency is off against the wave speed.
-            corners = np.array(
-                [
-                    (wave_speed, thickness, mass, -wave_speed, damping_ratio)
-                    for wave_speed, thickness, mass, damping_ratio in itertools.product(
-                        (-1.0, 1.0), repeat=4
-                    )
-                ]
-            )
+            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
+            corners = np.insert(corners, 3, -corners[:, 0], axis=1)
             offsets = np.concatenate([np.zeros((1, 5)), corners, even_offsets(_INSIDE + 1)[1:]])
         return self.uncertainties.variants(rig, offsets)
 
@@ -217,11 +209,9 @@ class LayerScore:
     objective : Peak, Robust or Versatile
         What a layer is to be good at.
     limits : Limits, optional
-        What the loads of its throws must not exceed; where it may lie is for the search.
-    cells : int, optional
-        Of layers with loss, as for `first_throws`.
-    cancelled : callable, optional
-        Asked between batches of throws.
+        Of the loads of its throws; where it may lie is for the search.
+    cells, cancelled : optional
+        As for `first_throws`.
 
     Raises
     ------
@@ -240,10 +230,9 @@ class LayerScore:
         cancelled: Cancelled | None = None,
     ) -> None:
         self.rig = rig
-        self._cells = cells
         self._objective = objective
         self._limits = limits if limits is not None and limits.of_loads else None
-        self._cancelled = cancelled
+        self._throws = functools.partial(first_throws, cells=cells, cancelled=cancelled)
         self._variants = objective.variants(rig)
         # The lowest throws first, as far as known: most layers are out after a few of them.
         self._order = np.arange(self._variants.mass.size)
@@ -281,12 +270,10 @@ class LayerScore:
             If `cancelled` says so.
 
         """
-        columns = np.broadcast_arrays(
-            *map(np.atleast_1d, (thickness, wave_speed, least)),
-            *map(np.atleast_1d, (mass_factor, frequency_factor, damping_factor)),
-        )
+        given = (thickness, wave_speed, least, mass_factor, frequency_factor, damping_factor)
         thickness, wave_speed, least, mass, frequency, damping = (
-            np.asarray(column, dtype=np.float64)[:, None] for column in columns
+            np.asarray(column, dtype=np.float64)[:, None]
+            for column in np.broadcast_arrays(*map(np.atleast_1d, given))
         )
         variants = self._variants._replace(
             mass=mass * self._variants.mass,
@@ -302,7 +289,7 @@ class LayerScore:
         stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
         for start, stop in itertools.pairwise(stages):
             chosen = np.ix_(alive, self._order[start:stop])
-            throws = self._throw(ratios, chosen)
+            throws = self._throws(_some(ratios, chosen))
             is_thrown = (throws.speed > 0.0) & exists[chosen]
             transfers[chosen] = np.where(is_thrown, throws.energy_transfer, 0.0)
             too_low = (transfers[alive] < least[alive]).sum(axis=1)
@@ -318,20 +305,13 @@ class LayerScore:
             scores[alive] *= self._keeps_limits(ratios, alive, wave_speed, frequency)
         return scores
 
-    def _throw(
-        self, ratios: Ratios, chosen: tuple[NDArray[np.int64], ...], *, loads: bool = False
-    ) -> FirstThrows:
-        """Compute some of the throws of some of the layers."""
-        some = Ratios(*(np.asarray(ratio)[chosen] for ratio in ratios))
-        return first_throws(some, loads=loads, cells=self._cells, cancelled=self._cancelled)
-
     def _keeps_limits(
         self, ratios: Ratios, layers: NDArray[np.int64], wave_speed: Floats, factor: Floats
     ) -> NDArray[np.bool_]:
         """Tell which layers keep the limits, in all throws or in the rig's own."""
         assert self._limits is not None
         count = self._order.size if self._objective.limits_hold_for_all else 1
-        loads = self._throw(ratios, np.ix_(layers, np.arange(count)), loads=True)
+        loads = self._throws(_some(ratios, np.ix_(layers, np.arange(count))), loads=True)
         omega = 2.0 * math.pi * factor[layers] * self._variants.frequency[:count]
         speed = self.rig.engine.amplitude * omega
         strain = loads.peak_strain * speed / wave_speed[layers]
@@ -340,3 +320,8 @@ class LayerScore:
             strain / self._limits.max_strain, acceleration / self._limits.max_acceleration
         )
         return np.asarray(excess.max(axis=1) <= 1.0)
+
+
+def _some(ratios: Ratios, chosen: tuple[NDArray[np.int64], ...]) -> Ratios:
+    """Return some of the throws of some of the layers."""
+    return Ratios(*(np.asarray(ratio)[chosen] for ratio in ratios))

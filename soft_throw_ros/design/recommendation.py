@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 import contextlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 import functools
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
@@ -21,9 +21,11 @@ from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, SEARCH_CELLS
+from soft_throw_ros.design import texts
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, require_uniform, SEARCH_CELLS
 from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust, Versatile
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
+from soft_throw_ros.design.search_space import Candidate, search_spaces, SearchSpace
 from soft_throw_ros.design.uncertainty import Variants
 
 Floats = NDArray[np.float64]
@@ -40,11 +42,8 @@ TOLERATED = 0.02
 """Part that may be lost within its tolerance. [-]"""
 
 _EQUAL = 1e-9  # relative; of scores so close the present layer is kept
-_DRAFT_ERROR = (
-    2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is looked at again ...
-)
+_DRAFT_ERROR = 2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is searched again ...
 _NEARBY = 0.03  # within this part of thickness and wave speed
-_STRONG_GRAVITY = 0.2  # of the plate's largest acceleration: later swings throw, too
 _SLIGHT = 1e-4  # change of a parameter for its elasticity
 _SMALL = 1e-3  # change of a parameter that ...
 _AT_EDGE = 0.01  # costs more than this part only at an edge
@@ -71,10 +70,8 @@ class BestRatios:
     ----------
     damping_ratio : float
         Of the plate, :math:`\zeta`. [-]
-    mass_ratio : float
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : float
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    mass_ratio, speed_ratio : float
+        :math:`\mu = m / (\rho_s S L_s)` and :math:`\kappa = c_s / (L_s f)`. [-]
     ejection_phase : float
         :math:`t_e f`, in plate periods. [-]
     energy_transfer : float
@@ -103,13 +100,14 @@ class BestRatios:
     @classmethod
     def at(cls, *, mass_ratio: float, speed_ratio: float, damping_ratio: float) -> BestRatios:
         """Find out what given ratios give."""
-        release = first_release(
-            mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
-        )
+        ratios = {
+            'mass_ratio': mass_ratio,
+            'speed_ratio': speed_ratio,
+            'damping_ratio': damping_ratio,
+        }
+        release = first_release(**ratios)
         return cls(
-            damping_ratio=damping_ratio,
-            mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio,
+            **ratios,
             ejection_phase=float(release.ejection_phase),
             energy_transfer=float(release.energy_transfer),
         )
@@ -167,30 +165,18 @@ def best_ratios(damping_ratio: float) -> BestRatios:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prediction:
+class PredictedThrow:
     r"""
     What a throw gives, with the rig's damping, gravity and loss, up to the first release.
 
     Parameters
     ----------
-    thickness : float
-        Of the layer, :math:`L_s`. [m]
-    wave_speed : float
-        Of the layer, :math:`c_s`. [m/s]
-    density : float
-        Of the layer, :math:`\rho_s`. [kg/m3]
-    youngs_modulus : float
-        Of the layer, :math:`\rho_s c_s^2`. [Pa]
-    loss_tangent : float
-        Of the layer. [-]
-    mass_ratio : float
-        Projectile over layer mass, :math:`\mu`. [-]
-    speed_ratio : float
-        :math:`\kappa = c_s / (L_s f)`. [-]
-    ejection_time : float
-        :math:`t_e`. [s]
-    ejection_speed : float
-        :math:`V_e`. [m/s]
+    thickness, wave_speed, density, youngs_modulus, loss_tangent : float
+        Of the layer: :math:`L_s` [m], :math:`c_s` [m/s], :math:`\rho_s` [kg/m3], [Pa], [-].
+    mass_ratio, speed_ratio : float
+        :math:`\mu` and :math:`\kappa = c_s / (L_s f)`. [-]
+    ejection_time, ejection_speed : float
+        :math:`t_e` [s] and :math:`V_e` [m/s].
     energy_transfer : float
         :math:`\alpha = (V_e / V_p^*)^2`. [-]
     peak_strain : float
@@ -223,7 +209,7 @@ class Prediction:
     kinetic_energy: float
 
 
-def predict(rig: Rig) -> Prediction:
+def predict(rig: Rig) -> PredictedThrow:
     """
     Predict one throw of a rig.
 
@@ -235,7 +221,7 @@ def predict(rig: Rig) -> Prediction:
     Raises
     ------
     ValueError
-        If the layer is graded.
+        If the layer is not of one material.
     ThrowUnresolvedError
         If the projectile does not leave, or only after more crossings than are followed.
 
@@ -248,9 +234,7 @@ def predict(rig: Rig) -> Prediction:
     '11.6%, 40 g'
 
     """
-    engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    if type(layer) is not Layer:  # a graded one is a kind of it
-        raise ValueError(f'only layers of one material are predicted, got {layer!r}')
+    engine, layer, mass = rig.engine, require_uniform(rig).layer, rig.projectile.mass
     ratios, _ = Variants.of(rig).ratios(rig, layer.thickness, layer.wave_speed)
     throws = first_throws(ratios, loads=True)
     phase, speed, transfer, strain, acceleration, force, work = (
@@ -262,7 +246,7 @@ def predict(rig: Rig) -> Prediction:
             f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
         )
     speed_scale = engine.speed_scale
-    return Prediction(
+    return PredictedThrow(
         thickness=layer.thickness,
         wave_speed=layer.wave_speed,
         density=layer.density,
@@ -319,20 +303,8 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """
-    A layer from the library, and how good it would be.
-
-    Parameters
-    ----------
-    layer : str
-        Its name, for `layer.name`.
-    thickness : float
-        [m]
-    score : float
-        What it is ranked by. [-]
-
-    """
+class LibraryCandidate:
+    """A layer from the library by its name, its thickness [m], and what it is ranked by [-]."""
 
     layer: str
     thickness: float
@@ -340,7 +312,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recommendation(Prediction):
+class Recommendation(PredictedThrow):
     """
     What the recommended layer gives, and what it is to be compared with.
 
@@ -356,21 +328,20 @@ class Recommendation(Prediction):
         Name of the recommended layer in the library, if it was picked there.
     score : float
         The energy transfer that counts for the objective. [-]
-    now : Prediction or None
+    now : PredictedThrow or None
         The rig as it is; None if it does not throw.
     now_score : float
         Its score, 0 if it does not throw. [-]
-    by_thickness, by_wave_speed, by_both : Prediction or None
+    by_thickness, by_wave_speed, by_both : PredictedThrow or None
         The best layer if this may change; None if nothing is thrown within the limits, or if it
         was not looked for: another objective than the peak takes its time.
-    candidates : tuple of Candidate
+    candidates : tuple of LibraryCandidate
         Layers of the library that came near, if one was to be picked; the best first.
     sensitivities : tuple of Sensitivity
         How much the parameters matter around the recommended layer.
-    optimum : BestRatios
-        The best ratios for the engine's damping, were there no limits and no loss.
-    paper : BestRatios
-        The paper's ratios with the engine's damping.
+    optimum, paper : BestRatios
+        For the engine's damping the best ratios, were there no limits and no loss, and the
+        paper's.
     summary : str
         What changes and what is gained, in a sentence.
     remarks : str
@@ -383,17 +354,17 @@ class Recommendation(Prediction):
     vary: Vary
     layer: str
     score: float
-    now: Prediction | None
+    now: PredictedThrow | None
     now_score: float
-    by_thickness: Prediction | None = None
-    by_wave_speed: Prediction | None = None
-    by_both: Prediction | None = None
-    candidates: tuple[Candidate, ...]
+    by_thickness: PredictedThrow | None = None
+    by_wave_speed: PredictedThrow | None = None
+    by_both: PredictedThrow | None = None
+    candidates: tuple[LibraryCandidate, ...]
     sensitivities: tuple[Sensitivity, ...]
     optimum: BestRatios
     paper: BestRatios
-    summary: str
-    remarks: str
+    summary: str = ''
+    remarks: str = ''
 
     @property
     def gain(self) -> float:
@@ -403,92 +374,15 @@ class Recommendation(Prediction):
     def values(self) -> dict[str, float | str]:
         """Return everything by name, with a dot between the name of a part and of its value."""
         flat: dict[str, float | str] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, (Prediction, BestRatios)):
-                flat.update({f'{item.name}.{name}': part for name, part in vars(value).items()})
-            elif item.name == 'sensitivities':
-                for part in value:
-                    flat.update({
-                        f'{part.name}.{name}': getattr(part, name)
-                        for name in ('elasticity', 'low', 'high', 'tolerance', 'edge')
-                    })  # fmt: skip
-            elif item.name == 'candidates':
-                flat.update({f'candidate.{part.layer}': part.score for part in value})
-            elif item.name != 'rig' and value is not None:
-                flat[item.name] = value
-        return flat
-
-
-class SearchSpace(NamedTuple):
-    """A rig whose layer may vary within a range, and the layer's name if it is of a library."""
-
-    rig: Rig
-    layers: LayerRange
-    name: str = ''
-    spread: float = 0.0
-    """How far the wave speed of a material may be off, up or down. [m/s]"""
-
-
-def search_spaces(
-    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
-) -> Iterator[SearchSpace]:
-    """
-    Yield where to look for a layer.
-
-    Parameters
-    ----------
-    rig : Rig
-        With the layer that it has now.
-    vary : str
-        What may vary: one of `Vary`, or `amplitude`, which leaves the layer as it is.
-    limits : Limits
-        Of the layer, for what may vary.
-    materials : mapping of str to Material
-        If `vary` is 'library', there is a space for each, or for each of its sheets.
-
-    """
-    layer = rig.layer
-    as_it_is = LayerRange((layer.thickness,) * 2, (layer.wave_speed,) * 2)
-    if vary != 'library':
-        if vary in ('thickness', 'both'):
-            as_it_is = as_it_is._replace(thickness=limits.thickness)
-        if vary in ('wave_speed', 'both'):
-            as_it_is = as_it_is._replace(wave_speed=limits.wave_speed)
-        yield SearchSpace(rig, as_it_is)
-        return
-    for material in materials.values():
-        speed = material.wave_speed
-        if (
-            material.loss_tangent.value > limits.max_loss_tangent
-            or not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        ):
-            continue
-        sheet = replace(
-            layer,
-            wave_speed=speed.value,
-            density=material.density.value,
-            loss_tangent=material.loss_tangent.value,
-            diameter=material.diameter or layer.diameter,
-        )
-        speeds, spread = (speed.value, speed.value), 0.5 * (speed.high - speed.low)
-        for thickness in material.thicknesses:
-            if limits.thickness_min <= thickness <= limits.thickness_max:
-                there = replace(rig, layer=replace(sheet, thickness=thickness))
-                layers = LayerRange((thickness, thickness), speeds)
-                yield SearchSpace(there, layers, material.layer_name(thickness), spread)
-        if not material.thicknesses:
-            there = replace(rig, layer=sheet)
-            yield SearchSpace(there, LayerRange(limits.thickness, speeds), material.name, spread)
-
-
-class _Found(NamedTuple):
-    """A layer as part of the rig, its score, for what, and its name in the library."""
-
-    rig: Rig
-    score: float
-    objective: Objective
-    name: str
+        for name, value in vars(self).items():
+            if isinstance(value, (PredictedThrow, BestRatios)):
+                flat.update({f'{name}.{part}': each for part, each in vars(value).items()})
+            elif isinstance(value, (float, str)):
+                flat[name] = value
+        for item in self.sensitivities:
+            for name in ('elasticity', 'low', 'high', 'tolerance', 'edge'):
+                flat[f'{item.name}.{name}'] = getattr(item, name)
+        return {**flat, **{f'candidate.{item.layer}': item.score for item in self.candidates}}
 
 
 def recommend(
@@ -530,8 +424,8 @@ def recommend(
     Raises
     ------
     ValueError
-        If a choice is unknown, the layer is graded, or an uncertainty is as large as what is
-        uncertain.
+        If a choice is unknown, the layer is not of one material, or an uncertainty is as large as
+        what is uncertain.
     ThrowUnresolvedError
         If no throw with a layer within the limits can be computed: too many crossings, gravity
         holds the projectile, or every layer exceeds strain or acceleration.
@@ -551,114 +445,113 @@ def recommend(
     'thickness 16.8 -> 13.41 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
 
     """
-    objective, limits = objective or Peak(), limits or Limits()
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    if type(rig.layer) is not Layer:  # a graded one is a kind of it
-        raise ValueError(f'only layers of one material are recommended, got {rig.layer!r}')
-    search = functools.partial(_search, objective=objective, limits=limits, cancelled=cancelled)
-    found: dict[str, _Found | None] = {}
+    search = _Search(objective or Peak(), limits or Limits(), cancelled)
+    found: dict[str, Candidate] = {}
     for name in ('thickness', 'wave_speed', 'both'):
-        if isinstance(objective, Peak) or name == vary:
-            (space,) = search_spaces(rig, name, limits, {})
-            starts = tuple(each for each in found.values() if each is not None)
-            found[name] = search(space, starts=starts)
-    spaces = search_spaces(rig, 'library', limits, materials or {}) if vary == 'library' else ()
-    picked = sorted(
-        (each for space in spaces if (each := search(space)) is not None),
-        key=lambda each: -each.score,
-    )
-    best = (picked[0] if picked else None) if vary == 'library' else found[vary]
+        if isinstance(search.objective, Peak) or name == vary:
+            (space,) = search_spaces(rig, name, search.limits, {})
+            best = search.run(space, starts=tuple(each.rig.layer for each in found.values()))
+            if best is not None:
+                found[name] = best
+    picked: list[Candidate] = []
+    if vary == 'library':
+        spaces = search_spaces(rig, vary, search.limits, materials or {})
+        picked = [each for space in spaces if (each := search.run(space)) is not None]
+        picked.sort(key=lambda each: -each.score)
+    best = found.get(vary) if vary != 'library' else next(iter(picked), None)
     if best is None:
-        free = replace(limits, max_strain=math.inf, max_acceleration=math.inf)
+        free = replace(search.limits, max_strain=math.inf, max_acceleration=math.inf)
         easier: Recommendation | None = None
-        if free != limits:
+        if free != search.limits:
             with contextlib.suppress(ThrowUnresolvedError):
                 easier = recommend(
                     rig, vary=vary, objective=objective, limits=free, materials=materials,
                     cancelled=cancelled,
                 )  # fmt: skip
-        raise ThrowUnresolvedError(_why_none(rig, vary, limits, easier))
-    now = _score_of(rig, objective, cancelled)
-    prediction = predict(best.rig)
-    predictions = {name: predict(each.rig) for name, each in found.items() if each is not None}
-    optimum = best_ratios(rig.engine.damping_ratio)
-    paper = _paper_ratios(rig.engine.damping_ratio)
-    sensitivities = tuple(_sensitivities(best.rig, best.objective, cancelled))
-    return Recommendation(
-        **vars(prediction),
+        raise ThrowUnresolvedError(texts.why_nothing(rig, vary, search.limits, easier))
+    of_space = search.objective_for(best.spread)
+    score_now = LayerScore(rig, search.objective, cancelled=cancelled)
+    now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
+    by = {name: predict(each.rig) for name, each in found.items()}
+    damping_ratio = rig.engine.damping_ratio
+    answer = Recommendation(
+        **vars(predict(best.rig)),
         rig=best.rig,
-        objective=objective.name,
+        objective=search.objective.name,
         vary=vary,
-        layer=best.name,
+        layer=best.layer,
         score=best.score,
         now=predict(rig) if now > 0.0 else None,
         now_score=now,
-        by_thickness=predictions.get('thickness'),
-        by_wave_speed=predictions.get('wave_speed'),
-        by_both=predictions.get('both'),
+        by_thickness=by.get('thickness'),
+        by_wave_speed=by.get('wave_speed'),
+        by_both=by.get('both'),
         candidates=tuple(
-            Candidate(layer=each.name, thickness=each.rig.layer.thickness, score=each.score)
+            LibraryCandidate(
+                layer=each.layer, thickness=each.rig.layer.thickness, score=each.score
+            )
             for each in picked[:_MAX_CANDIDATES]
         ),
-        sensitivities=sensitivities,
-        optimum=optimum,
-        paper=paper,
-        summary=_summarise(rig, now, best, vary, objective, limits, sensitivities),
-        remarks=_remark(best.rig, prediction, optimum, paper),
+        sensitivities=tuple(_sensitivities(best.rig, of_space, cancelled)),
+        optimum=best_ratios(damping_ratio),
+        paper=BestRatios.at(
+            mass_ratio=PAPER_RATIOS[0], speed_ratio=PAPER_RATIOS[1], damping_ratio=damping_ratio
+        ),
     )
+    summary = texts.summary_of(
+        answer, rig.layer, search.limits,
+        score_name=search.objective.summary, tolerated=TOLERATED,
+    )  # fmt: skip
+    return replace(answer, summary=summary, remarks=texts.remarks_of(answer))
 
 
-@functools.lru_cache(maxsize=64)
-def _paper_ratios(damping_ratio: float) -> BestRatios:
-    mass_ratio, speed_ratio = PAPER_RATIOS
-    return BestRatios.at(
-        mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
-    )
+class _Search(NamedTuple):
+    """What is looked for."""
 
+    objective: Objective
+    limits: Limits
+    cancelled: Cancelled | None
 
-def _score_of(rig: Rig, objective: Objective, cancelled: Cancelled | None) -> float:
-    """Compute the score of a rig as it is, within limits or not; 0 if it throws nothing."""
-    score = LayerScore(rig, objective, cancelled=cancelled)
-    return float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
+    def objective_for(self, spread: float) -> Objective:
+        """Return the objective for a material whose wave speed may be off so far. [m/s]"""
+        objective = self.objective
+        if isinstance(objective, Robust) and spread > objective.uncertainties.wave_speed:
+            uncertainties = replace(objective.uncertainties, wave_speed=spread)
+            return replace(objective, uncertainties=uncertainties)
+        return objective
 
-
-def _search(
-    space: SearchSpace,
-    *,
-    objective: Objective,
-    limits: Limits,
-    cancelled: Cancelled | None,
-    starts: tuple[_Found, ...] = (),
-) -> _Found | None:
-    """Find the best layer of a space, which is that of its rig if no other is better."""
-    if isinstance(objective, Robust) and space.spread > objective.uncertainties.wave_speed:
-        uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
-        objective = replace(objective, uncertainties=uncertainties)
-    has_loss = space.rig.layer.loss_tangent > 0.0
-    exact = LayerScore(space.rig, objective, limits, cancelled=cancelled)
-    draft = exact
-    if has_loss:
-        draft = LayerScore(space.rig, objective, limits, cells=SEARCH_CELLS, cancelled=cancelled)
-    present = (space.rig.layer.thickness, space.rig.layer.wave_speed)
-    known = [(each.rig.layer.thickness, each.rig.layer.wave_speed) for each in starts]
-    layers = [layer for layer in (present, *known) if space.layers.contains(*layer)]
-    best = find_best_layer(
-        draft,
-        space.layers,
-        step=grid_step(space, objective),
-        starts=tuple(Optimum(*layer, float(draft(*layer)[0])) for layer in layers),
-        tolerance=5e-4 if has_loss else 1e-5,
-    )
-    if best is not None and has_loss:
-        best = _refine(exact, best, space.layers)
-    now = float(exact(*present)[0]) if present in layers else 0.0
-    if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
-        return _Found(space.rig, now, objective, space.name)
-    if best is None:
-        return None
-    layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
-    return _Found(replace(space.rig, layer=layer), best.score, objective, space.name)
+    def run(self, space: SearchSpace, *, starts: tuple[Layer, ...] = ()) -> Candidate | None:
+        """Find the best layer of a space, which is that of its rig if no other is better."""
+        objective, present = self.objective_for(space.spread), space.rig.layer
+        has_loss = present.loss_tangent > 0.0
+        exact = LayerScore(space.rig, objective, self.limits, cancelled=self.cancelled)
+        draft = exact
+        if has_loss:
+            draft = LayerScore(
+                space.rig, objective, self.limits, cells=SEARCH_CELLS, cancelled=self.cancelled
+            )
+        known = [
+            (layer.thickness, layer.wave_speed)
+            for layer in (present, *starts)
+            if space.layers.contains(layer.thickness, layer.wave_speed)
+        ]
+        slowest = min(objective.frequencies) if isinstance(objective, Versatile) else None
+        best = find_best_layer(
+            draft,
+            space.layers,
+            step=space.grid_step(slowest),
+            starts=tuple(Optimum(*layer, float(draft(*layer)[0])) for layer in known),
+            tolerance=5e-4 if has_loss else 1e-5,
+        )
+        if best is not None and has_loss:
+            best = _refine(exact, best, space.layers)
+        if space.layers.contains(present.thickness, present.wave_speed):
+            now = float(exact(present.thickness, present.wave_speed)[0])
+            if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
+                best = Optimum(present.thickness, present.wave_speed, now)
+        return None if best is None else space.candidate(best)
 
 
 def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
@@ -672,37 +565,6 @@ def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | N
     ))  # fmt: skip
     start = (best._replace(score=score),) if score > 0.0 else ()
     return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)
-
-
-def grid_step(space: SearchSpace, objective: Objective | None = None) -> float:
-    """
-    Choose the step of the grid on which a search begins.
-
-    A line is cheap, and throws from a layer with loss, or under strong gravity, cost thirty times
-    what others do.
-
-    Parameters
-    ----------
-    space : SearchSpace
-        Where it looks.
-    objective : Peak, Robust or Versatile, optional
-        What for; its slowest plate decides how strong gravity is.
-
-    Returns
-    -------
-    float
-        In logarithms of thickness and wave speed. [-]
-
-    """
-    rig = space.rig
-    is_line = any(low == high for low, high in space.layers)
-    if rig.layer.loss_tangent > 0.0:
-        return 0.04 if is_line else 0.12
-    slowest = rig.engine.frequency
-    if isinstance(objective, Versatile):
-        slowest = min(objective.frequencies)
-    is_strong = rig.gravity_ratio * (rig.engine.frequency / slowest) ** 2 > _STRONG_GRAVITY
-    return (0.02 if is_strong else 0.01) if is_line else 0.06
 
 
 def _sensitivities(
@@ -776,121 +638,3 @@ def _reach(
         is_good = remaining(np.tile(which, 2), np.tile(sign, 2) * middle, WITHIN) >= kept
         good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     return good.reshape(2, -1)
-
-
-def _why_none(rig: Rig, vary: Vary, limits: Limits, free: Recommendation | None) -> str:
-    """Say why nothing can be recommended, and what could be without limits of the loads."""
-    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
-    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
-    text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
-    if vary == 'library':
-        text += ' from the library'
-        if limits.max_loss_tangent < math.inf:
-            text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
-    if free is not None:
-        return (
-            f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
-            f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
-            f'these limits has {free.peak_strain:.3g} and {free.peak_acceleration:.4g} m/s2'
-        )
-    return (
-        f'no throw with {text} can be computed: the projectile stays on the layer for too many '
-        f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
-        'plate) holds it'
-    )
-
-
-def _summarise(
-    rig: Rig,
-    now: float,
-    best: _Found,
-    vary: Vary,
-    objective: Objective,
-    limits: Limits,
-    sensitivities: tuple[Sensitivity, ...],
-) -> str:
-    """Say what changes, what that gives, and how exactly it has to be met."""
-    name = objective.summary
-    if best.rig.layer == rig.layer:
-        text = f'the layer as it is cannot be bettered within the limits ({name} {best.score:.2f})'
-    else:
-        before = f'{now:.2f}' if now else 'nothing'
-        changes = ' and '.join(_changes(rig, best, vary, limits))
-        gain = _describe_gain(now, best.score, vary)
-        text = f'{changes}: {gain} ({name} {before} -> {best.score:.2f})'
-    names = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}.get(vary, (vary,))
-    parts = [item for item in sensitivities if item.name in names]
-    within = ' or '.join(f'+-{item.deviation}' for item in parts if not item.edge)
-    text += f'; {within} costs {100.0 * TOLERATED:g} %' if within else ''
-    for item in parts:
-        if item.edge:
-            text += f'; a little {item.edge} {item.name.replace("_", " ")} falls off an edge'
-    return text
-
-
-def _changes(rig: Rig, best: _Found, vary: Vary, limits: Limits) -> Iterator[str]:
-    """Name what changes, with what it was and will be."""
-    old, new = rig.layer, best.rig.layer
-    if best.name:
-        yield f'layer {best.name}'
-    if vary != 'wave_speed':
-        limit = _at_limit(new.thickness, limits.thickness)
-        yield f'thickness {1e3 * old.thickness:.4g} -> {1e3 * new.thickness:.4g} mm{limit}'
-    if vary in ('wave_speed', 'both'):
-        limit = _at_limit(new.wave_speed, limits.wave_speed)
-        yield (
-            f'wave speed {old.wave_speed:.4g} -> {new.wave_speed:.4g} m/s{limit}, that is '
-            f'modulus {1e-3 * old.youngs_modulus:.4g} -> {1e-3 * new.youngs_modulus:.4g} kPa'
-        )
-
-
-def _describe_gain(before: float, after: float, vary: Vary) -> str:
-    if before <= 0.0:
-        return 'as it is, the layer throws nothing'
-    gain = after / before - 1.0
-    percent = 100.0 * abs(gain)
-    amount = f'{percent:.1f} %' if percent < 9.95 else f'{percent:.0f} %'
-    if gain >= 1.0:
-        return f'{1.0 + gain:.3g} times the energy'
-    if percent < 0.05:
-        return 'practically the same energy'
-    if gain > 0.0:
-        return f'{amount} more energy'
-    if vary == 'library':
-        return f'{amount} less energy, for the layer as it is is not to be had within the limits'
-    return f'{amount} less energy, for the layer as it is exceeds the limits'
-
-
-def _at_limit(value: float, limits: tuple[float, float]) -> str:
-    """Say which limit a value has run into, if any."""
-    for limit, name in zip(limits, ('smallest', 'largest'), strict=True):
-        if math.isclose(value, limit, rel_tol=1e-4):
-            return f' (the {name} allowed)'
-    return ''
-
-
-def _remark(rig: Rig, best: Prediction, optimum: BestRatios, paper: BestRatios) -> str:
-    """Say what has to be known besides."""
-    text = (
-        f'for a plate of damping {optimum.damping_ratio:g} the best is a projectile of '
-        f'{optimum.mass_ratio:.3f} times the mass of the layer and c_s / (L_s f) = '
-        f'{optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}; '
-        f'the paper says {paper.mass_ratio:g} and {paper.speed_ratio:g}, which mix two density '
-        f'ratios and give {paper.energy_transfer:.3f}'
-    )
-    if rig.layer.loss_tangent > 0.0:
-        text += (
-            f'; these are without loss, whereas the loss tangent of {rig.layer.loss_tangent:g} '
-            'counts in what is recommended'
-        )
-    if rig.gravity_ratio > _STRONG_GRAVITY:
-        text += (
-            f'; gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
-            'that later swings throw as well'
-        )
-    if best.peak_strain >= 1.0:
-        text += (
-            f'; a strain of {100.0 * best.peak_strain:.0f} % is more than a layer can be '
-            'compressed: lower the amplitude or limit the strain'
-        )
-    return text

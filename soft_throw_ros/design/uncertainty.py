@@ -42,20 +42,16 @@ _JUMP = 0.1  # of the range of ejection times: a gap without any
 @dataclass(frozen=True, kw_only=True)
 class Uncertainties:
     """
-    How far a rig may be off, up or down.
+    How far a rig may be off, up or down; the defaults are those of [1]_.
 
     Parameters
     ----------
-    wave_speed : float
-        Of the layer; the default is that of [1]_, as the others are. [m/s]
-    thickness : float
-        Of the layer. [m]
+    wave_speed, thickness : float
+        Of the layer. [m/s], [m]
     mass : float
         Of the projectile, as a part of it; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
-    frequency : float
-        Of the plate. [Hz]
-    damping_ratio : float
-        Of the plate. [-]
+    frequency, damping_ratio : float
+        Of the plate. [Hz], [-]
 
     Raises
     ------
@@ -82,7 +78,7 @@ class Uncertainties:
 
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
         """
-        Return throws of rigs that are off by a part of the uncertainties each.
+        Return n throws of rigs that are off by a part of the uncertainties each.
 
         Parameters
         ----------
@@ -90,11 +86,6 @@ class Uncertainties:
             What is uncertain.
         offsets : ndarray, shape (n, 5)
             From -1 to 1, in the order of the fields. [-]
-
-        Returns
-        -------
-        Variants
-            n throws.
 
         Raises
         ------
@@ -129,15 +120,7 @@ class Variants(NamedTuple):
     """
     Throws in which a rig differs from what it is: arrays that broadcast against each other.
 
-    Attributes
-    ----------
-    mass : ndarray
-        Of the projectile. [kg]
-    frequency, damping_ratio : ndarray
-        Of the plate. [Hz], [-]
-    thickness_error, wave_speed_error : ndarray
-        What is added to those of the layer. [m], [m/s]
-
+    The errors [m], [m/s] are added to thickness and wave speed of the layer.
     """
 
     mass: Floats
@@ -203,15 +186,7 @@ def even_offsets(count: int) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """
-    Where a predicted value lies, with the probability `COVERAGE`.
-
-    Parameters
-    ----------
-    low, high : float
-        Quantiles of the throws.
-
-    """
+    """Where a predicted value lies, with the probability `COVERAGE`: quantiles of the throws."""
 
     low: float
     high: float

@@ -2,7 +2,7 @@
 from pathlib import Path
 
 import pytest
-from soft_throw_ros.configuration import document, files, interface, RECORDER, TWIN
+from soft_throw_ros.configuration import document, files
 
 ROOT = Path(__file__).parents[2]
 
@@ -17,12 +17,3 @@ def test_document_is_current(path: str, text: str) -> None:
 def test_installed_file_is_the_one_in_config(name) -> None:
     installed = files.default_file().with_name(f'{name}.yaml')
     assert installed.read_bytes() == (ROOT / f'config/{name}.yaml').read_bytes()
-
-
-def test_pages_have_a_row_for_every_parameter_topic_and_service() -> None:
-    pages = document.documents()
-    for name in TWIN.by_name.keys() | RECORDER.by_name.keys():
-        assert f'\n| `{name}` |' in pages['docs/parameters.md']
-    for topics, services in interface.INTERFACES.values():
-        for item in (*topics, *services):
-            assert f'\n| `{item.name}`' in pages['docs/topics.md']

@@ -17,10 +17,6 @@ def test_topic_of_a_node_is_found_by_its_full_name(topic, node) -> None:
     assert find_topic(topic.at(node).name, topic.type) == (node, topic)
 
 
-def test_topic_of_nobody_is_found_by_its_own_name() -> None:
-    assert find_topic('/diagnostics', TWIN_TOPICS.diagnostics.type).node == ''
-
-
 @pytest.mark.parametrize(
     ('name', 'kind'),
     [

@@ -93,6 +93,7 @@ def test_last_release_is_that_of_a_simulated_throw(rig):
     assert found.speed == pytest.approx(throw.last_release.velocity, rel=1e-4)
     rest = rig.layer.thickness - rig.static_sag
     assert found.rise == pytest.approx(throw.last_release.position - rest, rel=1e-4)
+    assert found.height == pytest.approx(throw.apex_height - rest, rel=1e-4)
 
 
 def test_last_release_with_loss_is_by_cells():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
 from soft_throw_ros.design.recommendation import predict
 from soft_throw_ros.design.uncertainty import Uncertainties
@@ -119,12 +118,6 @@ def test_limits_hold_for_every_throw_of_a_versatile_layer():
 def test_layer_that_may_be_off_by_all_of_itself_throws_nothing():
     score = LayerScore(Rig(), Robust(uncertainties=Uncertainties(thickness=1e-3)))
     assert score(0.9e-3, 7.8)[0] == 0.0
-
-
-def test_score_is_given_up_when_cancelled():
-    score = LayerScore(Rig(), Peak(), cancelled=lambda: True)
-    with pytest.raises(SearchCancelledError):
-        score(16.8e-3, 7.8)
 
 
 @pytest.mark.parametrize(

@@ -30,16 +30,6 @@ def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
     assert answer(settings) == recommend(Rig())
 
 
-def test_every_limit_counts():
-    limits = {
-        'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
-        'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
-    }  # fmt: skip
-    settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
-    assert limits_of(settings) == Limits(**limits)
-    assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf
-
-
 @pytest.mark.parametrize(
     ('changes', 'objective'),
     [
@@ -108,3 +98,13 @@ def test_what_cannot_be_done_is_refused(changes, message):
 def test_answer_is_given_up_when_cancelled(objective):
     with pytest.raises(SearchCancelledError):
         answer(changed(recommendation__objective=objective), cancelled=lambda: True)
+
+
+def test_every_limit_counts():
+    limits = {
+        'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
+        'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
+    }  # fmt: skip
+    settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
+    assert limits_of(settings) == Limits(**limits)
+    assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf

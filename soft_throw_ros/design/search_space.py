@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which layers a search may choose from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+from soft_throw_ros.configuration.layers import Material
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import require_uniform
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.optimise import LayerRange, Optimum
+
+STRONG_GRAVITY = 0.2
+"""Gravity over the plate's largest acceleration beyond which later swings throw, too. [-]"""
+
+
+class Candidate(NamedTuple):
+    """A rig with a layer that was found, the layer's name in the library if any, and its score."""
+
+    rig: Rig
+    layer: str
+    score: float
+    spread: float = 0.0
+    """How far the layer's wave speed may be off, up or down. [m/s]"""
+
+
+class SearchSpace(NamedTuple):
+    """A rig whose layer may vary within a range, and the layer's name if it is of a library."""
+
+    rig: Rig
+    layers: LayerRange
+    name: str = ''
+    spread: float = 0.0
+    """How far the wave speed of a material may be off, up or down. [m/s]"""
+
+    @property
+    def is_single(self) -> bool:
+        """Whether there is but one layer to choose."""
+        return all(low == high for low, high in self.layers)
+
+    def grid_step(self, slowest: float | None = None) -> float:
+        """
+        Choose the step, in logarithms, of the grid on which a search begins.
+
+        A line is cheap; throws from a layer with loss, or under strong gravity, cost thirty times
+        what others do. Gravity is strongest at the slowest of the plate's frequencies [Hz].
+        """
+        is_line = any(low == high for low, high in self.layers)
+        if self.rig.layer.loss_tangent > 0.0:
+            return 0.04 if is_line else 0.12
+        if not is_line:
+            return 0.06
+        frequency = self.rig.engine.frequency
+        gravity = self.rig.gravity_ratio * (frequency / (slowest or frequency)) ** 2
+        return 0.02 if gravity > STRONG_GRAVITY else 0.01
+
+    def candidate(self, best: Optimum) -> Candidate:
+        """Return the rig with a layer that was found."""
+        layer = replace(self.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
+        return Candidate(replace(self.rig, layer=layer), self.name, best.score, self.spread)
+
+
+def search_spaces(
+    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
+) -> list[SearchSpace]:
+    """
+    List where to look for a layer.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the layer that it has now.
+    vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
+        What may vary; 'amplitude' leaves the layer as it is.
+    limits : Limits
+        Of the layer, for what may vary.
+    materials : mapping of str to Material
+        If `vary` is 'library', there is a space for each, or for each of its sheets.
+
+    Raises
+    ------
+    ValueError
+        If the rig's layer is not of one material.
+
+    """
+    layer = require_uniform(rig).layer
+    if vary != 'library':
+        thickness = limits.thickness if vary in ('thickness', 'both') else (layer.thickness,) * 2
+        speeds = limits.wave_speed if vary in ('wave_speed', 'both') else (layer.wave_speed,) * 2
+        return [SearchSpace(rig, LayerRange(thickness, speeds))]
+    spaces = []
+    for material in materials.values():
+        speed, loss_tangent = material.wave_speed, material.loss_tangent.value
+        is_slow_or_fast = not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
+        if is_slow_or_fast or loss_tangent > limits.max_loss_tangent:
+            continue
+        sheet = replace(
+            layer,
+            wave_speed=speed.value,
+            density=material.density.value,
+            loss_tangent=loss_tangent,
+            diameter=material.diameter or layer.diameter,
+        )
+        ranges = [
+            (thickness, thickness)
+            for thickness in material.thicknesses
+            if limits.thickness_min <= thickness <= limits.thickness_max
+        ]
+        for low, high in ranges if material.thicknesses else [limits.thickness]:
+            there = replace(sheet, thickness=low) if low == high else sheet
+            spaces.append(
+                SearchSpace(
+                    replace(rig, layer=there),
+                    LayerRange((low, high), (speed.value, speed.value)),
+                    material.layer_name(low),
+                    spread=0.5 * (speed.high - speed.low),
+                )
+            )
+    return spaces

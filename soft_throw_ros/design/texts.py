@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of recommendations and aims, for people to read."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.search_space import STRONG_GRAVITY
+
+if TYPE_CHECKING:
+    from soft_throw_ros.design.aiming import Aim
+    from soft_throw_ros.design.recommendation import PredictedThrow, Recommendation, Sensitivity
+
+
+def summary_of(
+    found: Recommendation, before: Layer, limits: Limits, *, score_name: str, tolerated: float
+) -> str:
+    """Say what changes, what that gives, and how exactly it has to be met."""
+    if found.rig.layer == before:
+        text = (
+            f'the layer as it is cannot be bettered within the limits '
+            f'({score_name} {found.score:.2f})'
+        )
+    else:
+        now = f'{found.now_score:.2f}' if found.now_score else 'nothing'
+        text = (
+            f'{_changes(found, before, limits)}: {_gain(found.gain)} '
+            f'({score_name} {now} -> {found.score:.2f})'
+        )
+    names = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
+    parts = [
+        item for item in found.sensitivities if item.name in names.get(found.vary, (found.vary,))
+    ]
+    within = ' or '.join(f'+-{item.deviation}' for item in parts if not item.edge)
+    text += f'; {within} costs {100.0 * tolerated:g} %' if within else ''
+    return text + ''.join(map(_edge, parts))
+
+
+def _edge(item: Sensitivity) -> str:
+    if not item.edge:
+        return ''
+    return f'; a little {item.edge} {item.name.replace("_", " ")} falls off an edge'
+
+
+def _changes(found: Recommendation, old: Layer, limits: Limits) -> str:
+    """Name what changes, with what it was and will be."""
+    new, changes = found.rig.layer, []
+    if found.layer:
+        changes.append(f'layer {found.layer}')
+    if found.vary != 'wave_speed':
+        limit = _at_limit(new.thickness, limits.thickness)
+        changes.append(
+            f'thickness {1e3 * old.thickness:.4g} -> {1e3 * new.thickness:.4g} mm{limit}'
+        )
+    if found.vary in ('wave_speed', 'both'):
+        limit = _at_limit(new.wave_speed, limits.wave_speed)
+        changes.append(
+            f'wave speed {old.wave_speed:.4g} -> {new.wave_speed:.4g} m/s{limit}, that is '
+            f'modulus {1e-3 * old.youngs_modulus:.4g} -> {1e-3 * new.youngs_modulus:.4g} kPa'
+        )
+    return ' and '.join(changes)
+
+
+def _at_limit(value: float, limits: tuple[float, float]) -> str:
+    for limit, name in zip(limits, ('smallest', 'largest'), strict=True):
+        if math.isclose(value, limit, rel_tol=1e-4):
+            return f' (the {name} allowed)'
+    return ''
+
+
+def _gain(gain: float) -> str:
+    if gain == math.inf:
+        return 'as it is, the layer throws nothing'
+    if gain >= 1.0:
+        return f'{1.0 + gain:.3g} times the energy'
+    percent = 100.0 * abs(gain)
+    amount = f'{percent:.1f} %' if percent < 9.95 else f'{percent:.0f} %'
+    if gain >= 0.0:
+        return f'{amount} more energy'
+    return f'{amount} less energy, for the layer as it is is not within the limits'
+
+
+def remarks_of(found: Recommendation) -> str:
+    """Say what has to be known of a recommendation besides."""
+    optimum, paper, rig = found.optimum, found.paper, found.rig
+    remarks = [
+        (
+            f'for a plate of damping {optimum.damping_ratio:g} the best is a projectile of '
+            f'{optimum.mass_ratio:.3f} times the mass of the layer and c_s / (L_s f) = '
+            f'{optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}'
+        ),
+        (
+            f'the paper says {paper.mass_ratio:g} and {paper.speed_ratio:g}, which mix two '
+            f'density ratios and give {paper.energy_transfer:.3f}'
+        ),
+    ]
+    if rig.layer.loss_tangent > 0.0:
+        remarks.append(
+            f'these are without loss, whereas the loss tangent of {rig.layer.loss_tangent:g} '
+            'counts in what is recommended'
+        )
+    if rig.gravity_ratio > STRONG_GRAVITY:
+        remarks.append(
+            f'gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
+            'that later swings throw as well'
+        )
+    if found.peak_strain >= 1.0:
+        remarks.append(
+            f'a strain of {100.0 * found.peak_strain:.0f} % is more than a layer can be '
+            'compressed: lower the amplitude or limit the strain'
+        )
+    return '; '.join(remarks)
+
+
+def why_nothing(rig: Rig, vary: str, limits: Limits, free: PredictedThrow | None) -> str:
+    """Say why nothing can be recommended, and what could be without limits of the loads."""
+    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
+    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
+    text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
+    if vary == 'library':
+        text += ' from the library'
+        if limits.max_loss_tangent < math.inf:
+            text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
+    if free is not None:
+        return (
+            f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
+            f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
+            f'these limits has {free.peak_strain:.3g} and {free.peak_acceleration:.4g} m/s2'
+        )
+    return (
+        f'no throw with {text} can be computed: the projectile stays on the layer for too many '
+        f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
+        'plate) holds it'
+    )
+
+
+def excess_of(found: Aim, limits: Limits, max_amplitude: float) -> str:
+    """Say what of a throw is beyond the limits; nothing if nothing is."""
+    return ' and '.join(
+        f'{what} of {value:.3g}{unit} instead of at most {limit:.3g}{unit}'
+        for what, value, limit, unit in (
+            ('an amplitude', 1e3 * found.amplitude, 1e3 * max_amplitude, ' mm'),
+            ('a strain', 1e2 * found.peak_strain, 1e2 * limits.max_strain, ' %'),
+            ('an acceleration', found.peak_acceleration, limits.max_acceleration, ' m/s2'),
+        )
+        if value > limit * (1.0 + 1e-6)  # what is at its limit may be rounded up
+    )
+
+
+def layer_of(found: Aim) -> str:
+    """Describe the layer of a throw."""
+    name = f'{found.layer}, ' if found.layer else ''
+    return f'a layer of {name}{1e3 * found.thickness:.4g} mm and {found.wave_speed:.4g} m/s'
+
+
+def loads_of(found: Aim) -> str:
+    """Describe what a throw takes."""
+    return (
+        f'amplitude {1e3 * found.amplitude:.4g} mm, strain {1e2 * found.peak_strain:.3g} %, '
+        f'acceleration {found.peak_acceleration:.3g} m/s2'
+    )
