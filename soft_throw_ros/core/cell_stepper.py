@@ -923,18 +923,18 @@ def first_throws(
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
-    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
-    crossing_ratio = checks.not_negative_array('crossing_ratio', crossing_ratio)
+    damping_ratio = checks.require_in_unit_interval_array('damping_ratio', damping_ratio)
+    crossing_ratio = checks.require_not_negative_array('crossing_ratio', crossing_ratio)
     if crossing_ratio.max(initial=0.0) > MAX_CROSSING_RATIO:
         raise ValueError(
             f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {crossing_ratio.max()}'
         )
     cases = np.broadcast_arrays(
-        checks.positive_array('mass_ratio', mass_ratio),
-        checks.positive_array('speed_ratio', speed_ratio),
+        checks.require_positive_array('mass_ratio', mass_ratio),
+        checks.require_positive_array('speed_ratio', speed_ratio),
         damping_ratio,
-        checks.not_negative_array('gravity_ratio', gravity_ratio),
-        checks.not_negative_array('loss_tangent', loss_tangent),
+        checks.require_not_negative_array('gravity_ratio', gravity_ratio),
+        checks.require_not_negative_array('loss_tangent', loss_tangent),
         crossing_ratio,
     )
     rows = np.stack([case.ravel() for case in cases], axis=1)

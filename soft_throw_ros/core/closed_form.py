@@ -150,10 +150,10 @@ def first_release(
 
     """
     case = (
-        checks.positive('mass_ratio', mass_ratio),
-        checks.positive('speed_ratio', speed_ratio),
-        checks.below_one('damping_ratio', damping_ratio),
-        checks.not_negative('gravity_ratio', gravity_ratio),
+        checks.require_positive('mass_ratio', mass_ratio),
+        checks.require_positive('speed_ratio', speed_ratio),
+        checks.require_in_unit_interval('damping_ratio', damping_ratio),
+        checks.require_not_negative('gravity_ratio', gravity_ratio),
     )
     phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
     if status != _RELEASED:
@@ -206,12 +206,12 @@ def first_releases(
     """
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
+    damping_ratio = checks.require_in_unit_interval_array('damping_ratio', damping_ratio)
     cases = np.broadcast_arrays(
-        checks.positive_array('mass_ratio', mass_ratio),
-        checks.positive_array('speed_ratio', speed_ratio),
+        checks.require_positive_array('mass_ratio', mass_ratio),
+        checks.require_positive_array('speed_ratio', speed_ratio),
         damping_ratio,
-        checks.not_negative_array('gravity_ratio', gravity_ratio),
+        checks.require_not_negative_array('gravity_ratio', gravity_ratio),
     )
     shape = cases[0].shape
     ratios = np.stack([case.ravel() for case in cases])

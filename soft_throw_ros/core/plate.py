@@ -66,9 +66,9 @@ class Underdamped:
 
     def __post_init__(self) -> None:
         for name, check in (
-            ('frequency', checks.positive),
-            ('amplitude', checks.positive),
-            ('damping_ratio', checks.below_one),
+            ('frequency', checks.require_positive),
+            ('amplitude', checks.require_positive),
+            ('damping_ratio', checks.require_in_unit_interval),
         ):
             object.__setattr__(self, name, check(name, getattr(self, name)))
 

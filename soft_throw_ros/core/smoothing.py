@@ -116,9 +116,9 @@ def smooth(
     for name, series in (('at', at), ('times', times)):
         if series.ndim != 1 or (np.diff(series) <= 0.0).any():
             raise ValueError(f'{name} must be an increasing series, got {series}')
-    window = checks.positive('window', window)
-    noise = checks.positive('position_noise', position_noise)
-    ratio = noise / checks.positive('velocity_noise', velocity_noise)
+    window = checks.require_positive('window', window)
+    noise = checks.require_positive('position_noise', position_noise)
+    ratio = noise / checks.require_positive('velocity_noise', velocity_noise)
     states, errors = np.empty((at.size, 3)), np.empty(at.size)
     fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors)
     return Smoothed(states, noise * errors)

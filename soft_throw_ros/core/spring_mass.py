@@ -43,8 +43,8 @@ def frequency_ratio(
         If a ratio is not finite and positive.
 
     """
-    mu = checks.positive_array('mass_ratio', mass_ratio)
-    kappa = checks.positive_array('speed_ratio', speed_ratio)
+    mu = checks.require_positive_array('mass_ratio', mass_ratio)
+    kappa = checks.require_positive_array('speed_ratio', speed_ratio)
     return _as_float_if_scalar(kappa / (2.0 * math.pi * np.sqrt(mu)))
 
 
@@ -96,7 +96,7 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     (array([0.6667, 0.5   , 0.3333]), array([0.75  , 2.4674, 3.    ]))
 
     """
-    q = checks.positive_array('frequency_ratio', frequency_ratio)
+    q = checks.require_positive_array('frequency_ratio', frequency_ratio)
     speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
     return FirstRelease(*map(_as_float_if_scalar, (1.0 / (1.0 + q), speed, speed**2)))
 

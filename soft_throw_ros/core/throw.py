@@ -397,9 +397,9 @@ def simulate(
     1.996
 
     """
-    checks.positive('max_strain', max_strain)
+    checks.require_positive('max_strain', max_strain)
     if until is not None:
-        checks.positive('until', until)
+        checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
     if motion is None:

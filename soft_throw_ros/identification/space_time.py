@@ -123,8 +123,8 @@ def space_time(
         If a number is not finite and positive.
 
     """
-    rate = checks.positive('rate', rate)
-    scale = checks.positive('scale', scale)
+    rate = checks.require_positive('rate', rate)
+    scale = checks.require_positive('scale', scale)
     lines = []
     for picture in pictures:
         rows, columns = picture.shape

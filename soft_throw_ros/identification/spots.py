@@ -140,8 +140,8 @@ def tracks_of(
         If a number is not finite and positive, or a body none of `BODIES`.
 
     """
-    rate = checks.positive('rate', rate)
-    scale = checks.positive('scale', scale)
+    rate = checks.require_positive('rate', rate)
+    scale = checks.require_positive('scale', scale)
     if bodies is None:
         bodies = ['plate', *['layer'] * (len(spots) - 2), 'projectile'][: len(spots)]
     for body in bodies:

@@ -381,7 +381,7 @@ def follow(
             f'at least {_LIGHTEST:g}, got {lightness:g}'
         )
     if until is not None:
-        checks.positive('until', until)
+        checks.require_positive('until', until)
     if max_events is not None and max_events < 1:
         raise ValueError(f'max_events must be at least 1, got {max_events}')
     if motion is None:
