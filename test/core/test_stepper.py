@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every stepper promises, whatever it is a model of."""
 
+from functools import partial
+import tracemalloc
+
 import numpy as np
 import pytest
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
     HorizonError,
     PLATE_FORCE,
@@ -19,21 +22,28 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 LOSSY = Rig(layer=Layer(loss_tangent=0.05))
-
-
-def lossy(motion=None, **options):
-    return CellStepper(LOSSY, motion, **options)
-
-
-def lossless(motion=None, **options):
-    return CellStepper(Rig(), motion, **options)
-
-
-def waves(motion=None, **options):
-    return WaveStepper(Rig(), motion, **options)
-
-
-pytestmark = pytest.mark.parametrize('make', [waves, lossless, lossy])
+STACKED = Rig(
+    layer=Stack(
+        sheets=(
+            Layer(thickness=8e-3),
+            Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1),
+        )
+    )
+)
+SOFT = Rig(projectile=Projectile(youngs_modulus=1e6))
+LAYERS_ON_THE_PLATE = [
+    partial(WaveStepper, Rig()),
+    partial(CellStepper, Rig()),
+    partial(CellStepper, LOSSY),
+]
+OTHERS = [
+    partial(CellStepper, STACKED),
+    partial(CellStepper, SOFT, model='finite_difference_elastic'),
+    partial(CellStepper, LOSSY, model='finite_difference_glued'),
+    partial(CellStepper, LOSSY, model='spring_mass'),
+]
+steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE)
+all_steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE + OTHERS)
 
 
 def plate_states(times):
@@ -55,6 +65,7 @@ def observe(model):
     return np.array(numbers).tobytes(), model.events(), model.in_contact, model.event_count
 
 
+@all_steppers
 def test_results_do_not_depend_on_the_times_asked_for(make):
     direct, wandering = make(), make()
     for time in np.sort(np.random.default_rng(2).uniform(0.0, 0.3, 40)):
@@ -66,6 +77,7 @@ def test_results_do_not_depend_on_the_times_asked_for(make):
     assert direct.event_count >= 2
 
 
+@all_steppers
 def test_reset_repeats_the_throw_bit_for_bit(make):
     model = make()
     model.advance_to(0.05)
@@ -76,6 +88,7 @@ def test_reset_repeats_the_throw_bit_for_bit(make):
     assert observe(model) == before
 
 
+@all_steppers
 def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
     model = make('measured')
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
@@ -83,15 +96,19 @@ def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
     weight = model.rig.projectile.mass * model.rig.gravity
+    is_glued = getattr(model, 'model', '') == 'finite_difference_glued'
+    load = weight + (model.rig.layer.mass * model.rig.gravity if is_glued else 0.0)
     assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == 0.0
     assert model.state[PROJECTILE_POSITION] == pytest.approx(model.rest_position)
     assert model.state[PROJECTILE_FORCE] == pytest.approx(weight)
-    assert model.state[PLATE_FORCE] == pytest.approx(-weight)
-    assert layer[2] == pytest.approx(weight)
+    assert model.state[PLATE_FORCE] == pytest.approx(-load)
+    assert layer[2][[0, -1]] == pytest.approx([load, weight])
+    assert model.stored_energy() == model.work_so_far == 0.0
     assert layer[0, -1] == pytest.approx(model.rest_position)
     assert layer[1] == pytest.approx(0.0)
 
 
+@steppers
 def test_state_and_layer_agree_at_plate_and_top(make):
     model = make()
     layer = np.empty((3, model.field_points))
@@ -104,6 +121,7 @@ def test_state_and_layer_agree_at_plate_and_top(make):
         assert np.all(np.diff(layer[0]) > 0.0)
 
 
+@steppers
 def test_landing_is_where_the_gap_closes(make):
     model = make()
     model.advance_to(0.32)
@@ -117,6 +135,7 @@ def test_landing_is_where_the_gap_closes(make):
     )
 
 
+@steppers
 def test_work_is_stored_or_heat(make):
     model = make()
     for time in (0.005, 0.02, 0.1):
@@ -125,6 +144,7 @@ def test_work_is_stored_or_heat(make):
         assert model.work_so_far == pytest.approx(energy, rel=2e-3)
 
 
+@steppers
 def test_measured_plate_throws_as_the_engine_does(make):
     times = np.arange(0.0, 0.04, 4e-4)
     model, engine = make('measured'), make()
@@ -136,6 +156,7 @@ def test_measured_plate_throws_as_the_engine_does(make):
     assert ours.velocity == pytest.approx(exact.velocity, rel=1e-4)
 
 
+@steppers
 def test_appending_states_one_by_one_changes_no_bit(make):
     times = np.arange(0.0, 0.02, 5e-4)
     states = plate_states(times)
@@ -148,6 +169,7 @@ def test_appending_states_one_by_one_changes_no_bit(make):
     assert observe(at_once) == observe(one_by_one)
 
 
+@steppers
 def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
     times = np.arange(0.0, 0.02, 2e-4)
     states = plate_states(times)
@@ -166,6 +188,7 @@ def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
             assert ahead.state[PROJECTILE_VELOCITY] == pytest.approx(speed, abs=3e-3)
 
 
+@steppers
 def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
     model = make('measured')
     with pytest.raises(HorizonError, match=r'0\.1'):
@@ -177,6 +200,7 @@ def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
     model.advance_to(0.006)
 
 
+@steppers
 @pytest.mark.parametrize(
     ('times', 'states', 'complaint'),
     [
@@ -198,6 +222,7 @@ def test_states_that_cannot_be_are_refused_as_a_whole(make, times, states, compl
         make().fork()
 
 
+@all_steppers
 @pytest.mark.parametrize('time', [-1.0, float('nan'), float('inf')])
 def test_times_that_cannot_be_are_refused(make, time):
     model = make()
@@ -207,6 +232,7 @@ def test_times_that_cannot_be_are_refused(make, time):
     model.advance_to(0.002)
 
 
+@steppers
 def test_arrays_that_do_not_fit_are_refused(make):
     model = make()
     for bad in (np.zeros((3, 5)), np.zeros((3, 64), np.float32), None):
@@ -214,3 +240,21 @@ def test_arrays_that_do_not_fit_are_refused(make):
             model.read_layer(bad)
     with pytest.raises(ValueError, match='1'):
         make(field_points=1)
+
+
+@steppers
+def test_advancing_allocates_nothing(make):
+    model, layer = make(), np.empty((3, 64))
+    times = np.linspace(0.0, 0.3, 200).tolist()
+    model.read_layer(layer)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for time in times:
+            model.advance_to(time)
+            model.read_layer(layer)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 1000
+    assert peak - before < 4000  # numbers on their way

@@ -60,7 +60,6 @@ _NODES, _TO_COEFFICIENTS = _transform()
 _INTEGRAL = _integration()
 _IDENTITY = np.eye(_SIZE)
 _AT_END = np.ones(_SIZE)
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(_SIZE)
 
 
 class ThrowTooLongError(RuntimeError):
@@ -208,14 +207,6 @@ class WaveHistory:
         """
         return self._strain_of(*self._waves(depth, time))
 
-    def strain_of_waves(self, departure: Floats, arrival: Floats) -> Floats:
-        """
-        Strain where a downward wave that left the top meets an upward one that will reach it. [-]
-
-        That is half way between `departure` and `arrival` [s], which are broadcast.
-        """
-        return self._strain_of(self.upward(arrival), self._down(departure))
-
     def _strain_of(self, up: Floats, down: Floats) -> Floats:
         static = self.rig.gravity * self.rig.relaxation_time
         return (down - up - static) / self.rig.layer.wave_speed
@@ -233,53 +224,6 @@ class WaveHistory:
         wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
         weight = self.rig.projectile.mass * self.rig.gravity
         return self.rig.layer.impedance * wave - weight
-
-    def plate_work(self, time: float) -> float:
-        """Work that the plate has done on layer and projectile until `time`. [J]"""
-        start = float(_knots(self.motion)[0])
-        edges = self._edges(start, time, (self._down.edges, self._crossing))
-        nodes, weights = _quadrature(edges)
-        return -float(np.sum(weights * self.plate_force(nodes) * self.motion.velocity(nodes)))
-
-    def layer_energy(self, time: float) -> float:
-        """Kinetic and elastic energy of the layer, more than at rest under the weight. [J]"""
-        layer = self.rig.layer
-        past, past_weights = _quadrature(
-            self._edges(time - self._crossing, time, (self._down.edges, 0.0))
-        )
-        coming, coming_weights = _quadrature(
-            self._edges(time, time + self._crossing, (self._down.edges, 2.0 * self._crossing))
-        )
-        waves = np.sum(past_weights * self._down(past) ** 2)
-        waves += np.sum(coming_weights * self.upward(coming) ** 2)
-        stretch = self._top_rise(np.array([time]))[0] - self.motion.position(time)
-        weight = self.rig.projectile.mass * self.rig.gravity
-        return float(layer.impedance * waves - weight * stretch)
-
-    def projectile_energy(self, time: float) -> float:
-        """Kinetic and potential energy of the projectile, more than at rest. [J]"""
-        mass = self.rig.projectile.mass
-        speed = self._mass_velocity(np.array([time]))[0]
-        rise = self._mass_rise(np.array([time]))[0]
-        return float(mass * (0.5 * speed**2 + self.rig.gravity * rise))
-
-    def sample_times(self, end: float, *, per_piece: int = 12) -> Floats:
-        """
-        Choose times from the start to `end` that catch all that happens at plate and top. [s]
-
-        They are as dense as the history's own pieces, which are short where a front has passed.
-        """
-        start = float(_knots(self.motion)[0])
-        edges = np.concatenate(
-            [
-                self._edges(start, end, (self._down.edges, shift * self._crossing))
-                for shift in (0.0, 1.0, 2.0)
-            ]
-        )
-        edges = np.unique(edges)
-        parts = np.linspace(0.0, 1.0, per_piece, endpoint=False)
-        inner = edges[:-1, None] + np.diff(edges)[:, None] * parts
-        return np.append(inner, end)
 
     def _rest_height(self) -> float:
         return self.rig.layer.thickness - self.rig.static_sag
@@ -308,23 +252,6 @@ class WaveHistory:
         """Tell where the projectile lies on the layer; at a release it still does."""
         passed = np.searchsorted([event.time for event in self.events], time, side='left')
         return np.asarray(passed % 2 == 0)
-
-    def _edges(self, start: float, end: float, shifted: tuple[list[float], float]) -> Floats:
-        """Where to cut [start, end]: at shifted edges of pieces and at the plate's knots."""
-        edges, shift = shifted
-        all_edges = np.concatenate(
-            (np.asarray(edges) + shift, _knots(self.motion), _knots(self.motion) + self._crossing)
-        )
-        inner = all_edges[(all_edges > start) & (all_edges < end)]
-        swings = math.ceil(4.0 * (end - start) * self.rig.engine.frequency)
-        return np.unique(np.concatenate((np.linspace(start, end, swings + 1), inner)))
-
-
-def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
-    """Gauss nodes and weights on consecutive intervals."""
-    half = 0.5 * np.diff(edges)[:, None]
-    middle = 0.5 * (edges[1:] + edges[:-1])[:, None]
-    return (middle + half * _GAUSS_NODES).ravel(), (half * _GAUSS_WEIGHTS).ravel()
 
 
 def follow(
