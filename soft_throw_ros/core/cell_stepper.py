@@ -46,7 +46,7 @@ from typing import Literal
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads
 from soft_throw_ros.core.cells import (
     add_cells,
     BURDEN,
@@ -72,10 +72,9 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
-from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
+from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     BACKWARDS,
@@ -83,6 +82,7 @@ from soft_throw_ros.core.stepper import (
     FirstThrows,
     LANDING,
     Loads,
+    note_event,
     PLATE_FORCE,
     PLATE_POSITION,
     PLATE_VELOCITY,
@@ -97,7 +97,6 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -127,7 +126,6 @@ _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projec
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
 _THROWS_PER_THREAD = 16
 
-_BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
@@ -399,7 +397,7 @@ def _drive(s, nodes, path):
     stretch = s.below_before - nodes[DISPLACEMENT, 0]
     if s.plate_kind == DAMPED:
         # Rotations of a phasor that is evaluated anew for every block
-        k = s.index & (_BLOCK - 1)
+        k = s.index & (BLOCK - 1)
         if k == 0:
             time = s.index * s.step
             fading = s.growth * time
@@ -442,12 +440,9 @@ def _speed_of_thrown(s, nodes):
 
 @_jit
 def _note_event(s, events, kind, part, height, velocity):
-    """Write down an event in the last step; without room for it, the march ends."""
+    """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + part) * s.step, velocity
-    s.events += 1
-    if s.events <= events.shape[0]:
-        row = events[s.events - 1]
-        row[0], row[1], row[2], row[3] = kind, s.event_time, s.rest_height + height, velocity
+    note_event(s, events, kind, s.event_time, height, velocity)
 
 
 @_inlined
@@ -792,7 +787,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
     for n in range(cases.shape[0]):
         mu, kappa, zeta = cases[n, 0], cases[n, 1], cases[n, 2]
         gravity, loss, crossing = cases[n, 3], cases[n, 4], cases[n, 5]
-        omega, root = 2.0 * math.pi / kappa, math.sqrt(1.0 - zeta * zeta)
+        omega = 2.0 * math.pi / kappa
         core[2] = core[3]
         s = core[2]
         s.step, s.cells = 1.0 / cells, cells
@@ -803,15 +798,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         s.edge_weights[0] = s.edge_weights[1] = -0.5
         s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
         s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
-        s.horizon = math.inf
-        s.amplitude, s.growth, s.turn = 1.0, -zeta * omega, root * omega
-        s.factor = omega / root
-        size = math.exp(s.growth * s.step)
-        real, imaginary = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
-        path[0, 0], path[1, 0] = 1.0, 0.0
-        for k in range(1, _BLOCK):
-            path[0, k] = real * path[0, k - 1] - imaginary * path[1, k - 1]
-            path[1, k] = real * path[1, k - 1] + imaginary * path[0, k - 1]
+        write_underdamped(s, path, omega, omega, zeta, s.step)
         for j in range(nodes.shape[1]):
             for k in range(nodes.shape[0]):
                 nodes[k, j] = 0.0
@@ -919,37 +906,22 @@ def first_throws(
     """
     if glued_to not in ('plate', 'projectile'):
         raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
-    damping_ratio = checks.require_in_unit_interval_array('damping_ratio', damping_ratio)
-    crossing_ratio = checks.require_not_negative_array('crossing_ratio', crossing_ratio)
-    if crossing_ratio.max(initial=0.0) > MAX_CROSSING_RATIO:
-        raise ValueError(
-            f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {crossing_ratio.max()}'
-        )
-    cases = np.broadcast_arrays(
-        checks.require_positive_array('mass_ratio', mass_ratio),
-        checks.require_positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.require_not_negative_array('gravity_ratio', gravity_ratio),
-        checks.require_not_negative_array('loss_tangent', loss_tangent),
-        crossing_ratio,
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
+        loss_tangent=loss_tangent,
+        crossing_ratio=crossing_ratio,
     )
-    rows = np.stack([case.ravel() for case in cases], axis=1)
-    found = _throw_all(rows, cells, glued_to == 'projectile', threads)
-    failed = np.flatnonzero(np.isnan(found[:, 0]))
-    if failed.size and unresolved == 'raise':
-        names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')
-        case = ', '.join(
-            f'{name}_{"tangent" if name == "loss" else "ratio"} {value:g}'
-            for name, value in zip(names, rows[failed[0]], strict=True)
-        )
-        raise ThrowUnresolvedError(f'no release in {MAX_PERIODS:g} periods for {case}')
-    phase, speed, strain, acceleration, force, work = found.T.reshape(6, *cases[0].shape)
-    fastest = peak_velocity_ratios(damping_ratio)
-    return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
+    slowest = ratios[5].max(initial=0.0)
+    if slowest > MAX_CROSSING_RATIO:
+        raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
+    found = _throw_all(np.ascontiguousarray(ratios.T), cells, glued_to == 'projectile', threads)
+    return FirstThrows.collect(found.T, ratios, shape, unresolved, f'{MAX_PERIODS:g} periods')
 
 
 def _throw_all(
@@ -969,7 +941,7 @@ def _throw_all(
     ]
 
     def run(part: int, parts: int) -> None:
-        core, path = np.zeros(4, _CORE), np.empty((2, _BLOCK))
+        core, path = np.zeros(4, _CORE), np.empty((2, BLOCK))
         for count, bar, members in groups:
             own = members[part::parts]
             nodes, results = np.empty((ROWS, count + bar + 2)), np.empty((own.size, 6))
@@ -1027,6 +999,7 @@ class CellStepper(Stepper):
     """
 
     _advance = staticmethod(_advance)
+    _restart = staticmethod(_reset)
     _changing = ('_core', '_nodes')
 
     def __init__(
@@ -1057,14 +1030,7 @@ class CellStepper(Stepper):
         self._places = np.array([grid.place(height) for height in points], _PLACE)
         for name in ('cell', 'beside'):
             self._places[name] += grid.bottom
-        self._core = np.zeros(3, _CORE)
-        start = self._core[2]
-        self._path = write_motion(start, motion, rig.engine)
-        self._is_measured = isinstance(motion, str)
-        if start['plate_kind'] == DAMPED:
-            exponent = complex(start['growth'], start['turn'])
-            turns = np.exp(exponent * grid.step * np.arange(_BLOCK))
-            self._path = np.array([turns.real, turns.imag])
+        start = self._make_records(_CORE, motion, grid.step)
         start['step'], start['cells'] = grid.step, grid.count
         start['bottom'], start['joint'] = grid.bottom, grid.joint
         start['mass'], start['face_mass'] = rig.projectile.mass, grid.face_mass
@@ -1075,14 +1041,7 @@ class CellStepper(Stepper):
         start['edge_weights'] = edges['weight']
         _prepare(start, self._nodes)
         self._memory = (self._core, self._nodes, self._path, self._events)
-        self.state = self._core['state'][1]
-        self.state.flags.writeable = False
         self.reset()
-
-    def reset(self) -> None:
-        """Go back to time 0, everything at rest; states appended are forgotten."""
-        _reset(self._core, self._nodes)
-        self._advance(0.0, *self._memory)
 
     def _read_layer(self, out: Floats) -> None:
         _read_layer(self._core, self._nodes, self._places, out)
@@ -1114,12 +1073,6 @@ class CellStepper(Stepper):
         inside = float(self._nodes[LARGEST].max())
         acceleration, force = float(now['acceleration']), float(now['plate_force'])
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
-
-    @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come. [J]"""
-        now = self._core[1]
-        return float(now['first_work'] if self.event_count else now['work'])
 
     @property
     def work_so_far(self) -> float:

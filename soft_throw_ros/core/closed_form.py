@@ -36,6 +36,7 @@ falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import math
 from typing import Literal, NamedTuple
 
@@ -43,8 +44,13 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import (
+    broadcast_ratios,
+    describe_ratios,
+    in_threads,
+    ThrowUnresolvedError,
+)
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
-from soft_throw_ros.core.threads import in_threads
 
 MAX_INTERVALS = 2048
 """Wave intervals (two crossings each) that are followed before a named error is raised."""
@@ -60,10 +66,6 @@ _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 _inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
-
-
-class ThrowUnresolvedError(ValueError):
-    """No release within the intervals that are followed, or none to the promised accuracy."""
 
 
 class FirstRelease(NamedTuple):
@@ -157,7 +159,7 @@ def first_release(
     )
     phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
     if status != _RELEASED:
-        raise _unresolved(status, phase, *case)
+        raise _unresolved(status, phase, case)
     return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
 
 
@@ -204,17 +206,13 @@ def first_releases(
     array([2.003 , 3.546 , 3.8322])
 
     """
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    damping_ratio = checks.require_in_unit_interval_array('damping_ratio', damping_ratio)
-    cases = np.broadcast_arrays(
-        checks.require_positive_array('mass_ratio', mass_ratio),
-        checks.require_positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.require_not_negative_array('gravity_ratio', gravity_ratio),
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
     )
-    shape = cases[0].shape
-    ratios = np.stack([case.ravel() for case in cases])
     phase, speed = np.empty((2, ratios.shape[1]))
     status = np.empty(ratios.shape[1], dtype=np.int64)
     in_threads(
@@ -227,26 +225,14 @@ def first_releases(
     if failed.size:
         if unresolved == 'raise':
             first = int(failed[0])
-            raise _unresolved(status[first], phase[first], *ratios[:, first])
+            raise _unresolved(status[first], phase[first], ratios[:, first])
         phase[failed] = np.nan
-    phase = phase.reshape(shape)
-    speed = speed.reshape(shape)
-    energy_transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
-    return FirstRelease(phase, speed, energy_transfer)
+    energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
+    return FirstRelease(*(found.reshape(shape) for found in (phase, speed, energy_transfer)))
 
 
-def _unresolved(
-    status: int,
-    crossings: float,
-    mass_ratio: float,
-    speed_ratio: float,
-    damping_ratio: float,
-    gravity_ratio: float,
-) -> ThrowUnresolvedError:
-    case = (
-        f'mass_ratio {mass_ratio:g}, speed_ratio {speed_ratio:g}, '
-        f'damping_ratio {damping_ratio:g}, gravity_ratio {gravity_ratio:g}'
-    )
+def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> ThrowUnresolvedError:
+    case = describe_ratios(ratios)
     if status == _NOT_WITHIN:
         return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
     return ThrowUnresolvedError(

@@ -16,8 +16,14 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import require_series
-from soft_throw_ros.core.plate_kernels import append_states, extrapolate, MAX_PIECES_AHEAD
+from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
+from soft_throw_ros.core.plate_kernels import (
+    append_states,
+    extrapolate,
+    MAX_PIECES_AHEAD,
+    write_motion,
+)
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -136,6 +142,19 @@ class FirstThrows(NamedTuple):
     peak_plate_force: Floats
     plate_work: Floats
 
+    @classmethod
+    def collect(
+        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str, waited: str
+    ) -> FirstThrows:
+        """Take rows of all but the energy transfer, NaN for throws that end in no release."""
+        failed = np.flatnonzero(np.isnan(found[0]))
+        if failed.size and unresolved == 'raise':
+            case = describe_ratios(ratios[:, failed[0]])
+            raise ThrowUnresolvedError(f'no release within {waited} for {case}')
+        transfer = (found[1] / peak_velocity_ratios(ratios[2])) ** 2
+        rows = (*found[:2], transfer, *found[2:])
+        return cls(*(np.reshape(row, shape)[()] for row in rows))
+
 
 class Stepper(ABC):
     """
@@ -177,6 +196,8 @@ class Stepper(ABC):
     """A row for each event: kind, time, position, velocity."""
     _advance: ClassVar[Callable[..., int]]
     """Kernel that goes to a time; it returns the number of events, or what is wrong."""
+    _restart: ClassVar[Callable[..., None]]
+    """Kernel that puts the first two arrays of `_memory` back to rest."""
     _memory: tuple[Any, ...]
     """What `_advance` takes after the time: arrays, of which the first is `_core`."""
     _changing: ClassVar[tuple[str, ...]]
@@ -186,12 +207,27 @@ class Stepper(ABC):
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
-        self._is_measured = False
         self._readable = np.empty(0)  # the array that was checked last
+        self._work_unit = 1.0  # of the records' works [J]
 
-    @abstractmethod
+    def _make_records(
+        self,
+        record: np.dtype[np.void],
+        motion: PlateMotion | Literal['measured'] | None,
+        step: float,
+    ) -> NDArray[np.void]:
+        """Make records and path, and return the record to fill in."""
+        self._core = np.zeros(3, record)
+        self._path = write_motion(self._core[2], motion, self.rig.engine, step)
+        self._is_measured = isinstance(motion, str)
+        self.state = self._core['state'][1]
+        self.state.flags.writeable = False
+        return self._core[2]
+
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
+        self._restart(*self._memory[:2])
+        self._advance(0.0, *self._memory)
 
     def advance_to(self, time: float) -> int:
         """
@@ -428,9 +464,11 @@ class Stepper(ABC):
         """Largest loads up to the first release, or so far if that is to come."""
 
     @property
-    @abstractmethod
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or so far if that is to come. [J]"""
+        if not self.event_count:
+            return self.work_so_far
+        return float(self._work_unit * self._core['first_work'][1])
 
     @property
     @abstractmethod
@@ -445,6 +483,17 @@ class Stepper(ABC):
     @abstractmethod
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+
+
+@nb.njit(cache=True, nogil=True, error_model='numpy')
+def note_event(
+    s: Any, events: Floats, kind: int, time: float, height: float, velocity: float
+) -> None:
+    """Write down an event, its height from rest; without room for it, the march ends."""
+    s.events += 1
+    if s.events <= events.shape[0]:
+        row = events[s.events - 1]
+        row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
 
 
 @nb.njit(cache=True, nogil=True)

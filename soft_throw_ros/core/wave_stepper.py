@@ -48,16 +48,16 @@ from typing import Literal
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads
+from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
     DAMPED,
     motion_at,
     piece_at,
     PLATE,
     velocity_of_piece,
-    write_motion,
+    write_underdamped,
 )
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -66,6 +66,7 @@ from soft_throw_ros.core.stepper import (
     FirstThrows,
     LANDING,
     Loads,
+    note_event,
     PLATE_FORCE,
     PLATE_POSITION,
     PLATE_VELOCITY,
@@ -80,7 +81,6 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +99,6 @@ _STEP_COST = 3e-9  # of a processor [s]
 
 _PAD = 8  # steps that are kept beyond the crossing time, for the cubics
 _ROOM = 1024  # steps by which the memory of waves is longer than it must be, to be moved seldom
-_BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-12  # of the plate's speed: a force below it is rounding, and no pull
 _FRONTS = 6  # row of the waves' memory: arrival, offset and size of each front
 _MAX_FRONTS = 64
@@ -307,19 +306,6 @@ def _cubic(waves, i, aside):
 
 
 @_jit
-def _note_event(s, events, kind, offset, height, velocity):
-    """Write down an event; without room for it, the march ends."""
-    s.events += 1
-    if s.events > events.shape[0]:
-        return
-    row = events[s.events - 1]
-    row[0] = kind
-    row[1] = (s.cell + offset) * s.step
-    row[2] = s.rest_height + height
-    row[3] = velocity
-
-
-@_jit
 def _free_flight(s, offset):
     """Compute time since the launch, height and velocity of the projectile."""
     time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
@@ -438,7 +424,7 @@ def _cross_step(s, waves, events, target):
             height = s.top + 2.0 * P - s.relaxation * V
             if s.events == 0:
                 s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
-            _note_event(s, events, RELEASE, offset, height, V)
+            note_event(s, events, RELEASE, (cell + offset) * s.step, height, V)
             s.contact = False
             s.launch_cell, s.launch_offset = cell, offset
             s.launch_height, s.launch_velocity = height, V
@@ -446,7 +432,8 @@ def _cross_step(s, waves, events, target):
         elif happens:
             _, height, V = _free_flight(s, offset)
             s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
-            _note_event(s, events, LANDING if s.landed else RECONTACT, offset, height, V)
+            kind = LANDING if s.landed else RECONTACT
+            note_event(s, events, kind, (cell + offset) * s.step, height, V)
             echo = 2.0 * a + s.gravity_offset - V
             s.contact = True
             s.top = height - 2.0 * P + s.relaxation * V
@@ -568,16 +555,16 @@ def _fill(s, waves, path, last):
         j, N = first - s.base, s.steps
         if s.plate_kind == DAMPED:
             # Rotations of a phasor that is evaluated anew for every block
-            k = first % _BLOCK
-            if first // _BLOCK != s.block:
-                s.block = first // _BLOCK
-                time = s.block * _BLOCK * s.step
+            k = first % BLOCK
+            if first // BLOCK != s.block:
+                s.block = first // BLOCK
+                time = s.block * BLOCK * s.step
                 fading = s.growth * time
                 size = 0.0 if fading < -600.0 else s.factor * math.exp(fading)
                 s.phasor[0] = size * math.cos(s.turn * time)
                 s.phasor[1] = size * math.sin(s.turn * time)
             real, imaginary = s.phasor[0], s.phasor[1]
-            count = min(count, _BLOCK - k)
+            count = min(count, BLOCK - k)
             leaving, coming = waves[0, j : j + count], waves[1, j - N : j - N + count]
             cosines, sines = path[0, k : k + count], path[1, k : k + count]
             for n in range(count):
@@ -847,6 +834,7 @@ class WaveStepper(Stepper):
     """
 
     _advance = staticmethod(_advance)
+    _restart = staticmethod(_reset)
     _changing = ('_core', '_waves')
 
     def __init__(
@@ -862,14 +850,7 @@ class WaveStepper(Stepper):
         if steps is None:
             steps = steps_per_crossing(rig)
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
-        self._core = np.zeros(3, _CORE)
-        start = self._core[2]
-        self._path = write_motion(start, motion, rig.engine)
-        self._is_measured = isinstance(motion, str)
-        if start['plate_kind'] == DAMPED:
-            exponent = complex(start['growth'], start['turn'])
-            turns = np.exp(exponent * rig.crossing_time / self.steps * np.arange(_BLOCK))
-            self._path = np.array([turns.real, turns.imag])
+        start = self._make_records(_CORE, motion, rig.crossing_time / self.steps)
         noise = _NOISE * rig.engine.speed_scale
         _prepare(start, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity, noise)
         start['event_limit'] = len(self._events)
@@ -880,16 +861,9 @@ class WaveStepper(Stepper):
         start['rest_height'] = rig.layer.thickness - rig.static_sag
         self._waves = np.zeros((7, 4 * self.steps + _ROOM))
         self._scratch = np.zeros((3, field_points))
-        self._start_path = self._path.copy()
+        self._work_unit = rig.layer.impedance * float(start['step'])
         self._memory = (self._core, self._waves, self._path, self._events)
-        self.state = self._core['state'][1]
-        self.state.flags.writeable = False
         self.reset()
-
-    def reset(self) -> None:
-        """Go back to time 0, everything at rest; states appended are forgotten."""
-        _reset(self._core, self._waves)
-        self._advance(0.0, *self._memory)
 
     def _copy_from(self, origin: Stepper) -> None:
         """Copy records, and the waves that are still on their way."""
@@ -935,23 +909,11 @@ class WaveStepper(Stepper):
         )
 
     @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come. [J]"""
-        now = self._core[1]
-        if now['events'] == 0:
-            return self.work_so_far
-        return float(self._work_unit() * now['first_work'])
-
-    @property
     def work_so_far(self) -> float:
         """Work of the plate up to the last grid point, by the trapezoidal rule. [J]"""
         now = self._core[1]
         part = (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit() * (now['work'] + now['front_work'] + part))
-
-    def _work_unit(self) -> float:
-        """Return the work of one step at unit power. [J s2/m2]"""
-        return float(self.rig.layer.impedance * self._core['step'][1])
+        return float(self._work_unit * (now['work'] + now['front_work'] + part))
 
     def stored_energy(self) -> float:
         """
@@ -1019,17 +981,13 @@ def first_throws(
     (array([4.081, 4.123]), array([1.046, 1.107]))
 
     """
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    damping_ratio = checks.require_in_unit_interval_array('damping_ratio', damping_ratio)
-    cases = np.broadcast_arrays(
-        checks.require_positive_array('mass_ratio', mass_ratio),
-        checks.require_positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.require_not_negative_array('gravity_ratio', gravity_ratio),
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
     )
-    shape = cases[0].shape
-    ratios = np.stack([case.ravel() for case in cases])
     steps = np.maximum(_STEPS_PER_RELAXATION / ratios[0], _STEPS_PER_PERIOD / ratios[1])
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
     found = np.full((6, ratios.shape[1]), math.nan)
@@ -1040,37 +998,20 @@ def first_throws(
         _first_throws(ratios, steps, core, waves, found, part, parts)
 
     in_threads(run, count=ratios.shape[1], per_thread=_THROWS_PER_THREAD, threads=threads)
-    failed = np.flatnonzero(np.isnan(found[0]))
-    if failed.size and unresolved == 'raise':
-        mu, kappa, zeta, gravity = ratios[:, failed[0]]
-        raise ThrowUnresolvedError(
-            f'no release within {_MAX_PERIODS:g} periods for mass_ratio {mu:g}, speed_ratio '
-            f'{kappa:g}, damping_ratio {zeta:g}, gravity_ratio {gravity:g}'
-        )
-    phase, speed, strain, acceleration, force, work = found.reshape(6, *shape)
-    transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
-    return FirstThrows(phase, speed, transfer, strain, acceleration, force, work)
+    return FirstThrows.collect(found, ratios, shape, unresolved, f'{_MAX_PERIODS:g} periods')
 
 
 @_jit
 def _first_throws(ratios, steps, core, waves, found, part, parts):
     """Follow every throw of `parts`, from number `part` on, in units of 1 / f and A omega."""
     event = np.empty((1, 4))
-    path = np.empty((2, _BLOCK))
+    path = np.empty((2, BLOCK))
     for n in range(part, steps.size, parts):
         mu, kappa, zeta, gravity = ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n]
         core[0] = core[1]
         s = core[0]
-        root = math.sqrt(1.0 - zeta * zeta)
-        s.plate_kind, s.horizon = DAMPED, math.inf
-        s.growth, s.turn, s.factor = -2.0 * math.pi * zeta, 2.0 * math.pi * root, 1.0 / root
+        write_underdamped(s, path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * steps[n]))
         _prepare(s, steps[n], 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, _NOISE)
-        size = math.exp(s.growth * s.step)
-        cosine, sine = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
-        path[0, 0], path[1, 0] = 1.0, 0.0
-        for k in range(1, _BLOCK):
-            path[0, k] = path[0, k - 1] * cosine - path[1, k - 1] * sine
-            path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
         waves[:, : s.steps + _PAD + 1] = 0.0
         natural = 2.0 * math.pi * math.sqrt(mu) / kappa  # period of the mass on a massless layer
         latest = min(_MAX_PERIODS * (1.0 + natural) * kappa, _MAX_CROSSINGS) + 1.0
