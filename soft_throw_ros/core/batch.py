@@ -29,26 +29,12 @@ class ThrowUnresolvedError(ValueError):
 
 def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
     """
-    Check ratios and what becomes of throws without a release.
-
-    Parameters
-    ----------
-    unresolved : str
-        'raise' or 'nan'.
-    **ratios : array_like
-        In the order of `describe_ratios`. [-]
-
-    Returns
-    -------
-    ratios : ndarray, shape (ratios, throws)
-        A row for each ratio.
-    shape : tuple of int
-        What the ratios broadcast to.
+    Check ratios, in the order of `describe_ratios`, and give a row of each, with their shape.
 
     Raises
     ------
     ValueError
-        If a ratio is out of range, or shapes do not fit.
+        If a ratio is out of range, shapes do not fit, or `unresolved` is not 'raise' or 'nan'.
 
     """
     if unresolved not in ('raise', 'nan'):
@@ -73,10 +59,8 @@ def in_threads(
     ----------
     run : callable
         Does what belongs to a part, given its number and how many there are.
-    count : int
-        How many throws there are.
-    per_thread : int
-        Fewer of them are done before a thread has started.
+    count, per_thread : int
+        How many throws there are, and the fewest that are worth a thread.
     threads : int, optional
         Largest number of threads, all cores if None.
 

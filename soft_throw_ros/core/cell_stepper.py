@@ -219,26 +219,17 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     r"""
     Choose how many cells the layer takes in real time, or refuse what cannot be done.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    model : str
-        One of `CELL_MODELS`.
-
     Returns
     -------
     int
-        At least 64; 12 per relaxation time :math:`\tau`, and so many that there are 120 steps in
-        a period of the plate, or as many as there is time for. Errors are 1e-4, then. For a
-        layer without mass 1.
+        At least 64; 12 per relaxation time and 120 steps in a period of the plate, or as many
+        as there is time for. Errors are 1e-4, then. For a layer without mass 1.
 
     Raises
     ------
     ValueError
-        If more than `MAX_CELLS`, or more updates than `MAX_UPDATE_RATE`, would be needed for 64
-        cells, 4 per relaxation time and 80 steps in a period; it says which number, which limit
-        and what would do.
+        If `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80
+        steps in a period, with what would do.
 
     Examples
     --------
@@ -777,12 +768,7 @@ def _reset(core, nodes):
 
 @_jit
 def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found):
-    """
-    Compute rows of `FirstThrows` but for its energy transfer, NaN if there is no release.
-
-    Units: mass and crossing time of the layer, amplitude of the plate. A row of `cases` has what
-    `first_throws` takes, in its order.
-    """
+    """Compute rows of `FirstThrows` in units of layer mass, crossing time and amplitude."""
     events = np.empty((0, 4))
     for n in range(cases.shape[0]):
         mu, kappa, zeta = cases[n, 0], cases[n, 1], cases[n, 2]
@@ -848,50 +834,36 @@ def first_throws(
 
     Parameters
     ----------
-    mass_ratio : array_like
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : array_like
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : array_like
-        Of the plate, :math:`\zeta`. [-]
-    gravity_ratio : array_like
-        :math:`g / (A \omega^2)`. [-]
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
+        :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, the plate's
+        :math:`\zeta`, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
     loss_tangent : array_like
         Of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
     crossing_ratio : array_like
-        What a wave needs through the projectile over what it needs through the layer,
-        :math:`L_r c_s / (c_r L_s)`; 0 is rigid, and `MAX_CROSSING_RATIO` is the most. [-]
+        What a wave needs through the projectile over what it needs through the layer; 0 is rigid,
+        and `MAX_CROSSING_RATIO` is the most. [-]
     glued_to : {'plate', 'projectile'}
-        Where the layer is glued. On the projectile it is thrown along, as in [1]_, and the
-        release is at the plate.
+        Where the layer is glued. On the projectile it is thrown along, and leaves the plate.
     cells : int, optional
-        Of the layer, from 8 to `MAX_CELLS`; if not given at least 64, and as many as it takes for
-        1e-4, throw by throw (up to 1024). Errors are of second order: 16 cells, which take a
-        tenth of the time, are good for 1e-3 where the layer has loss.
+        Of the layer, from 8 to `MAX_CELLS`; if not given as many as it takes for 1e-4, throw by
+        throw, from 64 to 1024. Errors are of second order.
     unresolved : {'raise', 'nan'}
-        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+        What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
         Largest number of threads, all cores if not given. Results do not depend on it.
 
     Returns
     -------
     FirstThrows
-        Of arrays with the common shape. The speed is that of the centre of mass of what is
-        thrown.
+        Of arrays with the common shape; the speed is that of the centre of mass of what is thrown.
 
     Raises
     ------
     ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity, loss and crossing
-        ratio: not negative), a projectile is too slow, the shapes do not fit, or an option is not
-        one of its values.
+        If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
         If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
         `unresolved` is 'nan'.
-
-    References
-    ----------
-    .. [1] Celestini, Raufaste et al. (2020), reference 27 of the paper.
 
     Examples
     --------
@@ -954,18 +926,20 @@ def _throw_all(
 
 class CellStepper(Stepper):
     """
-    A throw by cells.
+    A throw by cells; the layer may be a stack, and have loss.
+
+    An event carries the velocity of the centre of mass of what is thrown, and `state` that of the
+    projectile's lower face. `stored_energy` and `heat` add up to `work_so_far` to second order,
+    and to first after landings.
 
     Parameters
     ----------
     rig : Rig
-        The rig; its layer may be a stack, and have loss.
+        The rig.
     motion : Underdamped, SampledMotion, 'measured' or None
-        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
-        `append_plate_states`. A sampled motion must not begin before time 0.
+        How the plate moves; None is the engine's, 'measured' waits for `append_plate_states`.
     model : str
-        One of `CELL_MODELS`: with a rigid projectile (default), with an elastic one, with the
-        layer glued to the (rigid) projectile, or without mass in the layer.
+        One of `CELL_MODELS`.
     cells : int, optional
         Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.
     field_points : int
@@ -974,15 +948,7 @@ class CellStepper(Stepper):
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time (see `cells_per_layer`), or an argument is out
-        of range.
-
-    Notes
-    -----
-    See the module for the scheme, and `Stepper` for what all steppers promise. An event carries
-    the velocity of the centre of mass of what is thrown, and `state` that of the projectile's
-    lower face. `stored_energy` and `heat` add up to `work_so_far` to second order, and to first
-    after landings. Loads are those at the steps of the grid.
+        If the rig cannot be stepped in real time, or an argument is out of range.
 
     Examples
     --------

@@ -70,17 +70,9 @@ _inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
 
 class FirstRelease(NamedTuple):
     r"""
-    When and how fast the projectile first leaves the layer.
+    When and how fast the projectile first leaves the layer, as floats or arrays.
 
-    Attributes
-    ----------
-    ejection_phase : float or ndarray
-        :math:`t_e f`, in plate periods. [-]
-    speed : float or ndarray
-        :math:`V_e / (A \omega)`. [-]
-    energy_transfer : float or ndarray
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-
+    They are :math:`t_e f`, :math:`V_e / (A \omega)` and :math:`\alpha = (V_e / V_p^*)^2`.
     """
 
     ejection_phase: float | NDArray[np.float64]
@@ -180,7 +172,7 @@ def first_releases(
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
         As for `first_release`; broadcast against each other. [-]
     unresolved : {'raise', 'nan'}
-        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+        What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
         Largest number of threads, all cores if not given. Results do not depend on it.
 

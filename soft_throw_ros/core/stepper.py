@@ -91,17 +91,8 @@ class Loads(NamedTuple):
     """
     Largest magnitudes from the start to the first release, or so far if that is to come.
 
-    Attributes
-    ----------
-    strain : float
-        Anywhere in the layer. [-]
-    plate_strain, contact_strain : float
-        At the plate, and at the top of the layer. [-]
-    acceleration : float
-        Of the projectile. [m/s2]
-    plate_force : float
-        Of the layer on the plate. [N]
-
+    Strains [-] anywhere in the layer, at the plate and at its top, the projectile's acceleration
+    [m/s2], and the force of the layer on the plate [N].
     """
 
     strain: float
@@ -272,7 +263,10 @@ class Stepper(ABC):
 
     def append_plate_states(self, times: ArrayLike, states: ArrayLike) -> None:
         """
-        Append states of a plate that is measured while the stepper goes on.
+        Append states of a plate that is measured while the stepper goes on, joined by quintics.
+
+        It is known up to the last state, before the second one up to the first, before which it is
+        at rest.
 
         Parameters
         ----------
@@ -285,13 +279,7 @@ class Stepper(ABC):
         ------
         ValueError
             If the stepper was not made with the motion 'measured', or states are not finite,
-            not increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead of `advance_to`.
-            None is taken then.
-
-        Notes
-        -----
-        States are joined by quintics, sixth order in height. The plate is known up to the last
-        state, before the second one up to the first, before which it is at rest.
+            not increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
 
         """
         if not self._is_measured:
@@ -321,14 +309,8 @@ class Stepper(ABC):
         """
         Make a stepper that can go ahead of this one, see `sync_from`.
 
-        The two share what is known of the plate and the memory for events: `events` of the fork
-        are right until this stepper goes on.
-
-        Raises
-        ------
-        ValueError
-            If this stepper was not made with the motion 'measured'.
-
+        They share the plate and the memory for events: `events` of the fork are right until this
+        stepper goes on. ValueError if this one was not made with the motion 'measured'.
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
@@ -347,17 +329,10 @@ class Stepper(ABC):
         """
         Take over where `origin`, of which this is a fork, is now, so as to go ahead from there.
 
-        Beyond its horizon the plate keeps the acceleration that it has there. What a wave from
-        the plate has not reached yet does not depend on that: the projectile is as it will be for
-        one crossing of the wave beyond the horizon of `origin`, to the order of the model.
-        Internal loss spreads in no time: a loss tangent of 0.05 makes the velocity uncertain by
-        2e-3 of its scale at the end of that time.
-
-        Parameters
-        ----------
-        origin : Stepper
-            Which has made this one.
-
+        Beyond its horizon the plate keeps its acceleration. What a wave from the plate has not
+        reached yet does not depend on that: the projectile is right for one crossing of the wave
+        beyond the horizon of `origin`. Internal loss spreads in no time: a loss tangent of 0.05
+        makes the velocity uncertain by 2e-3 of its scale at the end of that time.
         """
         self._copy_from(origin)
         _extrapolate(self._core, self._path)
@@ -374,13 +349,8 @@ class Stepper(ABC):
         Parameters
         ----------
         out : ndarray, shape (3, field_points)
-            Of float64, written to: heights above the plate's rest position [m], velocities [m/s],
-            and forces of what is below on what is above, so positive where compressed [N].
-
-        Raises
-        ------
-        ValueError
-            If the array does not fit.
+            Of float64: heights above the plate's rest position [m], velocities [m/s], and forces
+            of what is below on what is above, so positive where compressed [N]; else ValueError.
 
         """
         if out is not self._readable:
@@ -398,19 +368,14 @@ class Stepper(ABC):
 
     def sample_strain(self, times: ArrayLike, out: Floats) -> None:
         """
-        Go forward through `times`, and write the total strain at each into a row of `out`.
+        Go forward through `times` as `advance_to`, and write the total strain at each to `out`.
 
         Parameters
         ----------
         times : array_like, shape (n,)
-            As for `advance_to`. [s]
+            Increasing. [s]
         out : ndarray, shape (n, field_points)
-            Of float64, written to. [-]
-
-        Raises
-        ------
-        ValueError
-            If `out` does not fit; else as `advance_to`, with the rows before it written.
+            Of float64; else ValueError. [-]
 
         """
         times = np.ascontiguousarray(times, dtype=np.float64)

@@ -183,25 +183,18 @@ def steps_per_crossing(rig: Rig) -> int:
     r"""
     Choose how many steps resolve one crossing of the wave, or refuse what real time cannot do.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-
     Returns
     -------
     int
-        512, or more where the relaxation time :math:`\tau` or the plate's period is short, or
-        less where steps would be more than `MAX_STEP_RATE` in a second. A relaxation time that is
-        shorter than a step does little harm, since the mass is solved for exactly. Errors in
-        :math:`t f` and
+        512, or more where the relaxation time or the plate's period is short, or less where steps
+        would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
         :math:`V / (A \omega)`: 1e-6 at the first release, 1e-4 up to the fifth event, 1e-3 later.
 
     Raises
     ------
     ValueError
-        If the layer is a stack or has loss, or more than `MAX_STEPS` steps, or `MAX_STEP_RATE` in
-        a second, would be needed; it says which number, which limit and what would do.
+        If the layer is a stack or has loss, or if `MAX_STEPS` or `MAX_STEP_RATE` are too few, with
+        what would do.
 
     Examples
     --------
@@ -797,28 +790,23 @@ class WaveStepper(Stepper):
     """
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
 
+    See the module for the scheme and its order, and `Stepper` for what all steppers promise.
+
     Parameters
     ----------
     rig : Rig
-        The rig; its layer must be of one material, and lossless.
+        The rig.
     motion : Underdamped, SampledMotion, 'measured' or None
-        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
-        `append_plate_states`. A sampled motion must not begin before time 0.
+        How the plate moves; None is the engine's, 'measured' waits for `append_plate_states`.
     steps : int, optional
-        Steps per crossing of the wave, 16 to `MAX_STEPS`, however long they take; the default is
-        `steps_per_crossing`.
+        Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
     field_points : int
         Heights at which the layer is read, 2 or more.
 
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time (see `steps_per_crossing`), or an argument is
-        out of range.
-
-    Notes
-    -----
-    See the module for the scheme and its order.
+        If the rig cannot be stepped in real time, or an argument is out of range.
 
     Examples
     --------
@@ -872,12 +860,7 @@ class WaveStepper(Stepper):
         _copy_waves(self._waves, origin._waves, self._core)
 
     def _read_layer(self, out: Floats) -> None:
-        """
-        Write the layer.
-
-        Both waves are interpolated linearly between grid points, except at plate and top, which
-        agree with `state`.
-        """
+        """Write the layer; between grid points both waves are lines."""
         _read_layer(self._core, self._waves, out)
 
     def _read_strain(self, strain: Floats) -> None:
@@ -916,11 +899,7 @@ class WaveStepper(Stepper):
         return float(self._work_unit * (now['work'] + now['front_work'] + part))
 
     def stored_energy(self) -> float:
-        """
-        Add up the energy of layer and projectile against rest, at the present time. [J]
-
-        It is the work of the plate, since nothing is lost. Second order in the step.
-        """
+        """Add up the energy of layer and projectile against rest, to second order. [J]"""
         return float(_stored_energy(self._core, self._waves))
 
 
@@ -947,14 +926,9 @@ def first_throws(
 
     Parameters
     ----------
-    mass_ratio : array_like
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : array_like
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : array_like
-        Of the plate, :math:`\zeta`. [-]
-    gravity_ratio : array_like
-        :math:`g / (A \omega^2)`. [-]
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
+        :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, the plate's
+        :math:`\zeta`, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
     unresolved : {'raise', 'nan'}
         What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
@@ -968,8 +942,7 @@ def first_throws(
     Raises
     ------
     ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative), the
-        shapes do not fit, or an option is not one of its values.
+        If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
         If a projectile does not leave within 8 periods of the plate and 8 of its own on the
         layer, or 4096 crossings, unless `unresolved` is 'nan'.
