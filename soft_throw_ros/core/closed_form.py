@@ -250,7 +250,8 @@ def first_release_kernel(
     if status != _RELEASED:
         return 2.0 * k + 1.0, math.nan, status
     sigma = guess if low < guess < high else 0.5 * (low + high)
-    return _polish(k, low, high, sigma, wave, steady, c)
+    phase, speed, status = _polish(k, low, high, sigma, wave, steady, c)
+    return phase, speed, status
 
 
 @_jit

@@ -360,16 +360,10 @@ def _next_front(s, waves, number):
 
 
 @_jit
-def _cross_step(s, waves, events, target):
-    """
-    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
-
-    Below 1 that leaves `s` there, with its state written; at 1 the step is done, and the sample
-    of m at the next grid point written.
-    """
-    cell, is_whole = s.cell, target == 1.0
+def _expand_step(s, waves, number):
+    """Expand p at the top after `s.cell`: value and slope for heights, and powers for the mass."""
+    cell = s.cell
     i = cell - s.base - s.steps
-    number = s.front_begin
     here = waves[0, i]
     slope = waves[0, i + 1] - here  # heights take p as linear, of second order as the gap is
     k = number
@@ -377,10 +371,60 @@ def _cross_step(s, waves, events, target):
         slope -= waves[_FRONTS, 3 * (k % _MAX_FRONTS) + 2]
         k += 1
     if _next_front(s, waves, number) <= cell + 1 or cell - s.last_front <= 1:
-        a, b, c, e = here, slope, 0.0, 0.0
+        return here, slope, here, slope, 0.0, 0.0
+    aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
+    a, b, c, e = _cubic(waves, i, aside)
+    return here, slope, a, b, c, e
+
+
+@_jit
+def _end_step(s, waves, V, P, error):
+    """Write the sample of m at the next grid point, and account for the step."""
+    p = waves[0, s.cell + 1 - s.base - s.steps]
+    s.cell += 1
+    s.sum = P / s.step
+    s.velocity = V if s.contact else 0.0
+    j = s.cell - s.base
+    waves[1, j] = (V - p if s.contact else p + s.gravity_offset) + error
+    if s.contact and s.events == 0:
+        s.peak_push = max(s.peak_push, 2.0 * p - V)
+    m = waves[1, j - s.steps]
+    stress = waves[0, j] - m + s.gravity_offset
+    s.power = stress * (waves[0, j] + m)
+    s.work += s.power
+    if s.events == 0:
+        s.peak_stress = max(s.peak_stress, abs(stress))
+
+
+@_jit
+def _write_top(s, offset, a, V, P):
+    """Write what projectile and top do within a step, where p is a."""
+    s.plus[1] = a
+    if s.contact:
+        s.minus[1] = V - a
+        s.surface = s.top + 2.0 * P - s.relaxation * V
+        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
+        s.state[PROJECTILE_VELOCITY] = V
+        s.state[PROJECTILE_FORCE] = s.mass * ((2.0 * a - V) / s.relaxation + s.gravity)
     else:
-        aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
-        a, b, c, e = _cubic(waves, i, aside)
+        time, height, velocity = _free_flight(s, offset)
+        s.minus[1] = a + s.gravity_offset
+        s.surface = s.top + 2.0 * P + s.gravity_offset * time
+        s.state[PROJECTILE_POSITION] = s.rest_height + height
+        s.state[PROJECTILE_VELOCITY] = velocity
+        s.state[PROJECTILE_FORCE] = 0.0
+
+
+@_jit
+def _cross_step(s, waves, events, target):
+    """
+    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
+
+    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    """
+    cell, is_whole = s.cell, target == 1.0
+    number = s.front_begin
+    here, slope, a, b, c, e = _expand_step(s, waves, number)
     V, P, offset, error = s.velocity, s.step * s.sum, 0.0, 0.0
     events_left = _EVENTS_PER_STEP
     while True:
@@ -439,42 +483,10 @@ def _cross_step(s, waves, events, target):
             s.front_begin = number
             if not _push_front(s, waves, offset, echo):
                 error += (offset - 0.5) * echo
-    if target == 1.0:
-        s.cell += 1
-        s.sum = P / s.step
-        s.velocity = V if s.contact else 0.0
-        j = s.cell - s.base
-        p = waves[0, i + 1]
-        waves[1, j] = (V - p if s.contact else p + s.gravity_offset) + error
-        if s.contact and s.events == 0:
-            s.peak_push = max(s.peak_push, 2.0 * p - V)
-        _account_plate(s, waves, j)
-        return
-    s.plus[1] = a
-    if s.contact:
-        s.minus[1] = V - a
-        s.surface = s.top + 2.0 * P - s.relaxation * V
-        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
-        s.state[PROJECTILE_VELOCITY] = V
-        s.state[PROJECTILE_FORCE] = s.mass * ((2.0 * a - V) / s.relaxation + s.gravity)
+    if is_whole:
+        _end_step(s, waves, V, P, error)
     else:
-        time, height, velocity = _free_flight(s, offset)
-        s.minus[1] = a + s.gravity_offset
-        s.surface = s.top + 2.0 * P + s.gravity_offset * time
-        s.state[PROJECTILE_POSITION] = s.rest_height + height
-        s.state[PROJECTILE_VELOCITY] = velocity
-        s.state[PROJECTILE_FORCE] = 0.0
-
-
-@_jit
-def _account_plate(s, waves, j):
-    """Add up the work of the plate, and look at its load, at index j."""
-    p, m = waves[0, j], waves[1, j - s.steps]
-    stress = p - m + s.gravity_offset
-    s.power = stress * (p + m)
-    s.work += s.power
-    if s.events == 0:
-        s.peak_stress = max(s.peak_stress, abs(stress))
+        _write_top(s, offset, a, V, P)
 
 
 @_jit
