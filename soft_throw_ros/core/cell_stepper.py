@@ -81,6 +81,7 @@ from soft_throw_ros.core.stepper import (
     BEYOND_HORIZON,
     FirstThrows,
     LANDING,
+    load_kernels,
     Loads,
     note_event,
     PLATE_FORCE,
@@ -1057,11 +1058,5 @@ class CellStepper(Stepper):
 
 def warm_up() -> None:
     """Compile or load all kernels."""
-    stepper = CellStepper(Rig(), 'measured', field_points=2)
-    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
-    stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty((3, 2)))
-    stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
-    stepper.stored_energy()
-    stepper.fork().sync_from(stepper)
+    load_kernels(CellStepper(Rig(), 'measured', field_points=2))
     first_throws(mass_ratio=1.0, speed_ratio=8.0, cells=8)

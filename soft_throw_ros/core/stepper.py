@@ -487,6 +487,17 @@ def _extrapolate(core: NDArray[np.void], path: Floats) -> None:
     core[1].horizon = core[0].horizon
 
 
+def load_kernels(stepper: Stepper) -> None:
+    """Have a new stepper for a measured plate compile or load all its kernels."""
+    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.advance_to(stepper.horizon / 1024.0)
+    stepper.read_layer(np.empty((3, stepper.field_points)))
+    stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
+    stepper.stored_energy()
+    stepper.fork().sync_from(stepper)
+    assert stepper.loads
+
+
 def require_count(name: str, value: object, *, low: int, high: int) -> int:
     """Return a whole number within limits, or raise ValueError."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
@@ -496,17 +507,9 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     return int(value)
 
 
-def require_target(name: str, array: object, shape: tuple[int, ...]) -> None:
+def require_target(name: str, array: Floats, shape: tuple[int, ...]) -> None:
     """Raise ValueError unless a kernel can write to `array`."""
-    if (
-        not isinstance(array, np.ndarray)
-        or array.dtype != np.float64
-        or array.shape != shape
-        or not (array.flags.c_contiguous and array.flags.writeable)
-    ):
-        got = (
-            f'{array.dtype} of shape {array.shape}'
-            if isinstance(array, np.ndarray)
-            else type(array).__name__
-        )
+    is_array = isinstance(array, np.ndarray)
+    if not is_array or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
+        got = f'{array.dtype} of shape {array.shape}' if is_array else type(array).__name__
         raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')

@@ -65,6 +65,7 @@ from soft_throw_ros.core.stepper import (
     BEYOND_HORIZON,
     FirstThrows,
     LANDING,
+    load_kernels,
     Loads,
     note_event,
     PLATE_FORCE,
@@ -1013,10 +1014,4 @@ def _first_throws(ratios, steps, core, waves, found, part, parts):
 
 def warm_up() -> None:
     """Compile or load all kernels that the twin needs."""
-    stepper = WaveStepper(Rig(), 'measured', field_points=2)
-    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
-    stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty((3, 2)))
-    stepper.stored_energy()
-    stepper.fork().sync_from(stepper)
-    assert stepper.loads
+    load_kernels(WaveStepper(Rig(), 'measured', field_points=2))

@@ -20,7 +20,6 @@ from soft_throw_ros.core.cell_stepper import (
     first_throws,
     MAX_CELLS,
 )
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
@@ -82,14 +81,6 @@ def throw(rig, periods=4.0, **options):
         if stepper.advance_to(0.25 * quarter / rig.engine.frequency):
             return stepper
     raise AssertionError('no release')
-
-
-def is_feasible(rig, model):
-    try:
-        cells_per_layer(rig, model)
-    except ValueError:
-        return False
-    return True
 
 
 def order(cells, errors):
@@ -161,16 +152,6 @@ def first_fall(force, start):
     times = start + np.arange(1.0, 20_000.0) * 5e-3
     last = next(i for i, time in enumerate(times) if force(time) < 0.0)
     return brentq(force, times[last - 1], times[last])
-
-
-@pytest.mark.parametrize('kappa', [3.0, 20.0])
-@pytest.mark.parametrize('length', [0.4, 1.0, 2.5])
-def test_projectile_of_the_layers_material_is_exact(kappa, length):
-    force, momentum = waves(kappa, 1.0, 1.0 + 2.0 * length, 2.0 * (1.0 + length))
-    time = first_fall(force, 1.0)
-    throws = first_throws(mass_ratio=length, speed_ratio=kappa, crossing_ratio=length, cells=500)
-    assert throws.ejection_phase == pytest.approx(time / kappa, rel=1e-3)
-    assert throws.speed == pytest.approx(momentum(time) / length, rel=1e-3)
 
 
 @pytest.mark.parametrize('kappa', [3.0, 6.0, 8.0, 12.0])
@@ -586,50 +567,6 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
     assert stepper.horizon == 0.0
 
 
-@settings(max_examples=40)
-@given(
-    frequency=st.floats(1.0, 1000.0),
-    amplitude=st.floats(math.log(1e-5), math.log(0.1)).map(math.exp),
-    damping_ratio=st.floats(0.0, 0.99),
-    thickness=st.floats(math.log(0.5e-3), math.log(0.1)).map(math.exp),
-    wave_speed=st.floats(0.0, math.log(200.0)).map(math.exp),
-    loss=st.one_of(st.just(0.0), st.floats(math.log(1e-3), math.log(3.0)).map(math.exp)),
-    mass=st.floats(math.log(1e-5), 0.0).map(math.exp),
-    youngs_modulus=st.floats(math.log(1e6), math.log(1e12)).map(math.exp),
-    gravity=st.sampled_from([0.0, 9.81, 30.0]),
-    model=st.sampled_from(CELL_MODELS),
-)
-def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
-    frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
-    gravity, model,
-):  # fmt: skip
-    rig = Rig(
-        engine=Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio),
-        layer=Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=loss),
-        projectile=Projectile(mass=mass, youngs_modulus=youngs_modulus),
-        gravity=gravity,
-    )
-    if not is_feasible(rig, model):
-        with pytest.raises(ValueError, match=r'the limit is .* feasible: '):
-            CellStepper(rig, model=model)
-        return
-    stepper = CellStepper(rig, model=model)
-    layer = np.empty((3, 64))
-    try:
-        for time in np.linspace(0.0, min(3.0 / frequency, 2e4 * stepper.step), 20):
-            stepper.advance_to(time)
-            stepper.read_layer(layer)
-            assert np.isfinite(stepper.state).all()
-            assert np.isfinite(layer).all()
-            assert math.isfinite(stepper.stored_energy())
-    except EventLimitError:
-        assert stepper.event_count > 100
-    kinds = [event.kind == 'release' for event in stepper.events()]
-    assert kinds == ([True, False] * len(kinds))[: len(kinds)]
-    times = [event.time for event in stepper.events()]
-    assert times == sorted(times)
-
-
 def test_endless_events_end_in_a_named_error():
     times = np.arange(0.0, 10.0, 1.25e-4)
     shaken = SampledMotion.from_positions(times, 1e-5 * (1.0 - np.cos(2e3 * math.pi * times)))
@@ -697,67 +634,3 @@ def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model
         cells_per_layer(make(value), model)
     feasible = str(refusal.value).split('feasible: ')[1].split('of ')[1].split()[0]
     assert CellStepper(make(float(feasible) * 0.9999), model=model).cells <= MAX_CELLS
-
-
-def some_cases(count):
-    random = np.random.default_rng(2)
-    return {
-        'mass_ratio': np.exp(random.uniform(-2.0, 2.0, count)),
-        'speed_ratio': np.exp(random.uniform(0.0, 4.0, count)),
-        'damping_ratio': random.uniform(0.0, 0.3, count),
-        'gravity_ratio': random.uniform(0.0, 0.02, count),
-        'loss_tangent': random.uniform(0.0, 0.2, count) * (random.uniform(0.0, 1.0, count) < 0.5),
-        'crossing_ratio': np.where(random.uniform(0.0, 1.0, count) < 0.5, 0.02, 0.0),
-    }
-
-
-@pytest.mark.parametrize('glued_to', ['plate', 'projectile'])
-def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(glued_to):
-    cases = some_cases(60)
-    together = first_throws(**cases, glued_to=glued_to, threads=1)
-    shared = first_throws(**cases, glued_to=glued_to, threads=3)
-    assert np.array(together).tobytes() == np.array(shared).tobytes()
-    for i in range(0, 60, 10):
-        alone = first_throws(
-            **{name: values[i] for name, values in cases.items()}, glued_to=glued_to
-        )
-        assert np.array(alone).tolist() == np.array(together)[:, i].tolist()
-
-
-def test_arguments_of_many_throws_are_broadcast():
-    found = first_throws(
-        mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0], damping_ratio=0.1
-    )
-    assert all(values.shape == (2, 3) for values in found)
-    one = first_throws(mass_ratio=1.0, speed_ratio=8.0, damping_ratio=0.1)
-    assert found.energy_transfer[1, 1] == one.energy_transfer
-    assert first_throws(mass_ratio=[], speed_ratio=[]).speed.shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'message'),
-    [
-        ({'mass_ratio': 0.0}, r'mass_ratio .* got 0\.0'),
-        ({'speed_ratio': math.nan}, 'speed_ratio .* got nan'),
-        ({'damping_ratio': 1.0}, r'damping_ratio .* got 1\.0'),
-        ({'gravity_ratio': -1.0}, r'gravity_ratio .* got -1\.0'),
-        ({'loss_tangent': -0.1}, r'loss_tangent .* got -0\.1'),
-        ({'crossing_ratio': [1.0, 40.0]}, r'crossing_ratio .* 32, got 40\.0'),
-        ({'glued_to': 'both'}, "glued_to .* got 'both'"),
-        ({'cells': 7}, f'cells .* 8 to {MAX_CELLS}, got 7'),
-        ({'cells': 64.0}, r'got 64\.0'),
-        ({'unresolved': 'skip'}, "unresolved .* got 'skip'"),
-        ({'threads': 0}, 'threads .* got 0'),
-    ],
-)
-def test_bad_arguments_of_many_throws_are_quoted(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        first_throws(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, **arguments})
-
-
-def test_projectile_that_does_not_leave_is_named_or_nan():
-    case = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'gravity_ratio': [0.0, 9.0], 'cells': 16}
-    with pytest.raises(ThrowUnresolvedError, match=r'gravity_ratio 9,'):
-        first_throws(**case)
-    found = first_throws(**case, unresolved='nan')
-    assert np.isnan(found).tolist() == [[False, True]] * 7

@@ -2,14 +2,20 @@
 """What every stepper promises, whatever it is a model of."""
 
 from functools import partial
+import math
+import re
 import tracemalloc
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
+    EventLimitError,
     HorizonError,
     PLATE_FORCE,
     PLATE_POSITION,
@@ -19,6 +25,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
     TIME,
 )
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 LOSSY = Rig(layer=Layer(loss_tangent=0.05))
@@ -258,3 +265,52 @@ def test_advancing_allocates_nothing(make):
         tracemalloc.stop()
     assert after - before < 1000
     assert peak - before < 4000  # numbers on their way
+
+
+def log_uniform(low, high):
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+@settings(max_examples=60)
+@given(
+    frequency=st.floats(1.0, 1000.0),
+    amplitude=log_uniform(1e-5, 0.1),
+    damping_ratio=st.floats(0.0, 0.99),
+    thickness=log_uniform(0.5e-3, 0.1),
+    wave_speed=log_uniform(1.0, 200.0),
+    loss=st.one_of(st.just(0.0), log_uniform(1e-3, 3.0)),
+    mass=log_uniform(1e-5, 1.0),
+    youngs_modulus=log_uniform(1e6, 1e12),
+    gravity=st.sampled_from([0.0, 9.81, 30.0]),
+    model=st.sampled_from(MODELS),
+)
+def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
+    frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
+    gravity, model,
+):  # fmt: skip
+    loss = 0.0 if model == 'travelling_wave' else loss
+    rig = Rig(
+        engine=Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=loss),
+        projectile=Projectile(mass=mass, youngs_modulus=youngs_modulus),
+        gravity=gravity,
+    )
+    try:
+        stepper = make_stepper(rig, model=model)
+    except ValueError as refusal:
+        assert re.search('the limit is .*; feasible: ', str(refusal))  # noqa: PT017 - may pass
+        return
+    layer = np.empty((3, 64))
+    try:
+        for time in np.linspace(0.0, min(3.0 / frequency, 0.1 / stepper.cost), 20):
+            stepper.advance_to(time)
+            stepper.read_layer(layer)
+            assert np.isfinite(stepper.state).all()
+            assert np.isfinite(layer).all()
+            assert math.isfinite(stepper.stored_energy())
+    except EventLimitError:
+        assert stepper.event_count > 100
+    kinds = [event.kind == 'release' for event in stepper.events()]
+    assert kinds == ([True, False] * len(kinds))[: len(kinds)]
+    times = [event.time for event in stepper.events()]
+    assert times == sorted(times)
