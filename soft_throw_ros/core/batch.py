@@ -39,8 +39,7 @@ def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tupl
     """
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    arrays = [_CHECKS[name](name, values) for name, values in ratios.items()]
-    arrays = np.broadcast_arrays(*arrays)
+    arrays = np.broadcast_arrays(*(_CHECKS[name](name, ratios[name]) for name in ratios))
     return np.stack([array.ravel() for array in arrays]), arrays[0].shape
 
 

@@ -209,11 +209,12 @@ class Stepper(ABC):
     ) -> NDArray[np.void]:
         """Make records and path, and return the record to fill in."""
         self._core = np.zeros(3, record)
-        self._path = write_motion(self._core[2], motion, self.rig.engine, step)
+        start: NDArray[np.void] = self._core[2]
+        self._path = write_motion(start, motion, self.rig.engine, step)
         self._is_measured = isinstance(motion, str)
         self.state = self._core['state'][1]
         self.state.flags.writeable = False
-        return self._core[2]
+        return start
 
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""

@@ -329,7 +329,6 @@ def test_unresolved_release_is_named(case, claim):
 @pytest.mark.parametrize(
     ('name', 'value'),
     [('mass_ratio', math.nan), ('damping_ratio', 1.0), ('gravity_ratio', -0.125)],
-    [('mass_ratio', math.nan), ('damping_ratio', 1.0), ('gravity_ratio', -0.125)],
 )
 def test_refused_ratios_are_quoted(name, value):
     with pytest.raises(ValueError, match=f'^{name} .* got {value}$'):
