@@ -46,7 +46,7 @@ from typing import Literal
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads
 from soft_throw_ros.core.cells import (
     add_cells,
     BURDEN,
@@ -72,17 +72,18 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
-from soft_throw_ros.core.plate_kernels import DAMPED, motion_at, PLATE, write_motion
+from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     BACKWARDS,
     BEYOND_HORIZON,
     FirstThrows,
     LANDING,
+    load_kernels,
     Loads,
+    note_event,
     PLATE_FORCE,
     PLATE_POSITION,
     PLATE_VELOCITY,
@@ -97,7 +98,6 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -127,7 +127,6 @@ _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projec
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
 _THROWS_PER_THREAD = 16
 
-_BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
@@ -221,26 +220,17 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
     r"""
     Choose how many cells the layer takes in real time, or refuse what cannot be done.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    model : str
-        One of `CELL_MODELS`.
-
     Returns
     -------
     int
-        At least 64; 12 per relaxation time :math:`\tau`, and so many that there are 120 steps in
-        a period of the plate, or as many as there is time for. Errors are 1e-4, then. For a
-        layer without mass 1.
+        At least 64; 12 per relaxation time and 120 steps in a period of the plate, or as many
+        as there is time for. Errors are 1e-4, then. For a layer without mass 1.
 
     Raises
     ------
     ValueError
-        If more than `MAX_CELLS`, or more updates than `MAX_UPDATE_RATE`, would be needed for 64
-        cells, 4 per relaxation time and 80 steps in a period; it says which number, which limit
-        and what would do.
+        If `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80
+        steps in a period, with what would do.
 
     Examples
     --------
@@ -399,7 +389,7 @@ def _drive(s, nodes, path):
     stretch = s.below_before - nodes[DISPLACEMENT, 0]
     if s.plate_kind == DAMPED:
         # Rotations of a phasor that is evaluated anew for every block
-        k = s.index & (_BLOCK - 1)
+        k = s.index & (BLOCK - 1)
         if k == 0:
             time = s.index * s.step
             fading = s.growth * time
@@ -442,12 +432,9 @@ def _speed_of_thrown(s, nodes):
 
 @_jit
 def _note_event(s, events, kind, part, height, velocity):
-    """Write down an event in the last step; without room for it, the march ends."""
+    """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + part) * s.step, velocity
-    s.events += 1
-    if s.events <= events.shape[0]:
-        row = events[s.events - 1]
-        row[0], row[1], row[2], row[3] = kind, s.event_time, s.rest_height + height, velocity
+    note_event(s, events, kind, s.event_time, height, velocity)
 
 
 @_inlined
@@ -782,17 +769,12 @@ def _reset(core, nodes):
 
 @_jit
 def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found):
-    """
-    Compute rows of `FirstThrows` but for its energy transfer, NaN if there is no release.
-
-    Units: mass and crossing time of the layer, amplitude of the plate. A row of `cases` has what
-    `first_throws` takes, in its order.
-    """
+    """Compute rows of `FirstThrows` in units of layer mass, crossing time and amplitude."""
     events = np.empty((0, 4))
     for n in range(cases.shape[0]):
         mu, kappa, zeta = cases[n, 0], cases[n, 1], cases[n, 2]
         gravity, loss, crossing = cases[n, 3], cases[n, 4], cases[n, 5]
-        omega, root = 2.0 * math.pi / kappa, math.sqrt(1.0 - zeta * zeta)
+        omega = 2.0 * math.pi / kappa
         core[2] = core[3]
         s = core[2]
         s.step, s.cells = 1.0 / cells, cells
@@ -803,15 +785,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         s.edge_weights[0] = s.edge_weights[1] = -0.5
         s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
         s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
-        s.horizon = math.inf
-        s.amplitude, s.growth, s.turn = 1.0, -zeta * omega, root * omega
-        s.factor = omega / root
-        size = math.exp(s.growth * s.step)
-        real, imaginary = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
-        path[0, 0], path[1, 0] = 1.0, 0.0
-        for k in range(1, _BLOCK):
-            path[0, k] = real * path[0, k - 1] - imaginary * path[1, k - 1]
-            path[1, k] = real * path[1, k - 1] + imaginary * path[0, k - 1]
+        write_underdamped(s, path, omega, omega, zeta, s.step)
         for j in range(nodes.shape[1]):
             for k in range(nodes.shape[0]):
                 nodes[k, j] = 0.0
@@ -861,50 +835,36 @@ def first_throws(
 
     Parameters
     ----------
-    mass_ratio : array_like
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : array_like
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : array_like
-        Of the plate, :math:`\zeta`. [-]
-    gravity_ratio : array_like
-        :math:`g / (A \omega^2)`. [-]
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
+        :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, the plate's
+        :math:`\zeta`, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
     loss_tangent : array_like
         Of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
     crossing_ratio : array_like
-        What a wave needs through the projectile over what it needs through the layer,
-        :math:`L_r c_s / (c_r L_s)`; 0 is rigid, and `MAX_CROSSING_RATIO` is the most. [-]
+        What a wave needs through the projectile over what it needs through the layer; 0 is rigid,
+        and `MAX_CROSSING_RATIO` is the most. [-]
     glued_to : {'plate', 'projectile'}
-        Where the layer is glued. On the projectile it is thrown along, as in [1]_, and the
-        release is at the plate.
+        Where the layer is glued. On the projectile it is thrown along, and leaves the plate.
     cells : int, optional
-        Of the layer, from 8 to `MAX_CELLS`; if not given at least 64, and as many as it takes for
-        1e-4, throw by throw (up to 1024). Errors are of second order: 16 cells, which take a
-        tenth of the time, are good for 1e-3 where the layer has loss.
+        Of the layer, from 8 to `MAX_CELLS`; if not given as many as it takes for 1e-4, throw by
+        throw, from 64 to 1024. Errors are of second order.
     unresolved : {'raise', 'nan'}
-        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+        What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
         Largest number of threads, all cores if not given. Results do not depend on it.
 
     Returns
     -------
     FirstThrows
-        Of arrays with the common shape. The speed is that of the centre of mass of what is
-        thrown.
+        Of arrays with the common shape; the speed is that of the centre of mass of what is thrown.
 
     Raises
     ------
     ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity, loss and crossing
-        ratio: not negative), a projectile is too slow, the shapes do not fit, or an option is not
-        one of its values.
+        If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
         If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
         `unresolved` is 'nan'.
-
-    References
-    ----------
-    .. [1] Celestini, Raufaste et al. (2020), reference 27 of the paper.
 
     Examples
     --------
@@ -919,37 +879,22 @@ def first_throws(
     """
     if glued_to not in ('plate', 'projectile'):
         raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
-    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
-    crossing_ratio = checks.not_negative_array('crossing_ratio', crossing_ratio)
-    if crossing_ratio.max(initial=0.0) > MAX_CROSSING_RATIO:
-        raise ValueError(
-            f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {crossing_ratio.max()}'
-        )
-    cases = np.broadcast_arrays(
-        checks.positive_array('mass_ratio', mass_ratio),
-        checks.positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.not_negative_array('gravity_ratio', gravity_ratio),
-        checks.not_negative_array('loss_tangent', loss_tangent),
-        crossing_ratio,
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
+        loss_tangent=loss_tangent,
+        crossing_ratio=crossing_ratio,
     )
-    rows = np.stack([case.ravel() for case in cases], axis=1)
-    found = _throw_all(rows, cells, glued_to == 'projectile', threads)
-    failed = np.flatnonzero(np.isnan(found[:, 0]))
-    if failed.size and unresolved == 'raise':
-        names = ('mass', 'speed', 'damping', 'gravity', 'loss', 'crossing')
-        case = ', '.join(
-            f'{name}_{"tangent" if name == "loss" else "ratio"} {value:g}'
-            for name, value in zip(names, rows[failed[0]], strict=True)
-        )
-        raise ThrowUnresolvedError(f'no release in {MAX_PERIODS:g} periods for {case}')
-    phase, speed, strain, acceleration, force, work = found.T.reshape(6, *cases[0].shape)
-    fastest = peak_velocity_ratios(damping_ratio)
-    return FirstThrows(phase, speed, (speed / fastest) ** 2, strain, acceleration, force, work)
+    slowest = ratios[5].max(initial=0.0)
+    if slowest > MAX_CROSSING_RATIO:
+        raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
+    found = _throw_all(np.ascontiguousarray(ratios.T), cells, glued_to == 'projectile', threads)
+    return FirstThrows.collect(found.T, ratios, shape, unresolved, f'{MAX_PERIODS:g} periods')
 
 
 def _throw_all(
@@ -969,7 +914,7 @@ def _throw_all(
     ]
 
     def run(part: int, parts: int) -> None:
-        core, path = np.zeros(4, _CORE), np.empty((2, _BLOCK))
+        core, path = np.zeros(4, _CORE), np.empty((2, BLOCK))
         for count, bar, members in groups:
             own = members[part::parts]
             nodes, results = np.empty((ROWS, count + bar + 2)), np.empty((own.size, 6))
@@ -982,18 +927,20 @@ def _throw_all(
 
 class CellStepper(Stepper):
     """
-    A throw by cells.
+    A throw by cells; the layer may be a stack, and have loss.
+
+    An event carries the velocity of the centre of mass of what is thrown, and `state` that of the
+    projectile's lower face. `stored_energy` and `heat` add up to `work_so_far` to second order,
+    and to first after landings.
 
     Parameters
     ----------
     rig : Rig
-        The rig; its layer may be a stack, and have loss.
+        The rig.
     motion : Underdamped, SampledMotion, 'measured' or None
-        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
-        `append_plate_states`. A sampled motion must not begin before time 0.
+        How the plate moves; None is the engine's, 'measured' waits for `append_plate_states`.
     model : str
-        One of `CELL_MODELS`: with a rigid projectile (default), with an elastic one, with the
-        layer glued to the (rigid) projectile, or without mass in the layer.
+        One of `CELL_MODELS`.
     cells : int, optional
         Of the layer, 1 to `MAX_CELLS`, however long they take; the default is `cells_per_layer`.
     field_points : int
@@ -1002,15 +949,7 @@ class CellStepper(Stepper):
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time (see `cells_per_layer`), or an argument is out
-        of range.
-
-    Notes
-    -----
-    See the module for the scheme, and `Stepper` for what all steppers promise. An event carries
-    the velocity of the centre of mass of what is thrown, and `state` that of the projectile's
-    lower face. `stored_energy` and `heat` add up to `work_so_far` to second order, and to first
-    after landings. Loads are those at the steps of the grid.
+        If the rig cannot be stepped in real time, or an argument is out of range.
 
     Examples
     --------
@@ -1027,6 +966,7 @@ class CellStepper(Stepper):
     """
 
     _advance = staticmethod(_advance)
+    _restart = staticmethod(_reset)
     _changing = ('_core', '_nodes')
 
     def __init__(
@@ -1057,14 +997,7 @@ class CellStepper(Stepper):
         self._places = np.array([grid.place(height) for height in points], _PLACE)
         for name in ('cell', 'beside'):
             self._places[name] += grid.bottom
-        self._core = np.zeros(3, _CORE)
-        start = self._core[2]
-        self._path = write_motion(start, motion, rig.engine)
-        self._is_measured = isinstance(motion, str)
-        if start['plate_kind'] == DAMPED:
-            exponent = complex(start['growth'], start['turn'])
-            turns = np.exp(exponent * grid.step * np.arange(_BLOCK))
-            self._path = np.array([turns.real, turns.imag])
+        start = self._make_records(_CORE, motion, grid.step)
         start['step'], start['cells'] = grid.step, grid.count
         start['bottom'], start['joint'] = grid.bottom, grid.joint
         start['mass'], start['face_mass'] = rig.projectile.mass, grid.face_mass
@@ -1075,14 +1008,7 @@ class CellStepper(Stepper):
         start['edge_weights'] = edges['weight']
         _prepare(start, self._nodes)
         self._memory = (self._core, self._nodes, self._path, self._events)
-        self.state = self._core['state'][1]
-        self.state.flags.writeable = False
         self.reset()
-
-    def reset(self) -> None:
-        """Go back to time 0, everything at rest; states appended are forgotten."""
-        _reset(self._core, self._nodes)
-        self._advance(0.0, *self._memory)
 
     def _read_layer(self, out: Floats) -> None:
         _read_layer(self._core, self._nodes, self._places, out)
@@ -1116,12 +1042,6 @@ class CellStepper(Stepper):
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
 
     @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come. [J]"""
-        now = self._core[1]
-        return float(now['first_work'] if self.event_count else now['work'])
-
-    @property
     def work_so_far(self) -> float:
         """Work of the plate from the start to now, whatever has happened. [J]"""
         return float(self._core[1]['work'])
@@ -1138,11 +1058,5 @@ class CellStepper(Stepper):
 
 def warm_up() -> None:
     """Compile or load all kernels."""
-    stepper = CellStepper(Rig(), 'measured', field_points=2)
-    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
-    stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty((3, 2)))
-    stepper.sample_strain(np.array([stepper.state[TIME]]), np.empty((1, 2)))
-    stepper.stored_energy()
-    stepper.fork().sync_from(stepper)
+    load_kernels(CellStepper(Rig(), 'measured', field_points=2))
     first_throws(mass_ratio=1.0, speed_ratio=8.0, cells=8)

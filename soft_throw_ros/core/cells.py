@@ -97,35 +97,15 @@ _inlined = nb.njit(  # what every step calls
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cells:
-    """
-    A rig cut into cells.
+    """A rig cut into cells."""
 
-    Parameters
-    ----------
-    step : float
-        Time step. [s]
-    heights : ndarray, shape (count + 1,)
-        Of the layer's nodes, unloaded. [m]
-    sheets : ndarray, shape (count,)
-        To which sheet each cell of the layer belongs.
-    bottom : int
-        The layer's lowest node: 0, which is the plate, or 1 if it is not glued on.
-    joint : int
-        The link that is the contact.
-    face_mass : float
-        Mass of the projectile's lowest node, without that of a layer glued to it. [kg]
-    nodes : ndarray
-        The table, with mass, stiffness, viscosity and height filled in.
-
-    """
-
-    step: float
-    heights: Floats
-    sheets: NDArray[np.int64]
-    bottom: int
-    joint: int
-    face_mass: float
-    nodes: Floats
+    step: float  # of time [s]
+    heights: Floats  # of the layer's nodes, unloaded [m]
+    sheets: NDArray[np.int64]  # to which each cell of the layer belongs
+    bottom: int  # the layer's lowest node: 0, which is the plate, or 1 if it is not glued on
+    joint: int  # the link that is the contact
+    face_mass: float  # of the projectile's lowest node, without a layer glued to it [kg]
+    nodes: Floats  # the table, with mass, stiffness, viscosity and height filled in
 
     @property
     def count(self) -> int:
@@ -136,15 +116,9 @@ class Cells:
         """
         Find what to interpolate from at a height, or to extrapolate from at the end of a sheet.
 
-        Returns
-        -------
-        cell, beside : int
-            The cell of the layer at this height, and one beside it of the same sheet.
-        weight : float
-            Of the latter, for what is known in the middle of cells; 0 if there is none.
-        part : float
-            Of the cell that is below.
-
+        That is the cell at this height and one beside it of the same sheet, the weight of the
+        latter for what is known in the middle of cells (0 if there is none), and which part of the
+        cell is below.
         """
         cell = int(np.searchsorted(self.heights, height, side='right')) - 1
         cell = min(cell, self.count - 1)
@@ -161,18 +135,7 @@ def cut(
     rig: Rig, *, cells: int, is_elastic: bool = False, is_on_projectile: bool = False
 ) -> Cells:
     """
-    Cut a rig into cells.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig; its layer may be a stack.
-    cells : int
-        Of the layer, about; sheets get whole numbers, and at least one.
-    is_elastic : bool
-        Whether the projectile is cut, too, or rigid.
-    is_on_projectile : bool
-        Whether the layer is glued to the projectile, and meets the plate; else the reverse.
+    Cut a rig into about so many cells of the layer; sheets get whole numbers, and at least one.
 
     Raises
     ------

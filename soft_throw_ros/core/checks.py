@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refuse bad numbers at the door, quoting them."""
+"""Refuse bad numbers at the door with a ValueError that quotes them."""
 
 import math
 from typing import Any
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def finite(name: str, value: Any) -> float:
-    """Return `value` as a float, or raise ValueError if it is not a finite number."""
+def require_finite(name: str, value: Any) -> float:
+    """Return a finite number as a float."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ValueError(f'{name} must be a number, got {value!r}')
     number = float(value)
@@ -18,57 +18,60 @@ def finite(name: str, value: Any) -> float:
     return number
 
 
-def positive(name: str, value: Any) -> float:
-    """Return `value` as a float, or raise ValueError if it is not finite and above 0."""
-    number = finite(name, value)
+def require_positive(name: str, value: Any) -> float:
+    """Return a finite number above 0 as a float."""
+    number = require_finite(name, value)
     if number <= 0.0:
         raise ValueError(f'{name} must be finite and positive, got {number}')
     return number
 
 
-def not_negative(name: str, value: Any) -> float:
-    """Return `value` as a float, or raise ValueError if it is not finite and at least 0."""
-    number = finite(name, value)
+def require_not_negative(name: str, value: Any) -> float:
+    """Return a finite number that is at least 0 as a float."""
+    number = require_finite(name, value)
     if number < 0.0:
         raise ValueError(f'{name} must be finite and not negative, got {number}')
     return number
 
 
-def below_one(name: str, value: Any) -> float:
-    """Return `value` as a float, or raise ValueError if it is not in [0, 1)."""
-    number = finite(name, value)
+def require_in_unit_interval(name: str, value: Any) -> float:
+    """Return a number in [0, 1) as a float."""
+    number = require_finite(name, value)
     if not 0.0 <= number < 1.0:
         raise ValueError(f'{name} must be at least 0 and below 1, got {number}')
     return number
 
 
-def positive_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return `values` as a float array, or raise ValueError quoting the first bad one."""
-    return _all_within(name, values, low=0.0, open_low=True, high=math.inf)
+def require_positive_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return finite numbers above 0 as a float array."""
+    array = _as_floats(name, values)
+    return _require(name, array, array > 0.0, 'above 0 and finite')
 
 
-def below_one_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return `values` as a float array, or raise ValueError quoting the first not in [0, 1)."""
-    return _all_within(name, values, low=0.0, open_low=False, high=1.0)
+def require_not_negative_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return finite numbers that are at least 0 as a float array."""
+    array = _as_floats(name, values)
+    return _require(name, array, array >= 0.0, 'at least 0 and finite')
 
 
-def not_negative_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return `values` as a float array, or raise ValueError quoting the first below 0."""
-    return _all_within(name, values, low=0.0, open_low=False, high=math.inf)
+def require_in_unit_interval_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return numbers in [0, 1) as a float array."""
+    array = _as_floats(name, values)
+    return _require(name, array, (array >= 0.0) & (array < 1.0), 'at least 0 and below 1')
 
 
-def _all_within(
-    name: str, values: ArrayLike, *, low: float, open_low: bool, high: float
-) -> NDArray[np.float64]:
+def _as_floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
     try:
-        array = np.asarray(values, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{name} must be numbers, got {values!r}') from error
-    good = (array > low) if open_low else (array >= low)
-    good &= array < high  # NaN fails the first comparison, infinity the second
-    if not good.all():
-        first = array[~good].flat[0]
-        bound = f'{"above" if open_low else "at least"} {low:g}'
-        ceiling = 'finite' if math.isinf(high) else f'below {high:g}'
-        raise ValueError(f'{name} must be {bound} and {ceiling}, got {first}')
+
+
+def _require(
+    name: str, array: NDArray[np.float64], is_good: NDArray[np.bool_], claim: str
+) -> NDArray[np.float64]:
+    """Return the array, or quote its first bad value; NaN fails every comparison."""
+    is_good = is_good & (array < math.inf)
+    if not is_good.all():
+        raise ValueError(f'{name} must be {claim}, got {array[~is_good].flat[0]}')
     return array

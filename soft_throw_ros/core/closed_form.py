@@ -36,6 +36,7 @@ falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import math
 from typing import Literal, NamedTuple
 
@@ -43,8 +44,13 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import (
+    broadcast_ratios,
+    describe_ratios,
+    in_threads,
+    ThrowUnresolvedError,
+)
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
-from soft_throw_ros.core.threads import in_threads
 
 MAX_INTERVALS = 2048
 """Wave intervals (two crossings each) that are followed before a named error is raised."""
@@ -62,23 +68,11 @@ _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 _inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
 
 
-class ThrowUnresolvedError(ValueError):
-    """No release within the intervals that are followed, or none to the promised accuracy."""
-
-
 class FirstRelease(NamedTuple):
     r"""
-    When and how fast the projectile first leaves the layer.
+    When and how fast the projectile first leaves the layer, as floats or arrays.
 
-    Attributes
-    ----------
-    ejection_phase : float or ndarray
-        :math:`t_e f`, in plate periods. [-]
-    speed : float or ndarray
-        :math:`V_e / (A \omega)`. [-]
-    energy_transfer : float or ndarray
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-
+    They are :math:`t_e f`, :math:`V_e / (A \omega)` and :math:`\alpha = (V_e / V_p^*)^2`.
     """
 
     ejection_phase: float | NDArray[np.float64]
@@ -150,14 +144,14 @@ def first_release(
 
     """
     case = (
-        checks.positive('mass_ratio', mass_ratio),
-        checks.positive('speed_ratio', speed_ratio),
-        checks.below_one('damping_ratio', damping_ratio),
-        checks.not_negative('gravity_ratio', gravity_ratio),
+        checks.require_positive('mass_ratio', mass_ratio),
+        checks.require_positive('speed_ratio', speed_ratio),
+        checks.require_in_unit_interval('damping_ratio', damping_ratio),
+        checks.require_not_negative('gravity_ratio', gravity_ratio),
     )
     phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
     if status != _RELEASED:
-        raise _unresolved(status, phase, *case)
+        raise _unresolved(status, phase, case)
     return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
 
 
@@ -178,7 +172,7 @@ def first_releases(
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
         As for `first_release`; broadcast against each other. [-]
     unresolved : {'raise', 'nan'}
-        What becomes of throws that are not resolved: the first is raised, or all are NaN.
+        What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
         Largest number of threads, all cores if not given. Results do not depend on it.
 
@@ -204,17 +198,13 @@ def first_releases(
     array([2.003 , 3.546 , 3.8322])
 
     """
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
-    cases = np.broadcast_arrays(
-        checks.positive_array('mass_ratio', mass_ratio),
-        checks.positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.not_negative_array('gravity_ratio', gravity_ratio),
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
     )
-    shape = cases[0].shape
-    ratios = np.stack([case.ravel() for case in cases])
     phase, speed = np.empty((2, ratios.shape[1]))
     status = np.empty(ratios.shape[1], dtype=np.int64)
     in_threads(
@@ -227,26 +217,14 @@ def first_releases(
     if failed.size:
         if unresolved == 'raise':
             first = int(failed[0])
-            raise _unresolved(status[first], phase[first], *ratios[:, first])
+            raise _unresolved(status[first], phase[first], ratios[:, first])
         phase[failed] = np.nan
-    phase = phase.reshape(shape)
-    speed = speed.reshape(shape)
-    energy_transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
-    return FirstRelease(phase, speed, energy_transfer)
+    energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
+    return FirstRelease(*(found.reshape(shape) for found in (phase, speed, energy_transfer)))
 
 
-def _unresolved(
-    status: int,
-    crossings: float,
-    mass_ratio: float,
-    speed_ratio: float,
-    damping_ratio: float,
-    gravity_ratio: float,
-) -> ThrowUnresolvedError:
-    case = (
-        f'mass_ratio {mass_ratio:g}, speed_ratio {speed_ratio:g}, '
-        f'damping_ratio {damping_ratio:g}, gravity_ratio {gravity_ratio:g}'
-    )
+def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> ThrowUnresolvedError:
+    case = describe_ratios(ratios)
     if status == _NOT_WITHIN:
         return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
     return ThrowUnresolvedError(
@@ -268,12 +246,11 @@ def first_release_kernel(
     """
     c = work[0]
     wave = _wave(mu, kappa, zeta, gravity)
-    found = _find(wave, c, work[1])
-    phase = 2.0 * found.k + 1.0
-    speed = math.nan
-    status = found.status
-    if status == _RELEASED:
-        phase, speed, status = _polish(_guess(wave, found), wave, found, c)
+    status, k, low, high, guess, steady = _find(wave, c, work[1])
+    if status != _RELEASED:
+        return 2.0 * k + 1.0, math.nan, status
+    sigma = guess if low < guess < high else 0.5 * (low + high)
+    phase, speed, status = _polish(k, low, high, sigma, wave, steady, c)
     return phase, speed, status
 
 
@@ -301,20 +278,6 @@ class _Wave(NamedTuple):
     to_force: complex  # from the steady upward wave to the steady G
     step: complex  # e^{2 lambda}
     fade: float  # e^{-2 / mu}
-
-
-class _Interval(NamedTuple):
-    """The interval of release, and where in it G + weight falls through 0."""
-
-    status: int
-    k: int
-    low: float  # the bracket
-    high: float
-    steady: complex  # Q_k
-    start: float  # G + weight at both ends of the interval, and its slopes
-    end: float
-    start_slope: float
-    end_slope: float
 
 
 @_inline
@@ -350,7 +313,11 @@ def _wave(mu, kappa, zeta, gravity):
 
 @_inline
 def _find(wave, c, b):
-    """Go through the intervals to that of the release; fill c with c_j, b with phi_j(2 / mu)."""
+    """
+    Go through the intervals to that of the release; fill c with c_j, b with phi_j(2 / mu).
+
+    Returns status, interval k, a bracket and a guess of the root in it, and Q_k.
+    """
     turn = wave.lam.imag
     weight = wave.weight
     steady = complex(1.0, 0.0)  # Q_k
@@ -363,17 +330,17 @@ def _find(wave, c, b):
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
         high = min(2.0, math.pi / turn)
         if high < 2.0 or force <= 0.0:
-            return _bracket(0, 0.0, high, steady)
+            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
     else:
         # G falls at least until the plate brakes hardest, and later periods push it off less
         # than the first.
         high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
         if _force(0, high, wave, steady, c)[0] <= 0.0:
-            return _bracket(0, 0.0, high, steady)
+            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
         if high < 2.0:
             low, high = _search(0, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
-                return _bracket(0, low, high, steady)
+                return _RELEASED, 0, low, high, math.nan, steady
     effort = 0.0
     arriving = complex(1.0, 0.0)  # e^{2 k lambda}
     power = complex(1.0, 0.0)  # r^k
@@ -384,7 +351,7 @@ def _find(wave, c, b):
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
         if _size(steady) > _GROWTH_LIMIT**2 or _underflows(k, wave.mu):
-            return _failure(_INACCURATE, k)
+            return _INACCURATE, k, 0.0, 0.0, math.nan, steady
         older = b[k - 2] if k > 1 else 0.0
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
         s_before, s_now = s_now, s_next
@@ -403,30 +370,17 @@ def _find(wave, c, b):
             margin = 2.0 * turn * math.sqrt(largest)
         if force > 0.0 and min(before, force) > margin:
             continue
-        start_slope, end_slope = _end_slopes(k, wave, pull, c, b)
         if force <= 0.0 and smooth:
-            return _Interval(_RELEASED, k, 0.0, 2.0, steady, before, force, start_slope, end_slope)
-        if smooth and end_slope < -0.25 * turn:
+            return _RELEASED, k, 0.0, 2.0, 2.0 * before / (before - force), steady
+        if smooth and _force(k, 2.0, wave, steady, c)[1] < -0.25 * turn:
             continue
         effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
         if effort > _SEARCH_EFFORT:
-            return _failure(_NOT_WITHIN, k)
+            return _NOT_WITHIN, k, 0.0, 0.0, math.nan, steady
         low, high = _search(k, 0.0, 2.0, wave, steady, c)
         if high > 0.0:
-            return _bracket(k, low, high, steady)
-    return _failure(_NOT_WITHIN, MAX_INTERVALS)
-
-
-@_inline
-def _bracket(k, low, high, steady):
-    """Make an interval of which a bracket alone is known, not what is at the ends."""
-    return _Interval(_RELEASED, k, low, high, steady, 1.0, -1.0, 0.0, 0.0)
-
-
-@_inline
-def _failure(status, k):
-    """Make what tells that the intervals before k have no release."""
-    return _Interval(status, k, 0.0, 0.0, complex(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+            return _RELEASED, k, low, high, math.nan, steady
+    return _NOT_WITHIN, MAX_INTERVALS, 0.0, 0.0, math.nan, steady
 
 
 @_inline
@@ -442,49 +396,11 @@ def _underflows(k, mu):
 
 
 @_inline
-def _end_slopes(k, wave, pull, c, b):
-    """Compute G' just after the start and at the end of interval k from what is at hand."""
-    weight = c[k] + c[k - 1]
-    dphi = -b[0]
-    at_start = weight
-    at_end = weight * dphi
-    for j in range(1, k + 1):
-        dphi -= b[j - 1] + b[j]
-        weight = c[k - j]
-        if j < k:
-            weight += c[k - j - 1]
-        at_start += (2 * j + 1) * weight
-        at_end += weight * dphi
-    slope = wave.lam * pull
-    return slope.imag + at_start * wave.rate, (slope * wave.step).imag - at_end * wave.rate
-
-
-@_inline
-def _guess(wave, found):
-    """Guess where in the bracket G + weight is 0, to a few percent as a rule."""
-    if found.k == 0:
-        x = wave.lam.imag * wave.mu
-        # pi/2 + atan(w tau), were the start forgotten
-        angle = x / (1.0 + 0.28 * x * x) if x < 1.0 else 0.5 * math.pi - x / (x * x + 0.28)
-        guess = (0.5 * math.pi + angle) / wave.lam.imag
-    else:
-        guess = _hermite_root(found.start, found.end, found.start_slope, found.end_slope)
-    return guess if found.low < guess < found.high else 0.5 * (found.low + found.high)
-
-
-@_inline
-def _hermite_root(start, end, start_slope, end_slope):
-    """Root in [0, 2] of the cubic with these values and slopes at 0 and 2."""
-    start_slope *= 2.0
-    end_slope *= 2.0
-    square = 3.0 * (end - start) - 2.0 * start_slope - end_slope
-    cube = 2.0 * (start - end) + start_slope + end_slope
-    t = start / (start - end)
-    for _ in range(3):
-        value = ((cube * t + square) * t + start_slope) * t + start
-        following = t - value / ((3.0 * cube * t + 2.0 * square) * t + start_slope)
-        t = following if 0.0 < following < 1.0 else t
-    return 2.0 * t
+def _first_guess(wave):
+    """Guess the release in interval 0 to a few percent: pi/2 + atan(w tau), less the start."""
+    x = wave.lam.imag * wave.mu
+    angle = x / (1.0 + 0.28 * x * x) if x < 1.0 else 0.5 * math.pi - x / (x * x + 0.28)
+    return (0.5 * math.pi + angle) / wave.lam.imag
 
 
 @_jit
@@ -515,26 +431,26 @@ def _attached(k, sigma, wave, steady, c):
 
 
 @_jit
-def _polish(sigma, wave, found, c):
+def _polish(k, low, high, sigma, wave, steady, c):
     """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
-    k, low, high = found.k, found.low, found.high
     tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
-    change = high - low
+    change, speed = high - low, math.nan
     for i in range(160):
-        force, slope, _ = _attached(k, sigma, wave, found.steady, c)
-        force += wave.weight
-        low = sigma if force > 0.0 else low
-        high = high if force > 0.0 else sigma
-        following = sigma - force / slope if slope != 0.0 else low
+        force, slope, upward = _attached(k, sigma, wave, steady, c)
+        excess = force + wave.weight
+        low = sigma if excess > 0.0 else low
+        high = high if excess > 0.0 else sigma
+        following = sigma - excess / slope if slope != 0.0 else low
         if not low <= following <= high or i > 40:  # it left the bracket, or goes round in circles
             following = 0.5 * (low + high)
+        # mu V' = G, and G is -weight at the root
+        gain = 0.5 * (following - sigma) * wave.rate * (force - wave.weight)
+        speed = (2.0 * upward - force + gain) / wave.root
         change = abs(following - sigma)
         sigma = following
         if change <= tolerance:  # the next error is of second order in this one
             break
     phase = (2 * k + 1 + sigma) / wave.kappa
-    force, _, upward = _attached(k, sigma, wave, found.steady, c)
-    speed = (2.0 * upward - force) / wave.root
     if not (min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)):
         return 2.0 * k + 1.0, math.nan, _INACCURATE
     return phase, speed, _RELEASED

@@ -66,9 +66,9 @@ class Underdamped:
 
     def __post_init__(self) -> None:
         for name, check in (
-            ('frequency', checks.positive),
-            ('amplitude', checks.positive),
-            ('damping_ratio', checks.below_one),
+            ('frequency', checks.require_positive),
+            ('amplitude', checks.require_positive),
+            ('damping_ratio', checks.require_in_unit_interval),
         ):
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
@@ -186,16 +186,14 @@ class SampledMotion:
         cls, times: ArrayLike, positions: ArrayLike, *, after: Literal['error', 'hold'] = 'error'
     ) -> SampledMotion:
         """
-        Lay a twice differentiable cubic spline through positions.
+        Lay a twice differentiable cubic spline through positions; fourth order in the spacing.
 
-        It starts at rest. Heights count from the first sample. Fourth order in the spacing.
+        It starts at rest. Heights count from the first sample.
 
         Parameters
         ----------
-        times : array_like, shape (n,)
-            Increasing. [s]
-        positions : array_like, shape (n,)
-            [m]
+        times, positions : array_like, shape (n,)
+            Times increase. [s], [m]
         after : {'error', 'hold'}
             Beyond the last sample: raise, or stay there.
 
@@ -239,27 +237,11 @@ class SampledMotion:
         return float(self.velocity(between).max())
 
     def position(self, time: ArrayLike) -> Floats:
-        """
-        Height of the plate. [m]
-
-        Raises
-        ------
-        ValueError
-            Beyond the last state, unless `after` is 'hold'.
-
-        """
+        """Height of the plate; ValueError beyond the last state, unless `after` is 'hold'. [m]"""
         return np.asarray(self._path(self._within(time)))
 
     def velocity(self, time: ArrayLike) -> Floats:
-        """
-        Velocity of the plate. [m/s]
-
-        Raises
-        ------
-        ValueError
-            Beyond the last state, unless `after` is 'hold'.
-
-        """
+        """Velocity of the plate; ValueError where `position` has it. [m/s]"""
         time = np.asarray(time, dtype=np.float64)
         is_moving = (time >= self.start_time) & (time <= self.end_time)
         return np.where(is_moving, self._path(self._within(time), 1), 0.0)

@@ -2,10 +2,11 @@
 """
 The plate's motion inside compiled steppers.
 
-A stepper's record has the fields `PLATE`. An underdamped plate is evaluated from them; any other
-is a *path*: an array of shape (7, n) with a column for each piece, its start time in the first row
-and the six coefficients of a quintic in height in the others. A path is a ring: pieces of a plate
-that is measured while the stepper runs overwrite those that it has passed.
+A stepper's record has the fields `PLATE`, and beside it there is a *path*. That of an underdamped
+plate are powers of e^{lambda h}, from step to step of a block. That of any other is an array of
+shape (7, n) with a column for each piece, its start time in the first row and the six coefficients
+of a quintic in height in the others. It is a ring: pieces of a plate that is measured while the
+stepper runs overwrite those that it has passed.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ MAX_PIECES_AHEAD = 4096
 DAMPED, PIECES = 0, 1
 """Kinds of plate motion."""
 
+BLOCK = 256
+"""Steps between exact evaluations of an underdamped plate, rotations of which are its path."""
+
 _ROWS = 7
 
 PLATE = [
@@ -46,30 +50,12 @@ _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 
 def write_motion(
-    record: NDArray[np.void], motion: PlateMotion | Literal['measured'] | None, engine: Engine
+    record: NDArray[np.void],
+    motion: PlateMotion | Literal['measured'] | None,
+    engine: Engine,
+    step: float,
 ) -> Floats:
-    """
-    Write a motion into a record of a stepper, and return its path.
-
-    Parameters
-    ----------
-    record : ndarray
-        With the fields `PLATE`, all zero; written to.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        None is that of `engine`; 'measured' is at rest until `append_states`.
-    engine : Engine
-        Of the rig.
-
-    Returns
-    -------
-    ndarray, shape (7, n)
-
-    Raises
-    ------
-    ValueError
-        If the motion is of another kind, or begins before time 0.
-
-    """
+    """Write a motion into a record whose fields `PLATE` are zero, and return its path."""
     record['horizon'] = math.inf
     if motion is None:
         motion = Underdamped.of(engine)
@@ -80,7 +66,8 @@ def write_motion(
         record['growth'] = exponent.real
         record['turn'] = exponent.imag
         record['factor'] = motion.velocity_factor
-        return np.zeros((_ROWS, 1))
+        turns = np.exp(exponent * step * np.arange(BLOCK))
+        return np.array([turns.real, turns.imag])
     record['plate_kind'] = PIECES
     record['pieces'] = 1
     record['horizon'] = 0.0
@@ -104,6 +91,22 @@ def write_motion(
         record['pieces'] += 1
         record['horizon'] = math.inf
     return path
+
+
+@_jit
+def write_underdamped(
+    s: Any, path: Floats, speed: float, omega: float, zeta: float, step: float
+) -> None:
+    """Write an underdamped plate, unchecked, whose speed scale A omega is `speed`."""
+    root = math.sqrt(1.0 - zeta * zeta)
+    s.plate_kind, s.horizon, s.amplitude = DAMPED, math.inf, speed / omega
+    s.growth, s.turn, s.factor = -zeta * omega, root * omega, speed / root
+    size = math.exp(s.growth * step)
+    cosine, sine = size * math.cos(s.turn * step), size * math.sin(s.turn * step)
+    path[0, 0], path[1, 0] = 1.0, 0.0
+    for k in range(1, BLOCK):
+        path[0, k] = path[0, k - 1] * cosine - path[1, k - 1] * sine
+        path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
 
 
 @_jit

@@ -23,7 +23,7 @@ def _check(part: object, **kinds: str) -> None:
         kind = kinds.get(item.name, 'positive')
         if kind != 'part':
             name = f'{type(part).__name__.lower()}.{item.name}'
-            value = getattr(checks, kind)(name, getattr(part, item.name))
+            value = getattr(checks, f'require_{kind}')(name, getattr(part, item.name))
             object.__setattr__(part, item.name, value)
 
 
@@ -53,7 +53,7 @@ class Engine:
     damping_ratio: float = 0.064
 
     def __post_init__(self) -> None:
-        _check(self, damping_ratio='below_one')
+        _check(self, damping_ratio='in_unit_interval')
 
     @property
     def angular_frequency(self) -> float:

@@ -36,16 +36,10 @@ _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 class Smoothed(NamedTuple):
     """
-    States by local fits.
+    States by local fits, NaN where samples are too few, or on one side only.
 
-    Attributes
-    ----------
-    states : ndarray, shape (n, 3)
-        Position [m], velocity [m/s] and acceleration [m/s2]; NaN where samples are too few, or on
-        one side only.
-    errors : ndarray, shape (n,)
-        Standard error of the velocity. [m/s]
-
+    Position [m], velocity [m/s] and acceleration [m/s2] by rows, and standard errors of the
+    velocity [m/s].
     """
 
     states: Floats
@@ -63,36 +57,23 @@ def smooth(
     velocity_noise: float = 1.0,
 ) -> Smoothed:
     """
-    Fit a cubic around each of some times.
+    Fit a cubic around each of some times; the error of the velocity is of third order.
 
     Parameters
     ----------
     at : array_like, shape (n,)
         When, increasing. [s]
-    times : array_like, shape (m,)
-        Of the samples, increasing. [s]
-    positions : array_like, shape (m,)
-        [m]
-    velocities : array_like, shape (m,), optional
-        Measured as well; NaN where they were not. [m/s]
+    times, positions, velocities : array_like, shape (m,)
+        Samples, times increasing; velocities are NaN where not measured. [s], [m], [m/s]
     window : float
         Length of the window. [s]
     position_noise, velocity_noise : float
         Standard deviations. [m], [m/s]
 
-    Returns
-    -------
-    Smoothed
-        A row for each of `at`.
-
     Raises
     ------
     ValueError
         If series do not fit together, or window or noise is not positive.
-
-    Notes
-    -----
-    Exact for cubics. The error of the velocity is of third order in the window.
 
     Examples
     --------
@@ -116,9 +97,9 @@ def smooth(
     for name, series in (('at', at), ('times', times)):
         if series.ndim != 1 or (np.diff(series) <= 0.0).any():
             raise ValueError(f'{name} must be an increasing series, got {series}')
-    window = checks.positive('window', window)
-    noise = checks.positive('position_noise', position_noise)
-    ratio = noise / checks.positive('velocity_noise', velocity_noise)
+    window = checks.require_positive('window', window)
+    noise = checks.require_positive('position_noise', position_noise)
+    ratio = noise / checks.require_positive('velocity_noise', velocity_noise)
     states, errors = np.empty((at.size, 3)), np.empty(at.size)
     fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors)
     return Smoothed(states, noise * errors)

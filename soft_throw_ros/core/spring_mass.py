@@ -27,10 +27,8 @@ def frequency_ratio(
 
     Parameters
     ----------
-    mass_ratio : array_like
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : array_like
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    mass_ratio, speed_ratio : array_like
+        As for `closed_form.first_release`. [-]
 
     Returns
     -------
@@ -43,8 +41,8 @@ def frequency_ratio(
         If a ratio is not finite and positive.
 
     """
-    mu = checks.positive_array('mass_ratio', mass_ratio)
-    kappa = checks.positive_array('speed_ratio', speed_ratio)
+    mu = checks.require_positive_array('mass_ratio', mass_ratio)
+    kappa = checks.require_positive_array('speed_ratio', speed_ratio)
     return _as_float_if_scalar(kappa / (2.0 * math.pi * np.sqrt(mu)))
 
 
@@ -71,23 +69,13 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
 
     Notes
     -----
-    Eqs. (A2)-(A4) of [1]_,
+    Eqs. (A2)-(A4), :math:`t_e f = 1 / (1 + q)` and
 
-    .. math::
+    .. math:: \frac{V_e}{V_p^*} = \frac{q}{q - 1} \sin \frac{2 \pi}{q + 1},
 
-        t_e f = \frac{1}{1 + q}, \qquad
-        \frac{V_e}{V_p^*} = \frac{q}{q - 1} \sin \frac{2 \pi}{q + 1},
-
-    the latter as :math:`\pi q / (q + 1)\, \mathrm{sinc}\, \pi (q - 1) / (q + 1)`, which is
-    the same, and :math:`\pi / 2` at :math:`q = 1` instead of 0/0.
-
-    Left out, beside the mass of the layer: the plate's damping. [1]_ gives this model for a
-    harmonic plate only, so :math:`V_p^* = A \omega`; next to a damped throw it errs by the few
-    percent that damping makes, too.
-
-    References
-    ----------
-    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+    written as :math:`\pi q / (q + 1)\, \mathrm{sinc}\, \pi (q - 1) / (q + 1)`, which is
+    :math:`\pi / 2` at :math:`q = 1` instead of 0/0. The plate's damping is left out, as in the
+    paper, so next to a damped throw it errs by the few percent that damping makes, too.
 
     Examples
     --------
@@ -96,7 +84,7 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     (array([0.6667, 0.5   , 0.3333]), array([0.75  , 2.4674, 3.    ]))
 
     """
-    q = checks.positive_array('frequency_ratio', frequency_ratio)
+    q = checks.require_positive_array('frequency_ratio', frequency_ratio)
     speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
     return FirstRelease(*map(_as_float_if_scalar, (1.0 / (1.0 + q), speed, speed**2)))
 
@@ -104,20 +92,10 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
 @functools.cache
 def best_frequency_ratio() -> float:
     """
-    Find the :math:`f_0 / f` that transfers the most energy.
+    Find the :math:`f_0 / f` that transfers the most energy. [-]
 
-    Returns
-    -------
-    float
-        To a few roundings. [-]
-
-    Notes
-    -----
-    Root of the logarithmic derivative of (A4). [1]_ gives 1.62, and 3.13 for the energy transfer.
-
-    References
-    ----------
-    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+    It is the root of the logarithmic derivative of (A4). The paper gives 1.62, and 3.13 for the
+    energy transfer.
 
     Examples
     --------

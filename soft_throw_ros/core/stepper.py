@@ -16,8 +16,14 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import require_series
-from soft_throw_ros.core.plate_kernels import append_states, extrapolate, MAX_PIECES_AHEAD
+from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
+from soft_throw_ros.core.plate_kernels import (
+    append_states,
+    extrapolate,
+    MAX_PIECES_AHEAD,
+    write_motion,
+)
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -85,17 +91,8 @@ class Loads(NamedTuple):
     """
     Largest magnitudes from the start to the first release, or so far if that is to come.
 
-    Attributes
-    ----------
-    strain : float
-        Anywhere in the layer. [-]
-    plate_strain, contact_strain : float
-        At the plate, and at the top of the layer. [-]
-    acceleration : float
-        Of the projectile. [m/s2]
-    plate_force : float
-        Of the layer on the plate. [N]
-
+    Strains [-] anywhere in the layer, at the plate and at its top, the projectile's acceleration
+    [m/s2], and the force of the layer on the plate [N].
     """
 
     strain: float
@@ -135,6 +132,19 @@ class FirstThrows(NamedTuple):
     peak_acceleration: Floats
     peak_plate_force: Floats
     plate_work: Floats
+
+    @classmethod
+    def collect(
+        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str, waited: str
+    ) -> FirstThrows:
+        """Take rows of all but the energy transfer, NaN for throws that end in no release."""
+        failed = np.flatnonzero(np.isnan(found[0]))
+        if failed.size and unresolved == 'raise':
+            case = describe_ratios(ratios[:, failed[0]])
+            raise ThrowUnresolvedError(f'no release within {waited} for {case}')
+        transfer = (found[1] / peak_velocity_ratios(ratios[2])) ** 2
+        rows = (*found[:2], transfer, *found[2:])
+        return cls(*(np.reshape(row, shape)[()] for row in rows))
 
 
 class Stepper(ABC):
@@ -177,6 +187,8 @@ class Stepper(ABC):
     """A row for each event: kind, time, position, velocity."""
     _advance: ClassVar[Callable[..., int]]
     """Kernel that goes to a time; it returns the number of events, or what is wrong."""
+    _restart: ClassVar[Callable[..., None]]
+    """Kernel that puts the first two arrays of `_memory` back to rest."""
     _memory: tuple[Any, ...]
     """What `_advance` takes after the time: arrays, of which the first is `_core`."""
     _changing: ClassVar[tuple[str, ...]]
@@ -186,12 +198,28 @@ class Stepper(ABC):
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
-        self._is_measured = False
         self._readable = np.empty(0)  # the array that was checked last
+        self._work_unit = 1.0  # of the records' works [J]
 
-    @abstractmethod
+    def _make_records(
+        self,
+        record: np.dtype[np.void],
+        motion: PlateMotion | Literal['measured'] | None,
+        step: float,
+    ) -> NDArray[np.void]:
+        """Make records and path, and return the record to fill in."""
+        self._core = np.zeros(3, record)
+        start: NDArray[np.void] = self._core[2]
+        self._path = write_motion(start, motion, self.rig.engine, step)
+        self._is_measured = isinstance(motion, str)
+        self.state = self._core['state'][1]
+        self.state.flags.writeable = False
+        return start
+
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
+        self._restart(*self._memory[:2])
+        self._advance(0.0, *self._memory)
 
     def advance_to(self, time: float) -> int:
         """
@@ -236,7 +264,10 @@ class Stepper(ABC):
 
     def append_plate_states(self, times: ArrayLike, states: ArrayLike) -> None:
         """
-        Append states of a plate that is measured while the stepper goes on.
+        Append states of a plate that is measured while the stepper goes on, joined by quintics.
+
+        It is known up to the last state, before the second one up to the first, before which it is
+        at rest.
 
         Parameters
         ----------
@@ -249,13 +280,7 @@ class Stepper(ABC):
         ------
         ValueError
             If the stepper was not made with the motion 'measured', or states are not finite,
-            not increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead of `advance_to`.
-            None is taken then.
-
-        Notes
-        -----
-        States are joined by quintics, sixth order in height. The plate is known up to the last
-        state, before the second one up to the first, before which it is at rest.
+            not increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
 
         """
         if not self._is_measured:
@@ -285,14 +310,8 @@ class Stepper(ABC):
         """
         Make a stepper that can go ahead of this one, see `sync_from`.
 
-        The two share what is known of the plate and the memory for events: `events` of the fork
-        are right until this stepper goes on.
-
-        Raises
-        ------
-        ValueError
-            If this stepper was not made with the motion 'measured'.
-
+        They share the plate and the memory for events: `events` of the fork are right until this
+        stepper goes on. ValueError if this one was not made with the motion 'measured'.
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
@@ -311,17 +330,10 @@ class Stepper(ABC):
         """
         Take over where `origin`, of which this is a fork, is now, so as to go ahead from there.
 
-        Beyond its horizon the plate keeps the acceleration that it has there. What a wave from
-        the plate has not reached yet does not depend on that: the projectile is as it will be for
-        one crossing of the wave beyond the horizon of `origin`, to the order of the model.
-        Internal loss spreads in no time: a loss tangent of 0.05 makes the velocity uncertain by
-        2e-3 of its scale at the end of that time.
-
-        Parameters
-        ----------
-        origin : Stepper
-            Which has made this one.
-
+        Beyond its horizon the plate keeps its acceleration. What a wave from the plate has not
+        reached yet does not depend on that: the projectile is right for one crossing of the wave
+        beyond the horizon of `origin`. Internal loss spreads in no time: a loss tangent of 0.05
+        makes the velocity uncertain by 2e-3 of its scale at the end of that time.
         """
         self._copy_from(origin)
         _extrapolate(self._core, self._path)
@@ -338,13 +350,8 @@ class Stepper(ABC):
         Parameters
         ----------
         out : ndarray, shape (3, field_points)
-            Of float64, written to: heights above the plate's rest position [m], velocities [m/s],
-            and forces of what is below on what is above, so positive where compressed [N].
-
-        Raises
-        ------
-        ValueError
-            If the array does not fit.
+            Of float64: heights above the plate's rest position [m], velocities [m/s], and forces
+            of what is below on what is above, so positive where compressed [N]; else ValueError.
 
         """
         if out is not self._readable:
@@ -362,19 +369,14 @@ class Stepper(ABC):
 
     def sample_strain(self, times: ArrayLike, out: Floats) -> None:
         """
-        Go forward through `times`, and write the total strain at each into a row of `out`.
+        Go forward through `times` as `advance_to`, and write the total strain at each to `out`.
 
         Parameters
         ----------
         times : array_like, shape (n,)
-            As for `advance_to`. [s]
+            Increasing. [s]
         out : ndarray, shape (n, field_points)
-            Of float64, written to. [-]
-
-        Raises
-        ------
-        ValueError
-            If `out` does not fit; else as `advance_to`, with the rows before it written.
+            Of float64; else ValueError. [-]
 
         """
         times = np.ascontiguousarray(times, dtype=np.float64)
@@ -428,9 +430,11 @@ class Stepper(ABC):
         """Largest loads up to the first release, or so far if that is to come."""
 
     @property
-    @abstractmethod
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or so far if that is to come. [J]"""
+        if not self.event_count:
+            return self.work_so_far
+        return float(self._work_unit * self._core['first_work'][1])
 
     @property
     @abstractmethod
@@ -445,6 +449,17 @@ class Stepper(ABC):
     @abstractmethod
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+
+
+@nb.njit(cache=True, nogil=True, error_model='numpy')
+def note_event(
+    s: Any, events: Floats, kind: int, time: float, height: float, velocity: float
+) -> None:
+    """Write down an event, its height from rest; without room for it, the march ends."""
+    s.events += 1
+    if s.events <= events.shape[0]:
+        row = events[s.events - 1]
+        row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
 
 
 @nb.njit(cache=True, nogil=True)
@@ -473,6 +488,17 @@ def _extrapolate(core: NDArray[np.void], path: Floats) -> None:
     core[1].horizon = core[0].horizon
 
 
+def load_kernels(stepper: Stepper) -> None:
+    """Have a new stepper for a measured plate compile or load all its kernels."""
+    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
+    stepper.advance_to(stepper.horizon / 1024.0)
+    stepper.read_layer(np.empty((3, stepper.field_points)))
+    stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
+    stepper.stored_energy()
+    stepper.fork().sync_from(stepper)
+    assert stepper.loads
+
+
 def require_count(name: str, value: object, *, low: int, high: int) -> int:
     """Return a whole number within limits, or raise ValueError."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
@@ -482,17 +508,9 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     return int(value)
 
 
-def require_target(name: str, array: object, shape: tuple[int, ...]) -> None:
+def require_target(name: str, array: Floats, shape: tuple[int, ...]) -> None:
     """Raise ValueError unless a kernel can write to `array`."""
-    if (
-        not isinstance(array, np.ndarray)
-        or array.dtype != np.float64
-        or array.shape != shape
-        or not (array.flags.c_contiguous and array.flags.writeable)
-    ):
-        got = (
-            f'{array.dtype} of shape {array.shape}'
-            if isinstance(array, np.ndarray)
-            else type(array).__name__
-        )
+    is_array = isinstance(array, np.ndarray)
+    if not is_array or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
+        got = f'{array.dtype} of shape {array.shape}' if is_array else type(array).__name__
         raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')

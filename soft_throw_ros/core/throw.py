@@ -82,23 +82,7 @@ def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
 
 
 def apex_height(ejection: Event, gravity: float) -> float:
-    """
-    Compute how high the projectile flies after an ejection.
-
-    Parameters
-    ----------
-    ejection : Event
-        The last one.
-    gravity : float
-        [m/s2]
-
-    Returns
-    -------
-    float
-        Of the projectile's lower face, above the plate's rest position; infinite without
-        gravity. [m]
-
-    """
+    """Compute how high the lower face flies, infinite without gravity. [m]"""
     if gravity == 0.0:
         return math.inf
     return ejection.position + max(ejection.velocity, 0.0) ** 2 / (2.0 * gravity)
@@ -117,20 +101,10 @@ def make_stepper(
 
     Parameters
     ----------
-    rig : Rig
-        The throwing rig.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        How the plate moves; None is that of the rig's engine.
-    model : str
-        One of `models.MODELS`.
-    cells : int, optional
-        Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
+    rig, motion, model, cells
+        As for `simulate`; the motion may also be 'measured'.
     field_points : int
         Heights at which the layer is read.
-
-    Returns
-    -------
-    Stepper
 
     Raises
     ------
@@ -255,16 +229,7 @@ class Throw:
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
         """
-        Give positions and velocities, by following the throw once more.
-
-        Parameters
-        ----------
-        time : array_like, shape (n,)
-            Increasing. [s]
-
-        Returns
-        -------
-        Trajectory
+        Give positions and velocities at increasing times [s], by following the throw once more.
 
         Raises
         ------
@@ -292,16 +257,10 @@ class Throw:
         points : int
             Depths from plate to top, both included.
 
-        Returns
-        -------
-        Fields
-            Of shape (n, points).
-
         Raises
         ------
         ValueError
-            For times that do not increase, or at which the plate is not known, or fewer than 2
-            points.
+            As for `trajectory`, or for fewer than 2 points.
 
         """
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
@@ -397,9 +356,9 @@ def simulate(
     1.996
 
     """
-    checks.positive('max_strain', max_strain)
+    checks.require_positive('max_strain', max_strain)
     if until is not None:
-        checks.positive('until', until)
+        checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
     if motion is None:

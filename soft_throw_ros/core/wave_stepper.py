@@ -48,16 +48,16 @@ from typing import Literal
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads
+from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
     DAMPED,
     motion_at,
     piece_at,
     PLATE,
     velocity_of_piece,
-    write_motion,
+    write_underdamped,
 )
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -65,7 +65,9 @@ from soft_throw_ros.core.stepper import (
     BEYOND_HORIZON,
     FirstThrows,
     LANDING,
+    load_kernels,
     Loads,
+    note_event,
     PLATE_FORCE,
     PLATE_POSITION,
     PLATE_VELOCITY,
@@ -80,7 +82,6 @@ from soft_throw_ros.core.stepper import (
     TOO_FAR,
     TOO_MANY_EVENTS,
 )
-from soft_throw_ros.core.threads import in_threads
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +100,6 @@ _STEP_COST = 3e-9  # of a processor [s]
 
 _PAD = 8  # steps that are kept beyond the crossing time, for the cubics
 _ROOM = 1024  # steps by which the memory of waves is longer than it must be, to be moved seldom
-_BLOCK = 256  # steps between exact evaluations of the underdamped plate
 _NOISE = 1e-12  # of the plate's speed: a force below it is rounding, and no pull
 _FRONTS = 6  # row of the waves' memory: arrival, offset and size of each front
 _MAX_FRONTS = 64
@@ -184,25 +184,18 @@ def steps_per_crossing(rig: Rig) -> int:
     r"""
     Choose how many steps resolve one crossing of the wave, or refuse what real time cannot do.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-
     Returns
     -------
     int
-        512, or more where the relaxation time :math:`\tau` or the plate's period is short, or
-        less where steps would be more than `MAX_STEP_RATE` in a second. A relaxation time that is
-        shorter than a step does little harm, since the mass is solved for exactly. Errors in
-        :math:`t f` and
+        512, or more where the relaxation time or the plate's period is short, or less where steps
+        would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
         :math:`V / (A \omega)`: 1e-6 at the first release, 1e-4 up to the fifth event, 1e-3 later.
 
     Raises
     ------
     ValueError
-        If the layer is a stack or has loss, or more than `MAX_STEPS` steps, or `MAX_STEP_RATE` in
-        a second, would be needed; it says which number, which limit and what would do.
+        If the layer is a stack or has loss, or if `MAX_STEPS` or `MAX_STEP_RATE` are too few, with
+        what would do.
 
     Examples
     --------
@@ -307,19 +300,6 @@ def _cubic(waves, i, aside):
 
 
 @_jit
-def _note_event(s, events, kind, offset, height, velocity):
-    """Write down an event; without room for it, the march ends."""
-    s.events += 1
-    if s.events > events.shape[0]:
-        return
-    row = events[s.events - 1]
-    row[0] = kind
-    row[1] = (s.cell + offset) * s.step
-    row[2] = s.rest_height + height
-    row[3] = velocity
-
-
-@_jit
 def _free_flight(s, offset):
     """Compute time since the launch, height and velocity of the projectile."""
     time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
@@ -381,16 +361,10 @@ def _next_front(s, waves, number):
 
 
 @_jit
-def _cross_step(s, waves, events, target):
-    """
-    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
-
-    Below 1 that leaves `s` there, with its state written; at 1 the step is done, and the sample
-    of m at the next grid point written.
-    """
-    cell, is_whole = s.cell, target == 1.0
+def _expand_step(s, waves, number):
+    """Expand p at the top after `s.cell`: value and slope for heights, and powers for the mass."""
+    cell = s.cell
     i = cell - s.base - s.steps
-    number = s.front_begin
     here = waves[0, i]
     slope = waves[0, i + 1] - here  # heights take p as linear, of second order as the gap is
     k = number
@@ -398,10 +372,60 @@ def _cross_step(s, waves, events, target):
         slope -= waves[_FRONTS, 3 * (k % _MAX_FRONTS) + 2]
         k += 1
     if _next_front(s, waves, number) <= cell + 1 or cell - s.last_front <= 1:
-        a, b, c, e = here, slope, 0.0, 0.0
+        return here, slope, here, slope, 0.0, 0.0
+    aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
+    a, b, c, e = _cubic(waves, i, aside)
+    return here, slope, a, b, c, e
+
+
+@_jit
+def _end_step(s, waves, V, P, error):
+    """Write the sample of m at the next grid point, and account for the step."""
+    p = waves[0, s.cell + 1 - s.base - s.steps]
+    s.cell += 1
+    s.sum = P / s.step
+    s.velocity = V if s.contact else 0.0
+    j = s.cell - s.base
+    waves[1, j] = (V - p if s.contact else p + s.gravity_offset) + error
+    if s.contact and s.events == 0:
+        s.peak_push = max(s.peak_push, 2.0 * p - V)
+    m = waves[1, j - s.steps]
+    stress = waves[0, j] - m + s.gravity_offset
+    s.power = stress * (waves[0, j] + m)
+    s.work += s.power
+    if s.events == 0:
+        s.peak_stress = max(s.peak_stress, abs(stress))
+
+
+@_jit
+def _write_top(s, offset, a, V, P):
+    """Write what projectile and top do within a step, where p is a."""
+    s.plus[1] = a
+    if s.contact:
+        s.minus[1] = V - a
+        s.surface = s.top + 2.0 * P - s.relaxation * V
+        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
+        s.state[PROJECTILE_VELOCITY] = V
+        s.state[PROJECTILE_FORCE] = s.mass * ((2.0 * a - V) / s.relaxation + s.gravity)
     else:
-        aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
-        a, b, c, e = _cubic(waves, i, aside)
+        time, height, velocity = _free_flight(s, offset)
+        s.minus[1] = a + s.gravity_offset
+        s.surface = s.top + 2.0 * P + s.gravity_offset * time
+        s.state[PROJECTILE_POSITION] = s.rest_height + height
+        s.state[PROJECTILE_VELOCITY] = velocity
+        s.state[PROJECTILE_FORCE] = 0.0
+
+
+@_jit
+def _cross_step(s, waves, events, target):
+    """
+    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
+
+    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    """
+    cell, is_whole = s.cell, target == 1.0
+    number = s.front_begin
+    here, slope, a, b, c, e = _expand_step(s, waves, number)
     V, P, offset, error = s.velocity, s.step * s.sum, 0.0, 0.0
     events_left = _EVENTS_PER_STEP
     while True:
@@ -438,7 +462,7 @@ def _cross_step(s, waves, events, target):
             height = s.top + 2.0 * P - s.relaxation * V
             if s.events == 0:
                 s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
-            _note_event(s, events, RELEASE, offset, height, V)
+            note_event(s, events, RELEASE, (cell + offset) * s.step, height, V)
             s.contact = False
             s.launch_cell, s.launch_offset = cell, offset
             s.launch_height, s.launch_velocity = height, V
@@ -446,7 +470,8 @@ def _cross_step(s, waves, events, target):
         elif happens:
             _, height, V = _free_flight(s, offset)
             s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
-            _note_event(s, events, LANDING if s.landed else RECONTACT, offset, height, V)
+            kind = LANDING if s.landed else RECONTACT
+            note_event(s, events, kind, (cell + offset) * s.step, height, V)
             echo = 2.0 * a + s.gravity_offset - V
             s.contact = True
             s.top = height - 2.0 * P + s.relaxation * V
@@ -459,42 +484,10 @@ def _cross_step(s, waves, events, target):
             s.front_begin = number
             if not _push_front(s, waves, offset, echo):
                 error += (offset - 0.5) * echo
-    if target == 1.0:
-        s.cell += 1
-        s.sum = P / s.step
-        s.velocity = V if s.contact else 0.0
-        j = s.cell - s.base
-        p = waves[0, i + 1]
-        waves[1, j] = (V - p if s.contact else p + s.gravity_offset) + error
-        if s.contact and s.events == 0:
-            s.peak_push = max(s.peak_push, 2.0 * p - V)
-        _account_plate(s, waves, j)
-        return
-    s.plus[1] = a
-    if s.contact:
-        s.minus[1] = V - a
-        s.surface = s.top + 2.0 * P - s.relaxation * V
-        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
-        s.state[PROJECTILE_VELOCITY] = V
-        s.state[PROJECTILE_FORCE] = s.mass * ((2.0 * a - V) / s.relaxation + s.gravity)
+    if is_whole:
+        _end_step(s, waves, V, P, error)
     else:
-        time, height, velocity = _free_flight(s, offset)
-        s.minus[1] = a + s.gravity_offset
-        s.surface = s.top + 2.0 * P + s.gravity_offset * time
-        s.state[PROJECTILE_POSITION] = s.rest_height + height
-        s.state[PROJECTILE_VELOCITY] = velocity
-        s.state[PROJECTILE_FORCE] = 0.0
-
-
-@_jit
-def _account_plate(s, waves, j):
-    """Add up the work of the plate, and look at its load, at index j."""
-    p, m = waves[0, j], waves[1, j - s.steps]
-    stress = p - m + s.gravity_offset
-    s.power = stress * (p + m)
-    s.work += s.power
-    if s.events == 0:
-        s.peak_stress = max(s.peak_stress, abs(stress))
+        _write_top(s, offset, a, V, P)
 
 
 @_jit
@@ -568,16 +561,16 @@ def _fill(s, waves, path, last):
         j, N = first - s.base, s.steps
         if s.plate_kind == DAMPED:
             # Rotations of a phasor that is evaluated anew for every block
-            k = first % _BLOCK
-            if first // _BLOCK != s.block:
-                s.block = first // _BLOCK
-                time = s.block * _BLOCK * s.step
+            k = first % BLOCK
+            if first // BLOCK != s.block:
+                s.block = first // BLOCK
+                time = s.block * BLOCK * s.step
                 fading = s.growth * time
                 size = 0.0 if fading < -600.0 else s.factor * math.exp(fading)
                 s.phasor[0] = size * math.cos(s.turn * time)
                 s.phasor[1] = size * math.sin(s.turn * time)
             real, imaginary = s.phasor[0], s.phasor[1]
-            count = min(count, _BLOCK - k)
+            count = min(count, BLOCK - k)
             leaving, coming = waves[0, j : j + count], waves[1, j - N : j - N + count]
             cosines, sines = path[0, k : k + count], path[1, k : k + count]
             for n in range(count):
@@ -810,28 +803,23 @@ class WaveStepper(Stepper):
     """
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
 
+    See the module for the scheme and its order, and `Stepper` for what all steppers promise.
+
     Parameters
     ----------
     rig : Rig
-        The rig; its layer must be of one material, and lossless.
+        The rig.
     motion : Underdamped, SampledMotion, 'measured' or None
-        How the plate moves; None is `Underdamped.of(rig.engine)`, 'measured' waits for
-        `append_plate_states`. A sampled motion must not begin before time 0.
+        How the plate moves; None is the engine's, 'measured' waits for `append_plate_states`.
     steps : int, optional
-        Steps per crossing of the wave, 16 to `MAX_STEPS`, however long they take; the default is
-        `steps_per_crossing`.
+        Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
     field_points : int
         Heights at which the layer is read, 2 or more.
 
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time (see `steps_per_crossing`), or an argument is
-        out of range.
-
-    Notes
-    -----
-    See the module for the scheme and its order.
+        If the rig cannot be stepped in real time, or an argument is out of range.
 
     Examples
     --------
@@ -847,6 +835,7 @@ class WaveStepper(Stepper):
     """
 
     _advance = staticmethod(_advance)
+    _restart = staticmethod(_reset)
     _changing = ('_core', '_waves')
 
     def __init__(
@@ -862,14 +851,7 @@ class WaveStepper(Stepper):
         if steps is None:
             steps = steps_per_crossing(rig)
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
-        self._core = np.zeros(3, _CORE)
-        start = self._core[2]
-        self._path = write_motion(start, motion, rig.engine)
-        self._is_measured = isinstance(motion, str)
-        if start['plate_kind'] == DAMPED:
-            exponent = complex(start['growth'], start['turn'])
-            turns = np.exp(exponent * rig.crossing_time / self.steps * np.arange(_BLOCK))
-            self._path = np.array([turns.real, turns.imag])
+        start = self._make_records(_CORE, motion, rig.crossing_time / self.steps)
         noise = _NOISE * rig.engine.speed_scale
         _prepare(start, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity, noise)
         start['event_limit'] = len(self._events)
@@ -880,15 +862,9 @@ class WaveStepper(Stepper):
         start['rest_height'] = rig.layer.thickness - rig.static_sag
         self._waves = np.zeros((7, 4 * self.steps + _ROOM))
         self._scratch = np.zeros((3, field_points))
+        self._work_unit = rig.layer.impedance * float(start['step'])
         self._memory = (self._core, self._waves, self._path, self._events)
-        self.state = self._core['state'][1]
-        self.state.flags.writeable = False
         self.reset()
-
-    def reset(self) -> None:
-        """Go back to time 0, everything at rest; states appended are forgotten."""
-        _reset(self._core, self._waves)
-        self._advance(0.0, *self._memory)
 
     def _copy_from(self, origin: Stepper) -> None:
         """Copy records, and the waves that are still on their way."""
@@ -897,12 +873,7 @@ class WaveStepper(Stepper):
         _copy_waves(self._waves, origin._waves, self._core)
 
     def _read_layer(self, out: Floats) -> None:
-        """
-        Write the layer.
-
-        Both waves are interpolated linearly between grid points, except at plate and top, which
-        agree with `state`.
-        """
+        """Write the layer; between grid points both waves are lines."""
         _read_layer(self._core, self._waves, out)
 
     def _read_strain(self, strain: Floats) -> None:
@@ -934,30 +905,14 @@ class WaveStepper(Stepper):
         )
 
     @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come. [J]"""
-        now = self._core[1]
-        if now['events'] == 0:
-            return self.work_so_far
-        return float(self._work_unit() * now['first_work'])
-
-    @property
     def work_so_far(self) -> float:
         """Work of the plate up to the last grid point, by the trapezoidal rule. [J]"""
         now = self._core[1]
         part = (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit() * (now['work'] + now['front_work'] + part))
-
-    def _work_unit(self) -> float:
-        """Return the work of one step at unit power. [J s2/m2]"""
-        return float(self.rig.layer.impedance * self._core['step'][1])
+        return float(self._work_unit * (now['work'] + now['front_work'] + part))
 
     def stored_energy(self) -> float:
-        """
-        Add up the energy of layer and projectile against rest, at the present time. [J]
-
-        It is the work of the plate, since nothing is lost. Second order in the step.
-        """
+        """Add up the energy of layer and projectile against rest, to second order. [J]"""
         return float(_stored_energy(self._core, self._waves))
 
 
@@ -984,14 +939,9 @@ def first_throws(
 
     Parameters
     ----------
-    mass_ratio : array_like
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : array_like
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : array_like
-        Of the plate, :math:`\zeta`. [-]
-    gravity_ratio : array_like
-        :math:`g / (A \omega^2)`. [-]
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
+        :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, the plate's
+        :math:`\zeta`, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
     unresolved : {'raise', 'nan'}
         What becomes of throws without a release: the first is raised, or all are NaN.
     threads : int, optional
@@ -1005,8 +955,7 @@ def first_throws(
     Raises
     ------
     ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative), the
-        shapes do not fit, or an option is not one of its values.
+        If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
         If a projectile does not leave within 8 periods of the plate and 8 of its own on the
         layer, or 4096 crossings, unless `unresolved` is 'nan'.
@@ -1018,17 +967,13 @@ def first_throws(
     (array([4.081, 4.123]), array([1.046, 1.107]))
 
     """
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    damping_ratio = checks.below_one_array('damping_ratio', damping_ratio)
-    cases = np.broadcast_arrays(
-        checks.positive_array('mass_ratio', mass_ratio),
-        checks.positive_array('speed_ratio', speed_ratio),
-        damping_ratio,
-        checks.not_negative_array('gravity_ratio', gravity_ratio),
+    ratios, shape = broadcast_ratios(
+        unresolved,
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=damping_ratio,
+        gravity_ratio=gravity_ratio,
     )
-    shape = cases[0].shape
-    ratios = np.stack([case.ravel() for case in cases])
     steps = np.maximum(_STEPS_PER_RELAXATION / ratios[0], _STEPS_PER_PERIOD / ratios[1])
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
     found = np.full((6, ratios.shape[1]), math.nan)
@@ -1039,37 +984,20 @@ def first_throws(
         _first_throws(ratios, steps, core, waves, found, part, parts)
 
     in_threads(run, count=ratios.shape[1], per_thread=_THROWS_PER_THREAD, threads=threads)
-    failed = np.flatnonzero(np.isnan(found[0]))
-    if failed.size and unresolved == 'raise':
-        mu, kappa, zeta, gravity = ratios[:, failed[0]]
-        raise ThrowUnresolvedError(
-            f'no release within {_MAX_PERIODS:g} periods for mass_ratio {mu:g}, speed_ratio '
-            f'{kappa:g}, damping_ratio {zeta:g}, gravity_ratio {gravity:g}'
-        )
-    phase, speed, strain, acceleration, force, work = found.reshape(6, *shape)
-    transfer = (speed / peak_velocity_ratios(damping_ratio)) ** 2
-    return FirstThrows(phase, speed, transfer, strain, acceleration, force, work)
+    return FirstThrows.collect(found, ratios, shape, unresolved, f'{_MAX_PERIODS:g} periods')
 
 
 @_jit
 def _first_throws(ratios, steps, core, waves, found, part, parts):
     """Follow every throw of `parts`, from number `part` on, in units of 1 / f and A omega."""
     event = np.empty((1, 4))
-    path = np.empty((2, _BLOCK))
+    path = np.empty((2, BLOCK))
     for n in range(part, steps.size, parts):
         mu, kappa, zeta, gravity = ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n]
         core[0] = core[1]
         s = core[0]
-        root = math.sqrt(1.0 - zeta * zeta)
-        s.plate_kind, s.horizon = DAMPED, math.inf
-        s.growth, s.turn, s.factor = -2.0 * math.pi * zeta, 2.0 * math.pi * root, 1.0 / root
+        write_underdamped(s, path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * steps[n]))
         _prepare(s, steps[n], 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, _NOISE)
-        size = math.exp(s.growth * s.step)
-        cosine, sine = size * math.cos(s.turn * s.step), size * math.sin(s.turn * s.step)
-        path[0, 0], path[1, 0] = 1.0, 0.0
-        for k in range(1, _BLOCK):
-            path[0, k] = path[0, k - 1] * cosine - path[1, k - 1] * sine
-            path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
         waves[:, : s.steps + _PAD + 1] = 0.0
         natural = 2.0 * math.pi * math.sqrt(mu) / kappa  # period of the mass on a massless layer
         latest = min(_MAX_PERIODS * (1.0 + natural) * kappa, _MAX_CROSSINGS) + 1.0
@@ -1086,10 +1014,4 @@ def _first_throws(ratios, steps, core, waves, found, part, parts):
 
 def warm_up() -> None:
     """Compile or load all kernels that the twin needs."""
-    stepper = WaveStepper(Rig(), 'measured', field_points=2)
-    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
-    stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty((3, 2)))
-    stepper.stored_energy()
-    stepper.fork().sync_from(stepper)
-    assert stepper.loads
+    load_kernels(WaveStepper(Rig(), 'measured', field_points=2))

@@ -85,7 +85,7 @@ class Target:
                 f'give either a height or a speed as target, got {"both" if given else "neither"}'
             )
         name = given[0]
-        object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        object.__setattr__(self, name, checks.require_positive(name, getattr(self, name)))
 
     @property
     def summary(self) -> str:
@@ -215,7 +215,7 @@ def aim(
 
     """
     limits = limits or Limits()
-    checks.positive('max_amplitude', max_amplitude)
+    checks.require_positive('max_amplitude', max_amplitude)
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
     if target.height is not None and rig.gravity == 0.0:

@@ -135,7 +135,7 @@ class LandscapeAxis:
     def __post_init__(self) -> None:
         if self.name not in AXES:
             raise ValueError(f'no axis is named {self.name!r}; there are: {", ".join(AXES)}')
-        values = checks.not_negative_array(self.name, self.values)
+        values = checks.require_not_negative_array(self.name, self.values)
         if values.ndim != 1 or not values.size:
             raise ValueError(f'{self.name} must be a row of numbers, got shape {values.shape}')
         for before, after in itertools.pairwise(values.tolist()):
@@ -145,9 +145,9 @@ class LandscapeAxis:
             for value in (values[0], values[-1]):
                 TWIN.check_value(self.name, float(value))
         else:
-            checks.positive(self.name, values[0])
+            checks.require_positive(self.name, values[0])
         if self.name == 'x':
-            checks.below_one(self.name, values[-1])
+            checks.require_in_unit_interval(self.name, values[-1])
         object.__setattr__(self, 'values', values)
 
     @property
@@ -363,7 +363,7 @@ def compute_landscape(
         projectile = rig.projectile
         density_ratio = projectile.mass / (rig.layer.section * projectile.length)
         density_ratio /= rig.layer.density
-    checks.positive('density_ratio', density_ratio)
+    checks.require_positive('density_ratio', density_ratio)
     shape = (first.values.size, second.values.size)
     along = {first.name: first.values[:, None], second.name: second.values[None, :]}
     cases = np.zeros((len(Ratios._fields), math.prod(shape)))

@@ -61,7 +61,7 @@ class Limits:
         for item in fields(self):
             value = getattr(self, item.name)
             if value != math.inf or item.name.startswith(('thickness', 'wave_speed')):
-                object.__setattr__(self, item.name, checks.positive(item.name, value))
+                object.__setattr__(self, item.name, checks.require_positive(item.name, value))
         for name in ('thickness', 'wave_speed'):
             low, high = getattr(self, name)
             if low >= high:
@@ -128,7 +128,9 @@ class Robust:
     limits_hold_for_all: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, 'quantile', checks.below_one('quantile', self.quantile))
+        object.__setattr__(
+            self, 'quantile', checks.require_in_unit_interval('quantile', self.quantile)
+        )
 
     @property
     def summary(self) -> str:
@@ -181,7 +183,7 @@ class Versatile:
 
     def __post_init__(self) -> None:
         for name in ('masses', 'frequencies'):
-            values = tuple(checks.positive(name, value) for value in getattr(self, name))
+            values = tuple(checks.require_positive(name, value) for value in getattr(self, name))
             if not 1 <= len(values) <= MAX_VALUES:
                 raise ValueError(
                     f'{name} must be 1 to {MAX_VALUES} numbers, got {len(values)}: '

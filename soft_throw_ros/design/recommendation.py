@@ -146,7 +146,7 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     (0.2554, 8.57592, 4.142897)
 
     """
-    checks.below_one('damping_ratio', damping_ratio)
+    checks.require_in_unit_interval('damping_ratio', damping_ratio)
     # a rig whose layer has these very ratios for thickness and wave speed
     rig = Rig(
         engine=Engine(frequency=1.0, amplitude=1.0, damping_ratio=float(damping_ratio)),

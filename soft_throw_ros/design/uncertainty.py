@@ -72,7 +72,11 @@ class Uncertainties:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            check = checks.below_one if item.name == 'mass' else checks.not_negative
+            check = (
+                checks.require_in_unit_interval
+                if item.name == 'mass'
+                else checks.require_not_negative
+            )
             name = f'uncertainty.{item.name}'
             object.__setattr__(self, item.name, check(name, getattr(self, item.name)))
 

@@ -175,10 +175,10 @@ def fit_wave_speed(
         raise ValueError(
             f'there must be a period for each thickness, got {len(periods)} for {len(thicknesses)}'
         )
-    thickness = checks.positive_array('thicknesses', list(thicknesses))
-    period = checks.positive_array('periods', [each.value for each in periods])
-    error = checks.not_negative_array('periods', [each.error for each in periods])
-    spread = checks.not_negative('thickness_error', thickness_error)
+    thickness = checks.require_positive_array('thicknesses', list(thicknesses))
+    period = checks.require_positive_array('periods', [each.value for each in periods])
+    error = checks.require_not_negative_array('periods', [each.error for each in periods])
+    spread = checks.require_not_negative('thickness_error', thickness_error)
     slowness = float(np.sum(period * thickness) / np.sum(thickness**2))  # T_0 / L_s = 2 / c_s
     for _ in range(20):
         variance = np.maximum(error**2 + (slowness * spread) ** 2, 1e-300)

@@ -92,7 +92,7 @@ class Track:
         if self.known_noise is None:
             noise = max(noise_of(position), self.least_noise)
         else:
-            noise = checks.positive('known_noise', self.known_noise)
+            noise = checks.require_positive('known_noise', self.known_noise)
         object.__setattr__(self, 'noise', noise)
 
     @property

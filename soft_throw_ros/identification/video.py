@@ -140,7 +140,8 @@ def tracks_of(
         If a number is not finite and positive, or a body none of `BODIES`.
 
     """
-    rate, scale = checks.positive('rate', rate), checks.positive('scale', scale)
+    rate = checks.require_positive('rate', rate)
+    scale = checks.require_positive('scale', scale)
     if bodies is None:
         bodies = ['plate', *['layer'] * (len(spots) - 2), 'projectile'][: len(spots)]
     for body in bodies:
@@ -351,7 +352,8 @@ def space_time(
         If a number is not finite and positive.
 
     """
-    rate, scale = checks.positive('rate', rate), checks.positive('scale', scale)
+    rate = checks.require_positive('rate', rate)
+    scale = checks.require_positive('scale', scale)
     lines = []
     for picture in pictures:
         rows, columns = picture.shape

@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every stepper promises, whatever it is a model of."""
 
+from functools import partial
+import math
+import re
+import tracemalloc
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
+    EventLimitError,
     HorizonError,
     PLATE_FORCE,
     PLATE_POSITION,
@@ -16,24 +25,32 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
     TIME,
 )
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 LOSSY = Rig(layer=Layer(loss_tangent=0.05))
-
-
-def lossy(motion=None, **options):
-    return CellStepper(LOSSY, motion, **options)
-
-
-def lossless(motion=None, **options):
-    return CellStepper(Rig(), motion, **options)
-
-
-def waves(motion=None, **options):
-    return WaveStepper(Rig(), motion, **options)
-
-
-pytestmark = pytest.mark.parametrize('make', [waves, lossless, lossy])
+STACKED = Rig(
+    layer=Stack(
+        sheets=(
+            Layer(thickness=8e-3),
+            Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1),
+        )
+    )
+)
+SOFT = Rig(projectile=Projectile(youngs_modulus=1e6))
+LAYERS_ON_THE_PLATE = [
+    partial(WaveStepper, Rig()),
+    partial(CellStepper, Rig()),
+    partial(CellStepper, LOSSY),
+]
+OTHERS = [
+    partial(CellStepper, STACKED),
+    partial(CellStepper, SOFT, model='finite_difference_elastic'),
+    partial(CellStepper, LOSSY, model='finite_difference_glued'),
+    partial(CellStepper, LOSSY, model='spring_mass'),
+]
+steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE)
+all_steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE + OTHERS)
 
 
 def plate_states(times):
@@ -55,17 +72,19 @@ def observe(model):
     return np.array(numbers).tobytes(), model.events(), model.in_contact, model.event_count
 
 
+@all_steppers
 def test_results_do_not_depend_on_the_times_asked_for(make):
     direct, wandering = make(), make()
-    for time in np.sort(np.random.default_rng(2).uniform(0.0, 0.3, 40)):
+    for time in np.sort(np.random.default_rng(2).uniform(0.0, 0.35, 40)):
         wandering.advance_to(time)
         observe(wandering)
-    direct.advance_to(0.3)
-    wandering.advance_to(0.3)
+    direct.advance_to(0.35)
+    wandering.advance_to(0.35)
     assert observe(direct) == observe(wandering)
-    assert direct.event_count >= 2
+    assert direct.event_count >= 1
 
 
+@all_steppers
 def test_reset_repeats_the_throw_bit_for_bit(make):
     model = make()
     model.advance_to(0.05)
@@ -76,6 +95,7 @@ def test_reset_repeats_the_throw_bit_for_bit(make):
     assert observe(model) == before
 
 
+@all_steppers
 def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
     model = make('measured')
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
@@ -83,15 +103,19 @@ def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
     weight = model.rig.projectile.mass * model.rig.gravity
+    is_glued = getattr(model, 'model', '') == 'finite_difference_glued'
+    load = weight + (model.rig.layer.mass * model.rig.gravity if is_glued else 0.0)
     assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == 0.0
     assert model.state[PROJECTILE_POSITION] == pytest.approx(model.rest_position)
     assert model.state[PROJECTILE_FORCE] == pytest.approx(weight)
-    assert model.state[PLATE_FORCE] == pytest.approx(-weight)
-    assert layer[2] == pytest.approx(weight)
+    assert model.state[PLATE_FORCE] == pytest.approx(-load)
+    assert layer[2][[0, -1]] == pytest.approx([load, weight])
+    assert model.stored_energy() == model.work_so_far == 0.0
     assert layer[0, -1] == pytest.approx(model.rest_position)
     assert layer[1] == pytest.approx(0.0)
 
 
+@steppers
 def test_state_and_layer_agree_at_plate_and_top(make):
     model = make()
     layer = np.empty((3, model.field_points))
@@ -104,6 +128,7 @@ def test_state_and_layer_agree_at_plate_and_top(make):
         assert np.all(np.diff(layer[0]) > 0.0)
 
 
+@steppers
 def test_landing_is_where_the_gap_closes(make):
     model = make()
     model.advance_to(0.32)
@@ -117,6 +142,7 @@ def test_landing_is_where_the_gap_closes(make):
     )
 
 
+@steppers
 def test_work_is_stored_or_heat(make):
     model = make()
     for time in (0.005, 0.02, 0.1):
@@ -125,6 +151,7 @@ def test_work_is_stored_or_heat(make):
         assert model.work_so_far == pytest.approx(energy, rel=2e-3)
 
 
+@steppers
 def test_measured_plate_throws_as_the_engine_does(make):
     times = np.arange(0.0, 0.04, 4e-4)
     model, engine = make('measured'), make()
@@ -136,6 +163,7 @@ def test_measured_plate_throws_as_the_engine_does(make):
     assert ours.velocity == pytest.approx(exact.velocity, rel=1e-4)
 
 
+@steppers
 def test_appending_states_one_by_one_changes_no_bit(make):
     times = np.arange(0.0, 0.02, 5e-4)
     states = plate_states(times)
@@ -148,6 +176,7 @@ def test_appending_states_one_by_one_changes_no_bit(make):
     assert observe(at_once) == observe(one_by_one)
 
 
+@steppers
 def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
     times = np.arange(0.0, 0.02, 2e-4)
     states = plate_states(times)
@@ -166,6 +195,7 @@ def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
             assert ahead.state[PROJECTILE_VELOCITY] == pytest.approx(speed, abs=3e-3)
 
 
+@steppers
 def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
     model = make('measured')
     with pytest.raises(HorizonError, match=r'0\.1'):
@@ -177,6 +207,7 @@ def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
     model.advance_to(0.006)
 
 
+@steppers
 @pytest.mark.parametrize(
     ('times', 'states', 'complaint'),
     [
@@ -198,6 +229,7 @@ def test_states_that_cannot_be_are_refused_as_a_whole(make, times, states, compl
         make().fork()
 
 
+@all_steppers
 @pytest.mark.parametrize('time', [-1.0, float('nan'), float('inf')])
 def test_times_that_cannot_be_are_refused(make, time):
     model = make()
@@ -207,6 +239,7 @@ def test_times_that_cannot_be_are_refused(make, time):
     model.advance_to(0.002)
 
 
+@steppers
 def test_arrays_that_do_not_fit_are_refused(make):
     model = make()
     for bad in (np.zeros((3, 5)), np.zeros((3, 64), np.float32), None):
@@ -214,3 +247,70 @@ def test_arrays_that_do_not_fit_are_refused(make):
             model.read_layer(bad)
     with pytest.raises(ValueError, match='1'):
         make(field_points=1)
+
+
+@steppers
+def test_advancing_allocates_nothing(make):
+    model, layer = make(), np.empty((3, 64))
+    times = np.linspace(0.0, 0.3, 200).tolist()
+    model.read_layer(layer)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for time in times:
+            model.advance_to(time)
+            model.read_layer(layer)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 1000
+    assert peak - before < 4000  # numbers on their way
+
+
+def log_uniform(low, high):
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+@settings(max_examples=60)
+@given(
+    frequency=st.floats(1.0, 1000.0),
+    amplitude=log_uniform(1e-5, 0.1),
+    damping_ratio=st.floats(0.0, 0.99),
+    thickness=log_uniform(0.5e-3, 0.1),
+    wave_speed=log_uniform(1.0, 200.0),
+    loss=st.one_of(st.just(0.0), log_uniform(1e-3, 3.0)),
+    mass=log_uniform(1e-5, 1.0),
+    youngs_modulus=log_uniform(1e6, 1e12),
+    gravity=st.sampled_from([0.0, 9.81, 30.0]),
+    model=st.sampled_from(MODELS),
+)
+def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
+    frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
+    gravity, model,
+):  # fmt: skip
+    loss = 0.0 if model == 'travelling_wave' else loss
+    rig = Rig(
+        engine=Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=loss),
+        projectile=Projectile(mass=mass, youngs_modulus=youngs_modulus),
+        gravity=gravity,
+    )
+    try:
+        stepper = make_stepper(rig, model=model)
+    except ValueError as refusal:
+        assert re.search('the limit is .*; feasible: ', str(refusal))  # noqa: PT017 - may pass
+        return
+    layer = np.empty((3, 64))
+    try:
+        for time in np.linspace(0.0, min(3.0 / frequency, 0.1 / stepper.cost), 20):
+            stepper.advance_to(time)
+            stepper.read_layer(layer)
+            assert np.isfinite(stepper.state).all()
+            assert np.isfinite(layer).all()
+            assert math.isfinite(stepper.stored_energy())
+    except EventLimitError:
+        assert stepper.event_count > 100
+    kinds = [event.kind == 'release' for event in stepper.events()]
+    assert kinds == ([True, False] * len(kinds))[: len(kinds)]
+    times = [event.time for event in stepper.events()]
+    assert times == sorted(times)

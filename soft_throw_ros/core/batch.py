@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many throws at once: their ratios, checked and broadcast, and threads that share them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+import os
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import checks
+
+Floats = NDArray[np.float64]
+
+_CHECKS = {
+    'mass_ratio': checks.require_positive_array,
+    'speed_ratio': checks.require_positive_array,
+    'damping_ratio': checks.require_in_unit_interval_array,
+    'gravity_ratio': checks.require_not_negative_array,
+    'loss_tangent': checks.require_not_negative_array,
+    'crossing_ratio': checks.require_not_negative_array,
+}
+
+
+class ThrowUnresolvedError(ValueError):
+    """No release within the time that is followed, or none to the promised accuracy."""
+
+
+def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+    """
+    Check ratios, in the order of `describe_ratios`, and give a row of each, with their shape.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is out of range, shapes do not fit, or `unresolved` is not 'raise' or 'nan'.
+
+    """
+    if unresolved not in ('raise', 'nan'):
+        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
+    arrays = np.broadcast_arrays(*(_CHECKS[name](name, ratios[name]) for name in ratios))
+    return np.stack([array.ravel() for array in arrays]), arrays[0].shape
+
+
+def describe_ratios(ratios: Iterable[float]) -> str:
+    """Name the ratios of one throw, of which later ones may be left out."""
+    return ', '.join(f'{name} {value:g}' for name, value in zip(_CHECKS, ratios, strict=False))
+
+
+def in_threads(
+    run: Callable[[int, int], None], *, count: int, per_thread: int, threads: int | None
+) -> None:
+    """
+    Do the parts of a loop in threads, made anew: numba's own may not be entered from two at once.
+
+    Parameters
+    ----------
+    run : callable
+        Does what belongs to a part, given its number and how many there are.
+    count, per_thread : int
+        How many throws there are, and the fewest that are worth a thread.
+    threads : int, optional
+        Largest number of threads, all cores if None.
+
+    Raises
+    ------
+    ValueError
+        If `threads` is not a positive whole number or None.
+
+    """
+    if threads is not None and not (type(threads) is int and threads > 0):
+        raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
+    parts = max(1, min(threads or os.cpu_count() or 1, count // per_thread))
+    if parts == 1:
+        run(0, 1)
+        return
+    with ThreadPoolExecutor(parts - 1) as pool:
+        others = pool.map(lambda part: run(part, parts), range(1, parts))
+        run(0, parts)
+        list(others)  # raises what they raised
