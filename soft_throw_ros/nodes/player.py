@@ -7,7 +7,7 @@ One thread publishes what is due; all else happens in the executor's.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 import math
 import sys
@@ -15,16 +15,15 @@ import threading
 import time
 from typing import Any
 
-from rclpy.clock import Clock as SteadyClock
-from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.realtime import set_realtime_priority
+from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
@@ -57,6 +56,8 @@ TERMINAL_PERIOD = 0.1
 LOG_PERIOD = 10.0
 """How often it is written elsewhere. [s]"""
 
+_LONG = 1e9  # longer than any bag [s]
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlaybackOptions:
@@ -71,10 +72,8 @@ class PlaybackOptions:
         From when on, counted from the beginning of the bag, and how long. [s]
     rate : float
         Time of the bag over real time. [-]
-    is_looping : bool
-        Whether the end is followed by the beginning.
-    is_paused : bool
-        Whether to wait to be resumed.
+    is_looping, is_paused : bool
+        Whether the end is followed by the beginning, and whether to wait to be resumed.
     clock_rate : float
         How often `/clock` tells the time of the bag; 0 for never. [Hz]
 
@@ -92,15 +91,6 @@ class PlaybackOptions:
 class Player(RunnableNode):
     """
     Plays a bag.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Of the bag.
-    options : PlaybackOptions
-        What of it, and how.
-    **kwargs
-        As for `rclpy.node.Node`.
 
     Attributes
     ----------
@@ -134,11 +124,7 @@ class Player(RunnableNode):
             self.create_service(Trigger, PAUSE, self._on_pause)
             self.create_service(Trigger, RESUME, self._on_resume)
             self.create_service(Trigger, STEP, self._on_step)
-            self.create_timer(
-                TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD,
-                self._show,
-                clock=SteadyClock(clock_type=ClockType.STEADY_TIME),
-            )
+            self.call_every(TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD, self._show)
         except BaseException:
             super().destroy_node()
             raise
@@ -196,7 +182,7 @@ class Player(RunnableNode):
                 self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
 
     def _publisher(self, channel: Channel) -> Publisher:
-        kind = message_type(channel.type)
+        kind = load_type(channel.type)
         try:
             here = find_schema(channel.type, prefixes()).type_hash
         except SchemaError:
@@ -208,18 +194,15 @@ class Player(RunnableNode):
     def _scheduled(self, now: int) -> PlaybackSchedule[Message]:
         options, reader = self._options, self._reader
         begin = reader.start_time + round(options.start * SECOND)
-        end = reader.end_time
-        if options.duration < math.inf:
-            end = min(end, begin + round(options.duration * SECOND))
+        end = min(reader.end_time, begin + round(min(options.duration, _LONG) * SECOND))
         topics = {channel.topic for channel in self._publishers_by_channel}
 
-        def messages() -> Iterator[Message]:
-            for message in reader.messages(topics, begin, end + 1):
-                if message.channel in self._publishers_by_channel:
-                    yield message
-
         return PlaybackSchedule(
-            messages,
+            lambda: (
+                message
+                for message in reader.messages(topics, begin, end + 1)
+                if message.channel in self._publishers_by_channel
+            ),
             lambda message: message.log_time,
             begin_ns=begin,
             end_ns=end,
@@ -289,20 +272,18 @@ class Player(RunnableNode):
 
     # in the executor's thread
 
-    def _on_pause(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self._active.pause(time.monotonic_ns())
         return self._answer(response, 'paused')
 
-    def _on_resume(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self._active.resume(time.monotonic_ns())
         self._woken.set()
         return self._answer(response, 'playing')
 
-    def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             has_next = self._active.step(time.monotonic_ns())
             is_over = self._active.is_over

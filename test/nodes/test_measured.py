@@ -58,7 +58,7 @@ class Sensors(Node):
         """Wait until the twin has taken all that was sent."""
 
         def is_taken() -> bool:
-            self._twin.steps.take()
+            self._twin.measurement.take()
             counts = self._twin.session.sample_counts
             return counts.taken + sum(counts.refused.values()) >= self._sent
 

@@ -16,12 +16,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import PAUSE, PlaybackOptions, Player, RESUME, STEP
-from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 SECOND = 1_000_000_000
@@ -80,14 +81,11 @@ class Listener(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('listener', **kwargs)
-        self.heard: dict[str, list[bytes]] = {}
 
-    def listen(self, topic: str, qos: QoSProfile = EVERYTHING, kind: str = '') -> list[bytes]:
+    def listen(self, topic: str, qos: QoSProfile = EVERYTHING) -> list[bytes]:
         """Take a topic, and return the list that messages will be in."""
         heard: list[bytes] = []
-        self.heard[topic] = heard
-        type_ = message_type(kind or 'std_msgs/msg/String')
-        self.create_subscription(type_, topic, heard.append, qos, raw=True)
+        self.create_subscription(String, topic, heard.append, qos, raw=True)
         return heard
 
 

@@ -17,11 +17,10 @@ from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.raw_subscriptions import (
     fitting_profile,
     is_wanted,
-    message_type,
     RawSubscription,
     RawSubscriptions,
 )
-from soft_throw_ros.nodes.topics import qos_profile
+from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from std_msgs.msg import String
 
@@ -208,13 +207,12 @@ def test_topic_of_two_types_is_refused_and_told_once(
     assert subscriptions.discover() == []
 
 
-def test_messages_that_are_not_installed_are_refused() -> None:
-    with pytest.raises(ImportError, match='no_such_msgs/msg/Thing'):
-        message_type('no_such_msgs/msg/Thing')
-    with pytest.raises(ImportError, match='std_msgs/msg/Thing'):
-        RawSubscription(
-            listener, Channel(topic='/a', type='std_msgs/msg/Thing', schema=''), LATCHED
-        )
+@pytest.mark.parametrize(
+    'name', ['no_such_msgs/msg/Thing', 'std_msgs/msg/Thing', 'no_such_msgs/action/Go', 'Thing']
+)
+def test_messages_that_are_not_installed_are_refused(name) -> None:
+    with pytest.raises(ImportError, match=name):
+        load_type(name)
 
 
 @pytest.mark.parametrize(
