@@ -250,6 +250,8 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
     (True, False)
     >>> is_wanted('/rosout', ['/']), is_wanted('/twin/_hidden', ['/'])
     (True, False)
+    >>> is_wanted('/twin/phase', ['/twin/']), is_wanted('/_hidden', ['/_hidden'])
+    (True, True)
 
     """
     if topic in wanted:

@@ -16,7 +16,6 @@ from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.raw_subscriptions import (
     fitting_profile,
-    is_wanted,
     RawSubscription,
     RawSubscriptions,
 )
@@ -213,22 +212,6 @@ def test_topic_of_two_types_is_refused_and_told_once(
 def test_messages_that_are_not_installed_are_refused(name) -> None:
     with pytest.raises(ImportError, match=name):
         load_type(name)
-
-
-@pytest.mark.parametrize(
-    ('topic', 'wanted', 'answer'),
-    [
-        ('/twin/phase', ['/twin'], True),
-        ('/twin/phase', ['/twin/'], True),
-        ('/twins/phase', ['/twin'], False),
-        ('/rosout', ['/'], True),
-        ('/_hidden', ['/'], False),
-        ('/twin/_hidden/topic', ['/twin'], False),
-        ('/_hidden', ['/_hidden'], True),
-    ],
-)
-def test_namespaces_stand_for_what_is_in_them(topic, wanted, answer) -> None:
-    assert is_wanted(topic, wanted) is answer
 
 
 def test_nothing_is_taken_before_the_clock_goes(ros, talker, subscribe) -> None:

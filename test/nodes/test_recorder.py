@@ -179,9 +179,19 @@ def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, 
     assert list(read(tmp_path / 'second')) == ['/other']
 
 
-def test_recorder_with_nothing_to_do_is_refused(recorder) -> None:
-    with pytest.raises(ParameterError, match=r"storage and rerun\.sink are both 'none'"):
-        recorder(storage='none')
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'storage': 'none'}, r"rerun\.sink .*'none'"),
+        *(({'name': name}, f"'{name}'") for name in ('../bag', '/tmp/bag', 'a/b', '..')),
+        ({'name': 'there'}, 'there exists'),
+    ],
+)
+def test_recorder_that_could_not_record_is_refused(recorder, tmp_path, parameters, words) -> None:
+    (tmp_path / 'there').mkdir()
+    with pytest.raises(ParameterError, match=words):
+        recorder(**parameters)
+    assert [path.name for path in tmp_path.iterdir()] == ['there']
 
 
 def test_file_is_split_by_time(ros, recorder, talker, tmp_path) -> None:

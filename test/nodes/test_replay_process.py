@@ -124,22 +124,6 @@ def test_stopped_subscriber_does_not_hold_up_the_end(start, ros, bag, number) ->
     assert_is_calm(replay.lines)
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['{bag}', '--ros-args', '-r', 'foo'], '-r foo'),
-        (['{bag}', '--ros-args', '--params-file', '{bag}.missing'], 'bag.missing'),
-        (['{bag}.missing'], 'bag.missing'),
-    ],
-)
-def test_bad_argument_is_one_line_and_exit_code_2(start, bag, arguments, words) -> None:
-    replay = start(*COMMAND, *[argument.format(bag=bag) for argument in arguments])
-    assert replay.wait() == 2
-    (line,) = replay.lines
-    assert line.startswith('replay: ')
-    assert words in line
-
-
 def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
     start, ros, tmp_path
 ) -> None:
