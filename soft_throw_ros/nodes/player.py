@@ -7,8 +7,8 @@ One thread publishes what is due; all else happens in the executor's.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator
+from dataclasses import replace
 import math
 import sys
 import threading
@@ -59,38 +59,26 @@ LOG_PERIOD = 10.0
 _LONG = 1e9  # longer than any bag [s]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlaybackOptions:
+class Player(RunnableNode):
     """
-    What of a bag is to be played, and how.
+    Plays a bag.
 
     Parameters
     ----------
+    reader : BagReader
+        Of the bag.
     topics : collection of str
         Which topics; all if there is none.
     start, duration : float
         From when on, counted from the beginning of the bag, and how long. [s]
     rate : float
         Time of the bag over real time. [-]
-    is_looping, is_paused : bool
+    loop, paused : bool
         Whether the end is followed by the beginning, and whether to wait to be resumed.
-    clock_rate : float
+    clock : float
         How often `/clock` tells the time of the bag; 0 for never. [Hz]
-
-    """
-
-    topics: Collection[str] = ()
-    start: float = 0.0
-    duration: float = math.inf
-    rate: float = 1.0
-    is_looping: bool = False
-    is_paused: bool = False
-    clock_rate: float = 0.0
-
-
-class Player(RunnableNode):
-    """
-    Plays a bag.
+    **kwargs
+        As for `rclpy.node.Node`.
 
     Attributes
     ----------
@@ -101,12 +89,27 @@ class Player(RunnableNode):
 
     """
 
-    def __init__(self, reader: BagReader, options: PlaybackOptions, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        reader: BagReader,
+        *,
+        topics: Collection[str] = (),
+        start: float = 0.0,
+        duration: float = _LONG,
+        rate: float = 1.0,
+        loop: bool = False,
+        paused: bool = False,
+        clock: float = 0.0,
+        **kwargs: Any,
+    ) -> None:
         super().__init__('replay', **kwargs)
+        self._begin = reader.start_time + round(start * SECOND)
+        self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))
+        self._pace: dict[str, Any] = {'rate': rate, 'is_looping': loop, 'is_paused': paused}
+        self._clock_rate = clock
         self.played = 0
         self.skipped: dict[Channel, str] = {}
         self._reader = reader
-        self._options = options
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
         self._schedule: PlaybackSchedule[Message] | None = None
@@ -120,7 +123,16 @@ class Player(RunnableNode):
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
         try:
-            self._make_publishers()
+            if clock:
+                self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
+            for channel in reader.channels:
+                is_wanted = not topics or channel.topic in topics
+                if not is_wanted or (clock and channel.topic == CLOCK):
+                    continue
+                try:
+                    self._publishers_by_channel[channel] = self._publisher(channel)
+                except (ImportError, NameValidationException, *_REFUSALS) as error:
+                    self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
             self.create_service(Trigger, PAUSE, self._on_pause)
             self.create_service(Trigger, RESUME, self._on_resume)
             self.create_service(Trigger, STEP, self._on_step)
@@ -141,13 +153,20 @@ class Player(RunnableNode):
             _say(f'{channel.topic} is skipped, {count} messages: {reason}')
         now = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
         try:
-            self._schedule = self._scheduled(now)
+            self._schedule = PlaybackSchedule(
+                self._messages,
+                lambda message: message.log_time,
+                begin_ns=self._begin,
+                end_ns=self._end,
+                now=now,
+                **self._pace,
+            )
         except BagError as error:
             self._fail(error)
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._options.clock_rate)
+            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._clock_rate)
         self._thread.start()
 
     def close(self) -> None:
@@ -168,19 +187,6 @@ class Player(RunnableNode):
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
 
-    def _make_publishers(self) -> None:
-        options = self._options
-        if options.clock_rate:
-            self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
-        for channel in self._reader.channels:
-            is_wanted = not options.topics or channel.topic in options.topics
-            if not is_wanted or (options.clock_rate and channel.topic == CLOCK):
-                continue
-            try:
-                self._publishers_by_channel[channel] = self._publisher(channel)
-            except (ImportError, NameValidationException, *_REFUSALS) as error:
-                self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
-
     def _publisher(self, channel: Channel) -> Publisher:
         kind = load_type(channel.type)
         try:
@@ -191,26 +197,12 @@ class Player(RunnableNode):
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
         return self.create_publisher(kind, channel.topic, qos_to_profile(_offer(channel.qos)))
 
-    def _scheduled(self, now: int) -> PlaybackSchedule[Message]:
-        options, reader = self._options, self._reader
-        begin = reader.start_time + round(options.start * SECOND)
-        end = min(reader.end_time, begin + round(min(options.duration, _LONG) * SECOND))
+    def _messages(self) -> Iterator[Message]:
+        """Read what is to be played."""
         topics = {channel.topic for channel in self._publishers_by_channel}
-
-        return PlaybackSchedule(
-            lambda: (
-                message
-                for message in reader.messages(topics, begin, end + 1)
-                if message.channel in self._publishers_by_channel
-            ),
-            lambda message: message.log_time,
-            begin_ns=begin,
-            end_ns=end,
-            now=now,
-            rate=options.rate,
-            is_looping=options.is_looping,
-            is_paused=options.is_paused,
-        )
+        for message in self._reader.messages(topics, self._begin, self._end + 1):
+            if message.channel in self._publishers_by_channel:
+                yield message
 
     # in the thread that plays
 

@@ -155,8 +155,7 @@ class Recording:
         seconds = time.monotonic() - self._began
         losses = self.losses()
         text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
-        if losses:
-            text += f' ({", ".join(f"{topic} {count}" for topic, count in losses.items())})'
+        text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
         if self.bag is not None:
             text += f', in {self.bag}'
         if self.error:
@@ -322,11 +321,10 @@ class Recorder(RunnableNode):
         self._report()
         self.get_logger().info(self._last)
 
-    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        stop = RECORDER_SERVICES.stop.name
         if self.recording is not None:
-            response.message = (
-                f'already {self._message()}; call {RECORDER_SERVICES.stop.name} first'
-            )
+            response.message = f'already {self._message()}; call {stop} first'
             return response
         try:
             self.begin()
@@ -337,7 +335,7 @@ class Recorder(RunnableNode):
             response.message = self._message()
         return response
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.recording is None:
             response.message = f'nothing is being recorded; {self._last}'
         else:

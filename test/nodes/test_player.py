@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import msg_to_time
-from soft_throw_ros.nodes.player import PAUSE, PlaybackOptions, Player, RESUME, STEP
+from soft_throw_ros.nodes.player import PAUSE, Player, RESUME, STEP
 from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -101,7 +101,7 @@ def play(ros: Any) -> Iterator[Callable[..., Player]]:
 
     def play(path: Path, listeners: int = 0, **options: Any) -> Player:
         reader = readers.enter_context(BagReader(path))
-        player = ros.node(Player, reader, PlaybackOptions(**options))
+        player = ros.node(Player, reader, **options)
         publishers = list(player.publishers)
         ros.spin_until(
             lambda: sum(item.get_subscription_count() for item in publishers) >= listeners,
@@ -170,7 +170,7 @@ def test_only_the_part_and_the_topics_that_are_asked_for_come(
 
 def test_looped_bag_comes_again_and_again(ros, listener, play, tmp_path) -> None:
     heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages(50)), 1, is_looping=True)
+    player = play(write(tmp_path / 'bag', messages(50)), 1, loop=True)
     ros.spin_until(lambda: len(heard) >= 170, 'the fourth time')
     loop = [text(f'fast {number}') for number in range(50)]
     assert heard[:170] == (loop * 4)[:170]
@@ -187,7 +187,7 @@ def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
     listener.create_subscription(
         Clock, '/clock', lambda message: told.append(msg_to_time(message.clock)), EVERYTHING
     )
-    player = play(write(tmp_path / 'bag', made), 1, clock_rate=200.0, rate=2.0)
+    player = play(write(tmp_path / 'bag', made), 1, clock=200.0, rate=2.0)
     assert finish(ros, player) == 0
     assert told == sorted(told)
     assert BEGIN <= told[0] < told[-1] <= BEGIN + SECOND // 2
@@ -208,7 +208,7 @@ def call(ros: Any, listener: Listener) -> Callable[[str], Trigger.Response]:
 
 def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tmp_path) -> None:
     heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages(300)), 1, is_paused=True)
+    player = play(write(tmp_path / 'bag', messages(300)), 1, paused=True)
 
     answer = call(STEP)
     assert answer.success
@@ -225,7 +225,7 @@ def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tm
 
 
 def test_playing_bag_is_paused(ros, play, call, tmp_path) -> None:
-    player = play(write(tmp_path / 'bag', messages(100)), is_looping=True)
+    player = play(write(tmp_path / 'bag', messages(100)), loop=True)
 
     ros.spin_until(lambda: player.played > 10, 'the beginning')
     answer = call(STEP)
