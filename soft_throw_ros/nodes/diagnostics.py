@@ -93,7 +93,7 @@ class Diagnostics:
         text = (
             f'{len(pending)} wait for the next throw or ~/reset' if pending else 'none is pending'
         )
-        return self._status('parameters', text, pending=len(pending), **pending)
+        return self._status('parameters', text, warn=False, pending=len(pending), **pending)
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
         """Tell whether the layer stayed in its linear range in the last throw."""
