@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import partial
 import queue
 import threading
 from typing import Any
@@ -21,26 +22,18 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.time import Time
-from soft_throw_ros.configuration.interface import (
-    JOINTS,
-    resolve,
-    Topic,
-    TWIN_SERVICES,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import JOINTS, resolve, TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import make_main, RunnableNode
+from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
-from soft_throw_ros.nodes.topics import create_subscription, qos_profile
+from soft_throw_ros.nodes.topics import create_subscription, full_name
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
-from soft_throw_ros.recording.message import Channel
 from soft_throw_ros.twin.results import ThrowResult
 from std_srvs.srv import Trigger
 
@@ -65,13 +58,6 @@ class Calibrator(RunnableNode):
     """
     Identifies a rig anew when its twin is no longer true to it.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line, to say where a bad parameter stands.
-    **kwargs
-        As for `rclpy.node.Node`.
-
     Raises
     ------
     ParameterError
@@ -83,9 +69,9 @@ class Calibrator(RunnableNode):
         super().__init__('calibrator', **kwargs)
         self.parameters = NodeParameters(self, CALIBRATOR, arguments=arguments)
         settings = self.parameters.settings
-        self._twin = self._full_name(settings['twin'])
-        self._rig = self._full_name(settings['rig']) if settings['rig'] else ''
-        self._measured = _Measured(self, TWIN_TOPICS.measured_joint_states.at(self._twin))
+        self._twin = full_name(self, settings['twin'])
+        self._rig = full_name(self, settings['rig']) if settings['rig'] else ''
+        self._measured = _Measured(self, self._twin)
         create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
         self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
         self._set = {
@@ -120,14 +106,10 @@ class Calibrator(RunnableNode):
             self._measured.close()
         super().destroy_node()
 
-    def _full_name(self, name: str) -> str:
-        """Return the full name of a node, below the calibrator's namespace if it is short."""
-        return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
-
     # in the executor's thread
 
     def _on_results(self, msg: DiagnosticArray) -> None:
-        stamp_ns = Time.from_msg(msg.header.stamp).nanoseconds
+        stamp_ns = msg_to_time(msg.header.stamp)
         for status in msg.status:
             result = msg_to_throw_result(status)
             if result.stage == 'release' and result.first is not None:
@@ -242,10 +224,10 @@ class Calibrator(RunnableNode):
 class _Measured:
     """What was measured lately."""
 
-    def __init__(self, node: RunnableNode, topic: Topic) -> None:
-        channel = Channel(topic=topic.name, type=topic.type, schema='')
+    def __init__(self, node: RunnableNode, twin: str) -> None:
         self._log = node.get_logger()
-        self._subscription = RawSubscription(node, channel, qos_profile(topic))
+        topic = TWIN_TOPICS.measured_joint_states.at(twin)
+        self._subscription = RawSubscription.of(node, topic)
         self._parts: deque[tuple[NDArray[np.int64], Floats]] = deque()
 
     def take(self) -> None:
@@ -267,15 +249,7 @@ class _Measured:
             self._parts.popleft()
 
     def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
-        """
-        Return the tracks of a throw, over the time since `start_ns`.
-
-        Raises
-        ------
-        TrackError
-            If there is too little of them.
-
-        """
+        """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
         if not self._parts or self._parts[0][0][0] > start_ns:
             raise TrackError('not all of it was measured, or not heard of')
         stamps = np.concatenate([part[0] for part in self._parts])
@@ -295,4 +269,4 @@ class _Measured:
         self._subscription.close()
 
 
-main = make_main('calibrator', lambda arguments: Calibrator(arguments=arguments))
+main = partial(run, 'calibrator', Calibrator)

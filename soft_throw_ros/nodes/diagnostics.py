@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections import Counter
+from dataclasses import asdict
 import math
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
 from soft_throw_ros.nodes.conversions import status_to_msg
-from soft_throw_ros.nodes.measured import MeasuredSteps
-from soft_throw_ros.nodes.realtime import percentiles, SECOND, Ticker
+from soft_throw_ros.nodes.measured import Measurement
+from soft_throw_ros.nodes.realtime import SECOND, Ticker
 from soft_throw_ros.twin.results import ThrowResult
 from soft_throw_ros.twin.session import Session
 
@@ -22,88 +24,65 @@ MAX_COMPUTE_SHARE = 0.5
 """What share of the time may go into ticks before it is a warning. [-]"""
 
 
-class DiagnosticsPublisher:
-    """
-    Sums up a second at a time.
-
-    Parameters
-    ----------
-    session : Session
-        Whose steps are counted, and whose changes are pending.
-    ticker : Ticker
-        What asks for the steps.
-    steps : MeasuredSteps
-        What the rig measures.
-    node_name : str
-        Full name of the node, which the names of the statuses begin with.
-
-    """
+class Diagnostics:
+    """Sums up a second of a session, its ticks and what is measured, at a time."""
 
     def __init__(
-        self, session: Session, ticker: Ticker, steps: MeasuredSteps, *, node_name: str
+        self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
     ) -> None:
         self._session = session
         self._ticker = ticker
-        self._steps = steps
+        self._measurement = measurement
         self._node_name = node_name
         self._compared: ThrowResult | None = None
         self._time = time.monotonic()
-        self._ticks = self._late = self._skipped = 0
+        self._ticks: Counter[str] = Counter()
+        self._measured: Counter[str] = Counter()
 
     def statuses(self, result: ThrowResult | None) -> list[DiagnosticStatus]:
         """Return the statuses for the time since the last call; `result` is the last throw's."""
         if result is not None and result.stage == 'final' and result.comparison is not None:
             self._compared = result
         lateness, compute = self._ticker.statistics.take()
+        ticks = Counter(self._ticker.statistics.counts())
+        news, self._ticks = ticks - self._ticks, ticks
         statuses = [
-            self._timing(lateness),
-            self._load(compute),
+            self._timing(lateness, ticks, news),
+            self._load(compute, news),
             self._parameters(),
             self._layer(result),
         ]
         if self._session.is_measured:
-            statuses += [self._measurement(), self._model()]
+            statuses += [self._measurements(), self._model()]
         return statuses
 
-    def _timing(self, lateness: list[int]) -> DiagnosticStatus:
+    def _timing(
+        self, lateness: list[int], ticks: Counter[str], news: Counter[str]
+    ) -> DiagnosticStatus:
         """Tell how late the ticks were."""
-        statistics = self._ticker.statistics
-        late, self._late = statistics.late - self._late, statistics.late
-        skipped, self._skipped = statistics.skipped - self._skipped, statistics.skipped
-        p50, p99, largest = percentiles(lateness)
+        late, skipped = news['ticks_late'], news['ticks_skipped']
         is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
         return self._status(
             'timing',
             f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time',
             warn=is_bad,
-            lateness_p50=p50,
-            lateness_p99=p99,
-            lateness_max=largest,
-            ticks=statistics.ticks,
-            ticks_late=statistics.late,
-            ticks_skipped=statistics.skipped,
-            ticks_caught_up=statistics.caught_up,
-            clock_jumps=statistics.jumps,
+            **_percentiles('lateness', lateness),
+            **ticks,
             scheduler=self._ticker.scheduler,
         )
 
-    def _load(self, compute: list[int]) -> DiagnosticStatus:
+    def _load(self, compute: list[int], news: Counter[str]) -> DiagnosticStatus:
         """Tell how much time the ticks take."""
-        session, statistics = self._session, self._ticker.statistics
-        ticks, self._ticks = statistics.ticks - self._ticks, statistics.ticks
-        now = time.monotonic()
+        session, now = self._session, time.monotonic()
         passed, self._time = now - self._time, now
-        p50, p99, largest = percentiles(compute)
         share = sum(compute) / SECOND / passed
         return self._status(
             'load',
             f'{100.0 * share:.1f} % of the time goes into ticks',
             warn=share > MAX_COMPUTE_SHARE,
-            compute_p50=p50,
-            compute_p99=p99,
-            compute_max=largest,
+            **_percentiles('compute', compute),
             compute_part=share,
-            real_time_factor=ticks * session.time_scale / (session.rate * passed),
+            real_time_factor=news['ticks'] * session.time_scale / (session.rate * passed),
             time_scale=session.time_scale,
             rate=session.rate,
         )
@@ -111,18 +90,15 @@ class DiagnosticsPublisher:
     def _parameters(self) -> DiagnosticStatus:
         """Tell which changes are pending."""
         pending = self._session.pending
-        return self._status(
-            'parameters',
-            f'{len(pending)} wait for the next throw or ~/reset' if pending else 'none is pending',
-            warn=False,
-            pending=len(pending),
-            **pending,
+        text = (
+            f'{len(pending)} wait for the next throw or ~/reset' if pending else 'none is pending'
         )
+        return self._status('parameters', text, warn=False, pending=len(pending), **pending)
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
         """Tell whether the layer stayed in its linear range in the last throw."""
         if result is None:
-            return self._status('layer', 'nothing has been thrown yet', warn=False)
+            return self._status('layer', 'nothing has been thrown yet')
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         beyond = 'within' if result.is_linear else 'beyond'
         return self._status(
@@ -134,43 +110,34 @@ class DiagnosticsPublisher:
             max_strain=result.max_strain,
         )
 
-    def _measurement(self) -> DiagnosticStatus:
+    def _measurements(self) -> DiagnosticStatus:
         """Tell how many measurements came, and how far ahead the projectile was known."""
-        statistics = self._steps.take_statistics()
-        refused = sum(statistics.refused.values())
-        lead = min(statistics.leads) / SECOND if statistics.leads else math.nan
-        message = f'{statistics.taken} samples' if statistics.taken else 'nothing is measured'
-        if refused or statistics.lost:
-            reasons = ', '.join(f'{count} {why}' for why, count in statistics.refused.items())
-            message += f', {statistics.lost} lost, {refused} refused'
-            message += f': {reasons}' if reasons else ''
-        if lead <= 0.0:
-            message += f'; the projectile is known {-1e3 * lead:.2f} ms too late'
+        counts = self._measurement.count()
+        news, self._measured = counts - self._measured, counts
+        leads, self._measurement.leads = self._measurement.leads, []
+        lead = min(leads) / SECOND if leads else math.nan
+        names = ('samples', 'samples_out_of_order', 'messages', 'messages_lost', 'samples_refused')
+        reasons = {name: count for name, count in news.items() if name.startswith('refused.')}
+        is_bad = not news['samples'] or news['samples_refused'] or news['messages_lost']
         return self._status(
             'measurement',
-            message,
-            warn=not statistics.taken or refused > 0 or statistics.lost > 0 or lead <= 0.0,
+            f'{news["samples"]} samples, {news["messages_lost"]} lost, '
+            f'{news["samples_refused"]} refused'
+            + (f'; the projectile is known {-1e3 * lead:.2f} ms too late' if lead <= 0.0 else ''),
+            warn=bool(is_bad) or lead <= 0.0,
             at_rest=self._session.is_at_rest,
-            samples=statistics.taken,
-            samples_out_of_order=statistics.disordered,
-            messages=statistics.received,
-            messages_lost=statistics.lost,
-            samples_refused=refused,
+            **{name: news[name] for name in names},
             lead_min=lead,
-            **{f'refused.{reason}': count for reason, count in statistics.refused.items()},
+            **reasons,
         )
 
     def _model(self) -> DiagnosticStatus:
         """Tell how well the model predicted the last throw."""
         result = self._compared
         if result is None or result.comparison is None:
-            return self._status('model', 'no throw has been compared', warn=False)
+            return self._status('model', 'no throw has been compared')
         comparison = result.comparison
-        values = {
-            name: value
-            for name, value in dataclasses.asdict(comparison).items()
-            if value is not None
-        }
+        values = {name: item for name, item in asdict(comparison).items() if item is not None}
         return self._status(
             'model',
             f'throw {result.throw}: {comparison.describe()}',
@@ -179,6 +146,14 @@ class DiagnosticsPublisher:
             **values,
         )
 
-    def _status(self, task: str, message: str, *, warn: bool, **values: Any) -> DiagnosticStatus:
-        level = DiagnosticStatus.WARN if warn else DiagnosticStatus.OK
-        return status_to_msg(self._node_name, task, message, values, level=level)
+    def _status(
+        self, task: str, message: str, *, warn: bool = False, **values: Any
+    ) -> DiagnosticStatus:
+        return status_to_msg(self._node_name, task, message, values, warn=warn)
+
+
+def _percentiles(name: str, values: list[int]) -> dict[str, float]:
+    """Return median, 99th percentile and largest of nanoseconds, in seconds; zeros if none."""
+    names = (f'{name}_{part}' for part in ('p50', 'p99', 'max'))
+    found = np.percentile(values or [0], (50, 99, 100)) / SECOND
+    return dict(zip(names, found.tolist(), strict=True))

@@ -13,11 +13,9 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table
+from soft_throw_ros.nodes.process import RunnableNode
 
 LOG_PERIOD = 0.5
 """How often changes are logged at most. [s]"""
@@ -39,32 +37,28 @@ class NodeParameters:
 
     Parameters
     ----------
-    node : Node
+    node : RunnableNode
         Made without `automatically_declare_parameters_from_overrides`.
     table : Table
         What there is.
     on_changed : callable
         Called with what has really changed, by name, after `settings` has been replaced.
     describe : callable, optional
-        Says of a changed parameter, by its name, when the change takes effect; what it returns
-        follows the new value in the log.
+        Says of a changed parameter, by its name, when the change takes effect, for the log.
     check : callable, optional
         Called with complete settings before they are accepted; refuses them by ValueError.
     arguments : sequence of str
-        The command line, to say in which file and line a bad value stands, and to know what
-        was given last.
+        The command line, to say in which file and line a bad value stands.
 
     Attributes
     ----------
     settings : mapping of str to value
-        All present settings. Replaced at every change and never modified, so that a thread may
-        take it at any time.
+        All present settings; replaced at every change, so that a thread may take it at any time.
 
     Raises
     ------
     ParameterError
-        In one line, if a file or an argument gives a value that is refused, or a name that is
-        no parameter.
+        In one line, if a value is refused, or a name is no parameter.
 
     Notes
     -----
@@ -81,7 +75,7 @@ class NodeParameters:
 
     def __init__(
         self,
-        node: Node,
+        node: RunnableNode,
         table: Table,
         on_changed: Callable[[dict[str, Any]], None] = lambda _changes: None,
         *,
@@ -108,41 +102,19 @@ class NodeParameters:
         node.add_post_set_parameters_callback(self._on_post_set)
 
     def apply(self, changes: Settings) -> None:
-        """
-        Change several settings at once, as a request from outside would.
-
-        Raises
-        ------
-        ParameterError
-            If they are refused; then nothing has changed.
-
-        """
+        """Change several settings as a request would; ParameterError if they are refused."""
         self._set([Parameter(name, value=value) for name, value in changes.items()])
 
     def set_results(self, results: Mapping[str, float | str]) -> None:
         """
         Set parameters `recommended.*`, which are refused to everybody else.
 
-        Parameters
-        ----------
-        results : mapping of str to float or str
-            By the name without `recommended.`; results that are missing become nan, or empty.
-
-        Raises
-        ------
-        ParameterError
-            If one is no result.
+        They are named without `recommended.`; those that are missing become nan, or empty.
 
         """
-        entries = {entry.name: entry for entry in self._table.entries if entry.is_result}
-        values = {name: entry.default for name, entry in entries.items()}
-        for last_name, value in results.items():
-            name = f'recommended.{last_name}'
-            if name not in entries:
-                raise ParameterError(
-                    f'no result is named {last_name!r}, got {value!r} for it', last_name
-                )
-            values[name] = value if isinstance(value, str) else float(value)
+        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
+        for name, value in results.items():
+            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
         self._set([_Result(name, value=value) for name, value in values.items()])
 
     def _set(self, parameters: list[Parameter]) -> None:
@@ -210,24 +182,13 @@ class NodeParameters:
 
 
 class _ChangeLog:
-    """
-    Says in the log what has changed, at once, but of a storm of changes only every half a second.
+    """Says in the log what has changed, at once, but of a storm only every half a second."""
 
-    Parameters
-    ----------
-    node : Node
-        Whose log it is.
-    describe : callable
-        Says of a parameter, by its name, when a change takes effect.
-
-    """
-
-    def __init__(self, node: Node, describe: Callable[[str], str]) -> None:
+    def __init__(self, node: RunnableNode, describe: Callable[[str], str]) -> None:
         self._logger = node.get_logger()
         self._describe = describe
         self._waiting: dict[str, Any] = {}
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(LOG_PERIOD, self._flush, clock=steady)
+        self._timer = node.call_every(LOG_PERIOD, self._flush)
         self._timer.cancel()
 
     def add(self, changes: Mapping[str, Any]) -> None:

@@ -8,23 +8,22 @@ One thread publishes what is due; all else happens in the executor's.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 import sys
 import threading
 import time
 from typing import Any
 
-from rclpy.clock import Clock as SteadyClock
-from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.realtime import set_realtime_priority
+from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
@@ -57,36 +56,7 @@ TERMINAL_PERIOD = 0.1
 LOG_PERIOD = 10.0
 """How often it is written elsewhere. [s]"""
 
-
-@dataclass(frozen=True, kw_only=True)
-class PlaybackOptions:
-    """
-    What of a bag is to be played, and how.
-
-    Parameters
-    ----------
-    topics : collection of str
-        Which topics; all if there is none.
-    start, duration : float
-        From when on, counted from the beginning of the bag, and how long. [s]
-    rate : float
-        Time of the bag over real time. [-]
-    is_looping : bool
-        Whether the end is followed by the beginning.
-    is_paused : bool
-        Whether to wait to be resumed.
-    clock_rate : float
-        How often `/clock` tells the time of the bag; 0 for never. [Hz]
-
-    """
-
-    topics: Collection[str] = ()
-    start: float = 0.0
-    duration: float = math.inf
-    rate: float = 1.0
-    is_looping: bool = False
-    is_paused: bool = False
-    clock_rate: float = 0.0
+_LONG = 1e9  # longer than any bag [s]
 
 
 class Player(RunnableNode):
@@ -97,8 +67,16 @@ class Player(RunnableNode):
     ----------
     reader : BagReader
         Of the bag.
-    options : PlaybackOptions
-        What of it, and how.
+    topics : collection of str
+        Which topics; all if there is none.
+    start, duration : float
+        From when on, counted from the beginning of the bag, and how long. [s]
+    rate : float
+        Time of the bag over real time. [-]
+    loop, paused : bool
+        Whether the end is followed by the beginning, and whether to wait to be resumed.
+    clock : float
+        How often `/clock` tells the time of the bag; 0 for never. [Hz]
     **kwargs
         As for `rclpy.node.Node`.
 
@@ -111,12 +89,27 @@ class Player(RunnableNode):
 
     """
 
-    def __init__(self, reader: BagReader, options: PlaybackOptions, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        reader: BagReader,
+        *,
+        topics: Collection[str] = (),
+        start: float = 0.0,
+        duration: float = _LONG,
+        rate: float = 1.0,
+        loop: bool = False,
+        paused: bool = False,
+        clock: float = 0.0,
+        **kwargs: Any,
+    ) -> None:
         super().__init__('replay', **kwargs)
+        self._begin = reader.start_time + round(start * SECOND)
+        self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))
+        self._pace: dict[str, Any] = {'rate': rate, 'is_looping': loop, 'is_paused': paused}
+        self._clock_rate = clock
         self.played = 0
         self.skipped: dict[Channel, str] = {}
         self._reader = reader
-        self._options = options
         self._publishers_by_channel: dict[Channel, Publisher] = {}
         self._clock_publisher: Publisher | None = None
         self._schedule: PlaybackSchedule[Message] | None = None
@@ -130,15 +123,20 @@ class Player(RunnableNode):
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
         try:
-            self._make_publishers()
+            if clock:
+                self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
+            for channel in reader.channels:
+                is_wanted = not topics or channel.topic in topics
+                if not is_wanted or (clock and channel.topic == CLOCK):
+                    continue
+                try:
+                    self._publishers_by_channel[channel] = self._publisher(channel)
+                except (ImportError, NameValidationException, *_REFUSALS) as error:
+                    self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
             self.create_service(Trigger, PAUSE, self._on_pause)
             self.create_service(Trigger, RESUME, self._on_resume)
             self.create_service(Trigger, STEP, self._on_step)
-            self.create_timer(
-                TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD,
-                self._show,
-                clock=SteadyClock(clock_type=ClockType.STEADY_TIME),
-            )
+            self.call_every(TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD, self._show)
         except BaseException:
             super().destroy_node()
             raise
@@ -155,13 +153,20 @@ class Player(RunnableNode):
             _say(f'{channel.topic} is skipped, {count} messages: {reason}')
         now = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
         try:
-            self._schedule = self._scheduled(now)
+            self._schedule = PlaybackSchedule(
+                self._messages,
+                lambda message: message.log_time,
+                begin_ns=self._begin,
+                end_ns=self._end,
+                now=now,
+                **self._pace,
+            )
         except BagError as error:
             self._fail(error)
             self._code = 1
             return
         if self._clock_publisher is not None:
-            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._options.clock_rate)
+            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._clock_rate)
         self._thread.start()
 
     def close(self) -> None:
@@ -182,21 +187,8 @@ class Player(RunnableNode):
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
 
-    def _make_publishers(self) -> None:
-        options = self._options
-        if options.clock_rate:
-            self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
-        for channel in self._reader.channels:
-            is_wanted = not options.topics or channel.topic in options.topics
-            if not is_wanted or (options.clock_rate and channel.topic == CLOCK):
-                continue
-            try:
-                self._publishers_by_channel[channel] = self._publisher(channel)
-            except (ImportError, NameValidationException, *_REFUSALS) as error:
-                self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
-
     def _publisher(self, channel: Channel) -> Publisher:
-        kind = message_type(channel.type)
+        kind = load_type(channel.type)
         try:
             here = find_schema(channel.type, prefixes()).type_hash
         except SchemaError:
@@ -205,29 +197,12 @@ class Player(RunnableNode):
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
         return self.create_publisher(kind, channel.topic, qos_to_profile(_offer(channel.qos)))
 
-    def _scheduled(self, now: int) -> PlaybackSchedule[Message]:
-        options, reader = self._options, self._reader
-        begin = reader.start_time + round(options.start * SECOND)
-        end = reader.end_time
-        if options.duration < math.inf:
-            end = min(end, begin + round(options.duration * SECOND))
+    def _messages(self) -> Iterator[Message]:
+        """Read what is to be played."""
         topics = {channel.topic for channel in self._publishers_by_channel}
-
-        def messages() -> Iterator[Message]:
-            for message in reader.messages(topics, begin, end + 1):
-                if message.channel in self._publishers_by_channel:
-                    yield message
-
-        return PlaybackSchedule(
-            messages,
-            lambda message: message.log_time,
-            begin_ns=begin,
-            end_ns=end,
-            now=now,
-            rate=options.rate,
-            is_looping=options.is_looping,
-            is_paused=options.is_paused,
-        )
+        for message in self._reader.messages(topics, self._begin, self._end + 1):
+            if message.channel in self._publishers_by_channel:
+                yield message
 
     # in the thread that plays
 
@@ -289,20 +264,18 @@ class Player(RunnableNode):
 
     # in the executor's thread
 
-    def _on_pause(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self._active.pause(time.monotonic_ns())
         return self._answer(response, 'paused')
 
-    def _on_resume(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self._active.resume(time.monotonic_ns())
         self._woken.set()
         return self._answer(response, 'playing')
 
-    def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             has_next = self._active.step(time.monotonic_ns())
             is_over = self._active.is_over

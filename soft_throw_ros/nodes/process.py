@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-import contextlib
+from collections.abc import Callable, Sequence
 import os
 import signal
 import sys
@@ -12,11 +11,13 @@ import threading
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
 
@@ -32,14 +33,7 @@ NOTICE_TIME = 2.0
 
 class RunnableNode(Node):
     """
-    A node that is more than its callbacks; to be derived from.
-
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    **kwargs
-        As for `rclpy.node.Node`.
+    A node that is more than its callbacks; to be derived from. It is made like any of rclpy.
 
     Raises
     ------
@@ -53,6 +47,11 @@ class RunnableNode(Node):
             super().__init__(name, **kwargs)
         except (InvalidParameterTypeException, NameValidationException) as error:
             raise ParameterError(' '.join(str(error).split())) from error
+
+    def call_every(self, seconds: float, callback: Callable[[], None]) -> Timer:
+        """Have something called by a clock that always goes, also when `/clock` does not."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        return self.create_timer(seconds, callback, clock=steady)
 
     @property
     def exit_code(self) -> int | None:
@@ -71,8 +70,8 @@ class RunnableNode(Node):
 
 def run(
     name: str,
-    make: Callable[[Sequence[str]], RunnableNode],
-    args: Sequence[str] | None,
+    make: Callable[..., RunnableNode],
+    args: Sequence[str] | None = None,
     *,
     usage: str = '',
     notice: str = '',
@@ -85,7 +84,7 @@ def run(
     name : str
         Of the executable, to begin a message with.
     make : callable
-        Makes the node from the arguments, once ROS has begun.
+        Makes the node from the keyword `arguments`, once ROS has begun.
     args : sequence of str or None
         The arguments of ROS, or the request for help; those of the process if None.
     usage : str
@@ -111,11 +110,15 @@ def run(
     _on_signals(signal.default_int_handler)  # until the node runs
     node = None
     code = 0
+    noticing = threading.Timer(NOTICE_TIME, print, (f'{name}: {notice}',), {'flush': True})
+    noticing.daemon = True
     try:
         _init(name, arguments, usage)
-        with _noticed(f'{name}: {notice}' if notice else ''):
-            node = make(arguments)
-            node.prepare()
+        if notice:
+            noticing.start()
+        node = make(arguments=arguments)
+        node.prepare()
+        noticing.cancel()
         code = _spin(node)
     except KeyboardInterrupt:
         pass
@@ -123,30 +126,10 @@ def run(
         print(f'{name}: {error}', file=sys.stderr)
         code = 2
     finally:
+        noticing.cancel()
         _on_signals(signal.SIG_IGN)
         code = _shut_down(node, code)
     return code
-
-
-def make_main(
-    name: str, make: Callable[[Sequence[str]], RunnableNode], *, notice: str = ''
-) -> Callable[[list[str] | None], int]:
-    """
-    Make the `main` of a node.
-
-    Its argument are the arguments of ROS, those of the process if None; it returns the exit code.
-
-    Parameters
-    ----------
-    name, make, notice
-        As for `run`.
-
-    """
-
-    def main(args: list[str] | None = None) -> int:
-        return run(name, make, args, notice=notice)
-
-    return main
 
 
 def _on_signals(handler: Any) -> None:
@@ -158,19 +141,6 @@ def _on_signals(handler: Any) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def _noticed(text: str) -> Iterator[None]:
-    """Print a line if what is done meanwhile takes long."""
-    timer = threading.Timer(NOTICE_TIME, print, (text,), {'flush': True})
-    timer.daemon = True
-    if text:
-        timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _init(name: str, arguments: Sequence[str], usage: str) -> None:

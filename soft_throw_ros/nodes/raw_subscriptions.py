@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
-from importlib import import_module, metadata
+from importlib import metadata
 import os
 import sys
 from typing import Any
@@ -22,8 +22,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from soft_throw_ros.configuration.interface import find_topic
+from soft_throw_ros.configuration.interface import find_topic, Topic
 from soft_throw_ros.nodes.conversions import profile_to_qos
+from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
@@ -49,16 +50,7 @@ class _NotExecuted(ReentrantCallbackGroup):
 
 class RawSubscription:
     """
-    A subscription to a topic, for the bytes that come.
-
-    Parameters
-    ----------
-    node : Node
-        Which subscribes.
-    channel : Channel
-        What the messages belong to.
-    profile : QoSProfile
-        Which fits the publishers.
+    A subscription to the topic of a channel, for the bytes that come.
 
     Attributes
     ----------
@@ -89,7 +81,7 @@ class RawSubscription:
         self._earlier = 0
         self._lost_by_event = 0
         self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
-        self._type = message_type(channel.type)
+        self._type = load_type(channel.type)
         self._subscription = node.create_subscription(
             self._type,
             channel.topic,
@@ -105,6 +97,12 @@ class RawSubscription:
             self._loss_event = EventHandle(
                 handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
             )
+
+    @classmethod
+    def of(cls, node: Node, topic: Topic) -> RawSubscription:
+        """Subscribe a node to one of our topics, whose bytes are not to be kept."""
+        name = node.resolve_topic_name(topic.name)
+        return cls(node, Channel(topic=name, type=topic.type, schema=''), qos_profile(topic))
 
     @property
     def lost(self) -> int:
@@ -128,20 +126,15 @@ class RawSubscription:
                     sequence = 0
                 else:
                     self._count(sequence, info.get('publisher_gid'))
-                messages.append(
-                    Message(
-                        self.channel,
-                        data,
-                        info['received_timestamp'],
-                        info['source_timestamp'],
-                        sequence,
-                    )
-                )
+                times = info['received_timestamp'], info['source_timestamp']
+                messages.append(Message(self.channel, data, *times, sequence))
         self.received += len(messages)
         return messages
 
-    def read_loss_event(self) -> None:
-        """Hear from the middleware what it has lost."""
+    def look_for_losses(self) -> None:
+        """Hear from the middleware who publishes, and what it has lost."""
+        publishers = self._node.get_publishers_info_by_topic(self.channel.topic)
+        self.is_shared |= len(publishers) > 1
         with self._loss_event:
             event = self._loss_event.take_event()
         if event is not None:
@@ -149,7 +142,7 @@ class RawSubscription:
 
     def close(self) -> None:
         """Unsubscribe."""
-        self.read_loss_event()
+        self.look_for_losses()
         self._loss_event.destroy_when_not_in_use()
         self._node.destroy_subscription(self._subscription)
 
@@ -171,14 +164,7 @@ class RawSubscription:
 
 class RawSubscriptions:
     """
-    Subscriptions to all topics that are asked for, as they appear.
-
-    Parameters
-    ----------
-    node : Node
-        Which subscribes.
-    wanted : collection of str
-        Topics, and namespaces with all that is in them.
+    Subscriptions of a node to all topics and namespaces that are wanted, as they appear.
 
     Attributes
     ----------
@@ -202,14 +188,12 @@ class RawSubscriptions:
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self.refused or not is_wanted(topic, self._wanted):
                 continue
-            publishers = self._node.get_publishers_info_by_topic(topic)
             if topic in self._subscriptions:
-                self._subscriptions[topic].is_shared |= len(publishers) > 1
-                self._subscriptions[topic].read_loss_event()
-            elif publishers:
+                self._subscriptions[topic].look_for_losses()
+            elif publishers := self._node.get_publishers_info_by_topic(topic):
                 try:
                     self._subscriptions[topic] = self._subscribe(topic, types, publishers)
-                except (ImportError, AttributeError, SchemaError, ValueError) as error:
+                except (ImportError, SchemaError, ValueError) as error:
                     self.refused[topic] = str(error)
                     refused.append(topic)
         return refused
@@ -251,9 +235,7 @@ class RawSubscriptions:
             type_hash=schema.type_hash,
             qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
         )
-        subscription = RawSubscription(self._node, channel, fitting_profile(publishers))
-        subscription.is_shared = len(publishers) > 1
-        return subscription
+        return RawSubscription(self._node, channel, fitting_profile(publishers))
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:
@@ -268,6 +250,8 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
     (True, False)
     >>> is_wanted('/rosout', ['/']), is_wanted('/twin/_hidden', ['/'])
     (True, False)
+    >>> is_wanted('/twin/phase', ['/twin/']), is_wanted('/_hidden', ['/_hidden'])
+    (True, True)
 
     """
     if topic in wanted:
@@ -284,25 +268,8 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     return QoSProfile(
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def message_type(name: str) -> Any:
-    """
-    Return the class of messages, such as std_msgs/msg/String.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed.
-
-    """
-    package, _, kind = name.partition('/msg/')
-    try:
-        return getattr(import_module(f'{package}.msg'), kind)
-    except (ImportError, AttributeError) as error:
-        raise ImportError(f'messages {name} are not installed here') from error
 
 
 def prefixes() -> list[str]:
@@ -320,9 +287,7 @@ def distribution() -> str:
 def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> Qos:
     """Return what a publisher offers; its history is not told to others, but may be ours."""
     qos = profile_to_qos(publisher.qos_profile)
-    if qos.history != 'unknown':
-        return qos
     known = find_topic(topic, kind)
-    if known is None:
+    if qos.history != 'unknown' or known is None:
         return qos
     return replace(qos, history='keep_last', depth=known.topic.depth)

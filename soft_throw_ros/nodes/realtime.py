@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import ctypes
 from dataclasses import dataclass, field
 import os
 import threading
 import time
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
-import numpy as np
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -27,25 +26,8 @@ PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
 
 
-class Clock(Protocol):
-    """What steps are due by."""
-
-    epoch: int
-    """Another one, when times before and after have nothing to do with each other."""
-    max_catch_up: int
-    """How much is caught up after a stall; what is beyond is skipped. [ns]"""
-    tolerance: int
-    """What is later is late. [ns]"""
-
-    def now(self) -> int:
-        """Return the time; 0 if the clock does not go yet. [ns]"""
-
-    def wait_until(self, deadline: int) -> None:
-        """Return at a time, or before: the caller looks at the clock and waits again."""
-
-
 class Steps(Protocol):
-    """What is asked for steps: `twin.session.Session` is one."""
+    """What steps are asked of: `twin.session.Session` is one."""
 
     @property
     def step(self) -> int:
@@ -55,15 +37,18 @@ class Steps(Protocol):
     def rate(self) -> float:
         """Steps per second, now. [Hz]"""
 
-    def advance(self) -> Any:
-        """Go one step on."""
-
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """Take note of when steps are due from the next one on."""
 
 
 class SystemClock:
-    """The time of day, which goes on steadily between calls of `adjust`."""
+    """
+    The time of day, which goes on steadily between calls of `adjust`.
+
+    Like every clock that steps are due by, it changes its `epoch` when times before and after
+    have nothing to do with each other; after a stall as much as `max_catch_up` is caught up and
+    the rest skipped; and what is later than `tolerance` is late. [ns]
+    """
 
     max_catch_up = SECOND // 10
     tolerance = SECOND // 5000
@@ -84,7 +69,11 @@ class SystemClock:
         return time.monotonic_ns() + self._offset
 
     def wait_until(self, deadline: int) -> None:
-        """Sleep, and poll for the last microseconds, since a sleep ends late."""
+        """
+        Return at a time, or before: the caller looks at the clock and waits again.
+
+        It sleeps, and polls for the last microseconds, since a sleep ends late.
+        """
         target = deadline - self._offset
         pause = target - SPIN - time.monotonic_ns()
         if pause > 0:
@@ -137,14 +126,12 @@ class NodeClock:
         self._moved.set()
 
 
+Clock: TypeAlias = SystemClock | NodeClock
+
+
 @dataclass
 class TickStatistics:
-    """
-    How well time was kept.
-
-    Counts are since the start; lists are since they were last taken, by `take`, which may be
-    called from another thread. [ns]
-    """
+    """How well time was kept: counts since the start, and lists since they were last taken."""
 
     ticks: int = 0
     late: int = 0
@@ -154,8 +141,18 @@ class TickStatistics:
     lateness: list[int] = field(default_factory=list)
     compute: list[int] = field(default_factory=list)
 
+    def counts(self) -> dict[str, int]:
+        """Return the counts by the names under which they are published."""
+        return {
+            'ticks': self.ticks,
+            'ticks_late': self.late,
+            'ticks_skipped': self.skipped,
+            'ticks_caught_up': self.caught_up,
+            'clock_jumps': self.jumps,
+        }
+
     def take(self) -> tuple[list[int], list[int]]:
-        """Return lateness and compute time of the ticks since the last call."""
+        """Return lateness and compute time of the ticks since the last call. [ns]"""
         lateness, self.lateness = self.lateness, []
         compute, self.compute = self.compute, []
         return lateness, compute
@@ -163,14 +160,14 @@ class TickStatistics:
 
 class Ticker:
     """
-    Ask for every step that is due, and hand on what it gives.
+    Have every step done that is due.
 
     Parameters
     ----------
     steps : Steps
         Are due at their `rate`, the next one at the first look at the clock.
-    on_step : callable
-        Called with what every step gives, and when it was due. [ns]
+    on_tick : callable
+        Goes a step on; called with when it was due. [ns]
     clock : callable
         Returns the clock to go by, before every look at it.
 
@@ -188,15 +185,12 @@ class Ticker:
     """
 
     def __init__(
-        self,
-        steps: Steps,
-        on_step: Callable[[Any, int], None],
-        clock: Callable[[], Clock],
+        self, steps: Steps, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
         self.statistics = TickStatistics()
         self.scheduler = ''
         self._steps = steps
-        self._on_step = on_step
+        self._on_tick = on_tick
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
         self._schedule: TickSchedule | None = None
@@ -219,15 +213,7 @@ class Ticker:
             self._thread.join(timeout)
 
     def run_due(self) -> int:
-        """
-        Do every step that is due now.
-
-        Returns
-        -------
-        int
-            When the next one is due, by the same clock. [ns]
-
-        """
+        """Do every step that is due now; return when the next one is, by the same clock. [ns]"""
         clock = self._clock()
         now = clock.now()
         schedule = self._schedule_of(clock, now)
@@ -242,7 +228,7 @@ class Ticker:
         is_first = True
         while due <= now:
             begin = time.perf_counter_ns()
-            self._on_step(steps.advance(), due)
+            self._on_tick(due)
             statistics.compute.append(time.perf_counter_ns() - begin)
             statistics.lateness.append(now - due)
             statistics.ticks += 1
@@ -276,34 +262,13 @@ class Ticker:
             self._clock().wait_until(due)
 
 
-def percentiles(values: Sequence[int]) -> tuple[float, float, float]:
-    """
-    Return median, 99th percentile and largest of nanoseconds, in seconds; zeros if there is none.
-
-    Examples
-    --------
-    >>> percentiles([1000, 2000, 3000])[0]
-    2e-06
-
-    """
-    if not values:
-        return 0.0, 0.0, 0.0
-    p50, p99, largest = np.percentile(values, (50, 99, 100)) / SECOND
-    return float(p50), float(p99), float(largest)
-
-
 def set_realtime_priority() -> str:
     """
-    Have the operating system wake this thread on time.
+    Have the operating system wake this thread on time; return its scheduler, 'fifo' or 'other'.
 
     Sleeps end when they should, instead of up to 50 us later. And, where the user may (as root, or
     with an `rtprio` in limits.conf), the thread goes before whatever else the machine does: it
     sleeps most of the time.
-
-    Returns
-    -------
-    str
-        The scheduler it got, 'fifo' or 'other'.
 
     """
     prctl = getattr(ctypes.CDLL(None), 'prctl', None)

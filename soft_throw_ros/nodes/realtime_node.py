@@ -8,17 +8,17 @@ then.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import gc
 import sys
 from typing import Any
 
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
-from soft_throw_ros.nodes.process import make_main, RunnableNode
-from soft_throw_ros.nodes.realtime import Clock, NodeClock, Steps, SystemClock, Ticker
+from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.twin.prepared_rig import warm_up
 from soft_throw_ros.twin.results import Outputs
+from soft_throw_ros.twin.session import Session
+
+COMPILING = 'compiling, once; takes half a minute'
 
 STOP_TIMEOUT = 0.3
 """Longest wait for a thread to end. [s]"""
@@ -26,7 +26,7 @@ STOP_TIMEOUT = 0.3
 
 class RealTimeNode(RunnableNode):
     """
-    A node that asks for steps as they are due; to be derived from.
+    A node that steps a session as steps are due; to be derived from.
 
     Whoever derives from it declares parameters and makes publishers, and calls `drive` last.
 
@@ -34,30 +34,39 @@ class RealTimeNode(RunnableNode):
     ----------
     name : str
         Of the node.
-    system_clock : Clock
+    system_clock : SystemClock, optional
         What steps are due by, unless the node follows `/clock`.
     **kwargs
         As for `rclpy.node.Node`.
 
     Attributes
     ----------
+    session : Session
+        What happens at which step.
     ticker : Ticker
         What asks for the steps: by itself once it is started.
 
     """
 
+    session: Session
     ticker: Ticker
 
-    def __init__(self, name: str, *, system_clock: Clock | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, name: str, *, system_clock: SystemClock | None = None, **kwargs: Any
+    ) -> None:
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
 
-    def drive(self, steps: Steps) -> None:
-        """Have steps asked for as soon as the node starts."""
+    def drive(self, session: Session) -> None:
+        """Have steps of a session done as soon as the node starts."""
+        self.session = session
         self._node_clock = NodeClock(self)
-        self.ticker = Ticker(steps, self.on_step, self._current_clock)
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self.on_second, clock=steady)
+        self.ticker = Ticker(session, self.on_tick, self._current_clock)
+        self.call_every(1.0, self.on_second)
+
+    def on_tick(self, due: int) -> None:
+        """Go a step on, in the thread that ticks; `due` is its time. [ns]"""
+        self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish what a step gives, in the thread that ticks; `due` is its time. [ns]"""
@@ -65,8 +74,7 @@ class RealTimeNode(RunnableNode):
 
     def on_second(self) -> None:
         """Follow what is done to the time of day; in the executor's thread."""
-        if isinstance(self._system_clock, SystemClock):
-            self._system_clock.adjust()
+        self._system_clock.adjust()
 
     @property
     def exit_code(self) -> int | None:
@@ -94,12 +102,3 @@ class RealTimeNode(RunnableNode):
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock
-
-
-def make_real_time_main(name: str, kind: type[Any]) -> Callable[[list[str] | None], int]:
-    """Make the `main` of a node derived from `RealTimeNode`; see `process.make_main`."""
-    return make_main(
-        name,
-        lambda arguments: kind(arguments=arguments),
-        notice='compiling, once; takes half a minute',
-    )

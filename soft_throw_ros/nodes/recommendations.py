@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import functools
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
@@ -24,19 +23,7 @@ _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry
 
 @dataclass(frozen=True, kw_only=True)
 class RecommendationFor:
-    """
-    A recommendation, or an aim, and the settings that it is for.
-
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin.
-    best : Recommendation, Aim or None
-        None if there is none.
-    reason : str
-        Why there is none.
-
-    """
+    """A recommendation, or an aim, and the settings that it is for; or why there is none."""
 
     settings: Settings
     best: Answer | None = None
@@ -67,10 +54,9 @@ class RecommendationFor:
             if 'layer.thickness' not in known:
                 changes['layer.thickness'] = best.thickness
             return changes
-        if best.vary in ('thickness', 'both'):
-            changes['layer.thickness'] = best.thickness
-        if best.vary in ('wave_speed', 'both'):
-            changes['layer.wave_speed'] = best.wave_speed
+        for name in ('thickness', 'wave_speed'):
+            if best.vary in (name, 'both'):
+                changes[f'layer.{name}'] = getattr(best, name)
         return changes
 
     def results(self) -> dict[str, float | str]:
@@ -92,16 +78,14 @@ class RecommendationFor:
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Make a status of it, with the rig that it is for."""
-        best = self.best
-        values: dict[str, Any] = {}
-        level, message = DiagnosticStatus.ERROR, self.describe()
-        if best is not None:
-            values = {'g_load': best.peak_acceleration / STANDARD_GRAVITY, **best.values()}
-            is_missed = isinstance(best, Aim) and not best.is_reached
-            level = DiagnosticStatus.WARN if is_missed else DiagnosticStatus.OK
-            message = best.summary
-        values.update(rig_to_values(self.rig))
-        return status_to_msg(node_name, 'recommendation', message, values, level=level)
+        best, rig = self.best, rig_to_values(self.rig)
+        if best is None:
+            return status_to_msg(
+                node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
+            )
+        values = {'g_load': best.peak_acceleration / STANDARD_GRAVITY, **best.values(), **rig}
+        is_missed = isinstance(best, Aim) and not best.is_reached
+        return status_to_msg(node_name, 'recommendation', best.summary, values, warn=is_missed)
 
 
 def matters(name: str) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 import gc
 from pathlib import Path
 import sys
@@ -19,8 +20,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
 from rclpy.node import Node
 from soft_throw_ros.configuration import files, ParameterError, RECORDER, Settings, TWIN
 from soft_throw_ros.configuration.interface import (
@@ -31,9 +30,9 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import make_main, RunnableNode
+from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import distribution, is_wanted, RawSubscriptions
-from soft_throw_ros.nodes.topics import create_service, Publishers
+from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.live_stream import LiveStream
@@ -56,13 +55,6 @@ class Recording:
     """
     From start to stop: what is taken, where it goes, and what became of it.
 
-    Parameters
-    ----------
-    recorder : Node
-        What subscribes.
-    settings : mapping of str to value
-        Of the recorder.
-
     Attributes
     ----------
     subscriptions : RawSubscriptions
@@ -75,7 +67,7 @@ class Recording:
     """
 
     def __init__(self, recorder: Node, settings: Settings) -> None:
-        self._wanted = [_resolve(recorder, name) for name in settings['topics']]
+        self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._is_silence_told = False
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
@@ -146,17 +138,13 @@ class Recording:
         self.subscriptions.close()
         try:
             if self.writer is not None:
-                lost = {topic: str(count) for topic, count in self.losses().items()}
+                losses = self.losses()
                 self.writer.add_metadata(
-                    'losses', {'total': str(sum(self.losses().values())), **lost}
+                    'losses', _texts({'total': sum(losses.values()), **losses})
                 )
-                earlier = {
-                    item.channel.topic: str(item.earlier)
-                    for item in self.subscriptions
-                    if item.earlier
-                }
-                if earlier:
-                    self.writer.add_metadata('published before recording', earlier)
+                counts = {item.channel.topic: item.earlier for item in self.subscriptions}
+                if earlier := {topic: count for topic, count in counts.items() if count}:
+                    self.writer.add_metadata('published before recording', _texts(earlier))
                 self.writer.close()
         finally:
             if self.live_stream is not None:
@@ -167,8 +155,7 @@ class Recording:
         seconds = time.monotonic() - self._began
         losses = self.losses()
         text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
-        if losses:
-            text += f' ({", ".join(f"{topic} {count}" for topic, count in losses.items())})'
+        text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
         if self.bag is not None:
             text += f', in {self.bag}'
         if self.error:
@@ -231,13 +218,8 @@ class Recording:
     def _inspect_command(self) -> list[str]:
         """Return what shows the stream."""
         settings = self._settings
-        command = [
-            settings['rerun.python'] or sys.executable,
-            '-m',
-            'soft_throw_ros',
-            'inspect',
-            '-',
-        ]
+        python = settings['rerun.python'] or sys.executable
+        command = [python, '-m', 'soft_throw_ros', 'inspect', '-']
         if settings['rerun.sink'] == 'file':
             path = _path(settings) if self.bag is None else self.bag / self.bag.name
             return [*command, '--save', f'{path}.rrd']
@@ -247,13 +229,6 @@ class Recording:
 class Recorder(RunnableNode):
     """
     What records.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line, to say where a bad parameter stands.
-    **kwargs
-        As for `rclpy.node.Node`.
 
     Attributes
     ----------
@@ -284,9 +259,8 @@ class Recorder(RunnableNode):
         self._outgoing = Publishers(self, RECORDER_TOPICS)
         create_service(self, RECORDER_SERVICES.start, self._on_start)
         create_service(self, RECORDER_SERVICES.stop, self._on_stop)
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DISCOVERY_TIME, self._on_discovery, clock=steady)
-        self.create_timer(1.0, self._on_second, clock=steady)
+        self.call_every(DISCOVERY_TIME, self._on_discovery)
+        self.call_every(1.0, self._on_second)
 
     @property
     def exit_code(self) -> int | None:
@@ -347,11 +321,10 @@ class Recorder(RunnableNode):
         self._report()
         self.get_logger().info(self._last)
 
-    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        stop = RECORDER_SERVICES.stop.name
         if self.recording is not None:
-            response.message = (
-                f'already {self._message()}; call {RECORDER_SERVICES.stop.name} first'
-            )
+            response.message = f'already {self._message()}; call {stop} first'
             return response
         try:
             self.begin()
@@ -362,7 +335,7 @@ class Recorder(RunnableNode):
             response.message = self._message()
         return response
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.recording is None:
             response.message = f'nothing is being recorded; {self._last}'
         else:
@@ -417,13 +390,13 @@ class Recorder(RunnableNode):
             self._status_of(
                 'bag',
                 recording.error or self._message(),
-                bad=bool(recording.error),
+                warn=bool(recording.error),
                 is_recording=True,
                 bag=recording.bag or '',
                 messages=recording.received,
                 topics=len(list(recording.subscriptions)),
             ),
-            self._status_of('losses', f'{lost} messages lost', bad=lost > 0, lost=lost, **losses),
+            self._status_of('losses', f'{lost} messages lost', warn=lost > 0, lost=lost, **losses),
         ]
         stream = recording.live_stream
         if stream is not None:
@@ -431,7 +404,7 @@ class Recorder(RunnableNode):
                 self._status_of(
                     'viewer',
                     stream.error or f'{stream.dropped} messages not shown',
-                    bad=bool(stream.error or stream.dropped),
+                    warn=bool(stream.error or stream.dropped),
                     dropped=stream.dropped,
                     starts=stream.starts,
                 )
@@ -439,10 +412,9 @@ class Recorder(RunnableNode):
         return statuses
 
     def _status_of(
-        self, task: str, message: str, *, bad: bool = False, **values: Any
+        self, task: str, message: str, *, warn: bool = False, **values: Any
     ) -> DiagnosticStatus:
-        level = DiagnosticStatus.WARN if bad else DiagnosticStatus.OK
-        return status_to_msg(self.get_fully_qualified_name(), task, message, values, level=level)
+        return status_to_msg(self.get_fully_qualified_name(), task, message, values, warn=warn)
 
 
 def _check(settings: Settings) -> None:
@@ -460,11 +432,6 @@ def _check(settings: Settings) -> None:
         )
 
 
-def _resolve(node: Node, name: str) -> str:
-    """Return the full name of a topic or namespace, below the node's namespace if it is short."""
-    return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
-
-
 def _path(settings: Settings) -> Path:
     """Return where a bag goes that is opened now."""
     name = settings['name'] or f'{datetime.now().astimezone():soft_throw_%Y_%m_%d-%H_%M_%S}'
@@ -479,4 +446,4 @@ def _texts(values: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(value) for name, value in values.items()}
 
 
-main = make_main('recorder', lambda arguments: Recorder(arguments=arguments))
+main = partial(run, 'recorder', Recorder)

@@ -92,15 +92,10 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         '--duration', metavar='S', type=_not_negative, help='seconds of the bag to play'
     )
     playing.add_argument('--topics', metavar='T', nargs='+', help='these only')
-    playing.add_argument(
-        '--loop', dest='is_looping', action='store_true', help='begin again after the end'
-    )
-    playing.add_argument(
-        '--paused', dest='is_paused', action='store_true', help='wait for a call of ~/resume'
-    )
+    playing.add_argument('--loop', action='store_true', help='begin again after the end')
+    playing.add_argument('--paused', action='store_true', help='wait for a call of ~/resume')
     playing.add_argument(
         '--clock',
-        dest='clock_rate',
         metavar='HZ',
         nargs='?',
         type=_positive,
@@ -116,16 +111,13 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         help='compare the bag with what its journal gives; exit code 1 if that is not the same',
     )
     given = parser.parse_args(arguments)
-    options = sorted(_options(given))
-    if given.check and options:
-        names = {'is_looping': 'loop', 'is_paused': 'paused', 'clock_rate': 'clock'}
-        name = names.get(options[0], options[0])
-        parser.error(f'argument --{name}: not allowed with argument --check')
+    if given.check and (options := sorted(_options(given))):
+        parser.error(f'argument --{options[0]}: not allowed with argument --check')
     return given
 
 
 def _options(given: argparse.Namespace) -> dict[str, Any]:
-    """Return what is said about playing."""
+    """Return what is said about playing, as `Player` takes it."""
     return {name: value for name, value in vars(given).items() if name not in ('bag', 'check')}
 
 
@@ -159,14 +151,14 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
     if options.get('start', 0.0) > length:
         raise CheckError(f'{reader.path} lasts {length:.3f} s, got --start {options["start"]:g}')
     try:
-        from soft_throw_ros.nodes.player import PlaybackOptions, Player
+        from soft_throw_ros.nodes.player import Player
         from soft_throw_ros.nodes.process import run
     except ModuleNotFoundError as error:
         print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
         return 1
     return run(
         'replay',
-        lambda _arguments: Player(reader, PlaybackOptions(**options)),
+        lambda arguments: Player(reader, **options),  # noqa: ARG005  it has no parameters
         arguments,
         usage=_USAGE % {'prog': 'replay'},
     )

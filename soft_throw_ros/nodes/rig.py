@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.realtime_node import make_real_time_main, RealTimeNode
+from soft_throw_ros.nodes.process import run
+from soft_throw_ros.nodes.realtime_node import COMPILING, RealTimeNode
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
@@ -19,16 +21,9 @@ from soft_throw_ros.twin.session import Session
 _BLOCK = 4096  # random numbers that are drawn at a time
 
 
-class Rig(RealTimeNode):
+class SimulatedRig(RealTimeNode):
     """
     A rig that throws by itself, as far as sensors tell.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line, to say where a bad parameter stands.
-    **kwargs
-        As for `RealTimeNode`.
 
     Raises
     ------
@@ -44,8 +39,7 @@ class Rig(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('rig', **kwargs)
-        self._random = np.random.default_rng(0)
-        self._draws: Iterator[tuple[float, float, float]] = iter(())
+        self._draws = _draw(np.random.default_rng(0))
         self._throws = 0
         self._is_worn = False
         self.parameters = NodeParameters(
@@ -57,8 +51,7 @@ class Rig(RealTimeNode):
         )
         self.send = Publishers(self, RIG_TOPICS).sender(RIG_TOPICS.measured_joint_states)
         self._played = to_twin(self.parameters.settings)
-        self.session = Session(self._played)
-        self.drive(self.session)
+        self.drive(Session(self._played))
 
     # in the thread of the ticks
 
@@ -66,7 +59,7 @@ class Rig(RealTimeNode):
         """Publish what sensors tell."""
         self._throws = outputs.throw
         settings = self.parameters.settings
-        late, plate_noise, projectile_noise = self._draw()
+        late, plate_noise, projectile_noise = next(self._draws)
         late *= settings['jitter']
         noise = settings['noise']
         plate, projectile, plate_velocity, projectile_velocity = outputs.state[:4]
@@ -75,16 +68,6 @@ class Rig(RealTimeNode):
             projectile + late * projectile_velocity + noise * projectile_noise,
         )
         self.send(due + round(1e9 * late), measured)
-
-    def _draw(self) -> tuple[float, float, float]:
-        """Return a number from -1 to 1, and two of the normal distribution."""
-        drawn = next(self._draws, None)
-        if drawn is None:
-            even = self._random.uniform(-1.0, 1.0, _BLOCK)
-            normal = self._random.standard_normal((2, _BLOCK))
-            self._draws = zip(even.tolist(), *normal.tolist(), strict=True)
-            drawn = next(self._draws)
-        return drawn
 
     # in the executor's thread
 
@@ -104,4 +87,12 @@ class Rig(RealTimeNode):
         )
 
 
-main = make_real_time_main('rig', Rig)
+def _draw(random: np.random.Generator) -> Iterator[tuple[float, float, float]]:
+    """Yield a number from -1 to 1, and two of the normal distribution, again and again."""
+    while True:
+        even = random.uniform(-1.0, 1.0, _BLOCK)
+        normal = random.standard_normal((2, _BLOCK))
+        yield from zip(even.tolist(), *normal.tolist(), strict=True)
+
+
+main = partial(run, 'rig', SimulatedRig, notice=COMPILING)

@@ -20,9 +20,12 @@ _MANY = 8  # joints, from which on arrays are quicker than single values
 
 
 def load_type(name: str) -> Any:
-    """Import the class of a message or service type, such as `std_msgs/msg/String`."""
-    package, kind, type_name = name.split('/')
-    return getattr(import_module(f'{package}.{kind}'), type_name)
+    """Import the class of a type, such as `std_msgs/msg/String`; ImportError if there is none."""
+    package, _, type_name = name.rpartition('/')
+    try:
+        return getattr(import_module(package.replace('/', '.')), type_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ImportError(f'{name} is not installed here') from error
 
 
 def qos_profile(topic: Topic) -> QoSProfile:
@@ -38,6 +41,11 @@ def qos_profile(topic: Topic) -> QoSProfile:
     )
 
 
+def full_name(node: Node, name: str) -> str:
+    """Return the full name of anything, below the namespace of a node unless it begins with /."""
+    return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
+
+
 def create_subscription(node: Node, topic: Topic, on_message: Callable[[Any], None]) -> None:
     """Subscribe a node to a topic."""
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
@@ -49,17 +57,7 @@ def create_service(node: Node, service: Service, on_request: Callable[[Any, Any]
 
 
 class Publishers:
-    """
-    All that a node publishes, made from its topics, and sent as plain values.
-
-    Parameters
-    ----------
-    node : Node
-        Which publishes.
-    topics : iterable of Topic
-        The node's rows; those that it subscribes to are left out.
-
-    """
+    """All that a node publishes, made from its rows of topics, and sent as plain values."""
 
     def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
         self._publishers: dict[str, Publisher] = {}

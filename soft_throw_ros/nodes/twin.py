@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from soft_throw_ros.configuration import ParameterError, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import DiagnosticsPublisher
-from soft_throw_ros.nodes.measured import MeasuredSteps
+from soft_throw_ros.nodes.diagnostics import Diagnostics
+from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.realtime_node import make_real_time_main, RealTimeNode, STOP_TIMEOUT
+from soft_throw_ros.nodes.process import run
+from soft_throw_ros.nodes.realtime_node import COMPILING, RealTimeNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.recommendations import (
     matters,
     recommend_for,
@@ -40,21 +42,12 @@ class Twin(RealTimeNode):
     """
     A throwing rig.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line, to say where a bad parameter stands.
-    **kwargs
-        As for `RealTimeNode`.
-
     Attributes
     ----------
-    session : Session
-        What happens at which step.
     parameters : NodeParameters
         All settings.
-    steps : MeasuredSteps
-        What the ticker asks for steps.
+    measurement : Measurement
+        What is measured of a real rig.
     outgoing : Publishers
         All that it publishes.
     recommendation : RecommendationFor or None
@@ -86,11 +79,11 @@ class Twin(RealTimeNode):
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
-        self.session = Session(self.parameters.settings, on_entry=self.on_entry)
-        self.steps = MeasuredSteps(self, self.session)
-        self.drive(self.steps)
-        self._diagnostics = DiagnosticsPublisher(
-            self.session, self.ticker, self.steps, node_name=self.get_fully_qualified_name()
+        session = Session(self.parameters.settings, on_entry=self.on_entry)
+        self.measurement = Measurement(self, session)
+        self.drive(session)
+        self._diagnostics = Diagnostics(
+            session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
         self._worker = LatestOnlyWorker(
             recommend_for, self._on_recommendation, interval=RECOMMENDATION_INTERVAL
@@ -112,10 +105,15 @@ class Twin(RealTimeNode):
             self.session.close()
             self._worker.close(STOP_TIMEOUT)
             self._run_jobs()
-            self.steps.close()
+            self.measurement.close()
         super().destroy_node()
 
     # in the thread of the ticks
+
+    def on_tick(self, due: int) -> None:
+        """Take what has been measured until now, and go a step on."""
+        self.measurement.take()
+        super().on_tick(due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish what comes often, and leave the rest to the executor."""
@@ -124,6 +122,7 @@ class Twin(RealTimeNode):
             self._send_layer(due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
+            self.measurement.leads.append(prediction.lead_ns)
             self._send_prediction(prediction.stamp_ns, prediction[1:4])
         if residual is not None:
             self._send_residual(residual.stamp_ns, residual[1:])
@@ -251,10 +250,7 @@ class Twin(RealTimeNode):
                 response.message = str(error)
             else:
                 response.success = True
-                values = ', '.join(
-                    f'{name} {value:g}' if isinstance(value, float) else f'{name} {value}'
-                    for name, value in changes.items()
-                )
+                values = ', '.join(f'{name} {value}' for name, value in changes.items())
                 response.message = f'{values}, from the next throw or ~/reset on'
         return response
 
@@ -267,4 +263,4 @@ class Twin(RealTimeNode):
         self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
 
 
-main = make_real_time_main('twin', Twin)
+main = partial(run, 'twin', Twin, notice=COMPILING)

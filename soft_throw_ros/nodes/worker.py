@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import threading
-import time
 from typing import Generic, TypeVar
 
 Request = TypeVar('Request')
@@ -22,12 +21,11 @@ class LatestOnlyWorker(Generic[Request, Answer]):
     ----------
     compute : callable
         Makes the answer to a request. Its second argument tells, when called, whether nobody
-        waits for the answer any more; then any answer will do. What it raises is a defect, and
-        ends the thread with a traceback.
+        waits for the answer any more; then any answer will do.
     on_answer : callable
         Called in the thread with every answer.
     interval : float
-        Least time from one beginning to the next, so that a storm of requests costs little. [s]
+        Time from an answer to the next beginning, so that a storm of requests costs little. [s]
 
     """
 
@@ -41,42 +39,27 @@ class LatestOnlyWorker(Generic[Request, Answer]):
         self._compute = compute
         self._on_answer = on_answer
         self._interval = interval
-        self._condition = threading.Condition()
-        self._waiting: list[Request] = []
-        self._is_open = True
+        self._request: Request
+        self._is_waiting = threading.Event()
+        self._is_closing = threading.Event()
         self._thread = threading.Thread(name='worker', target=self._work, daemon=True)
         self._thread.start()
 
     def submit(self, request: Request) -> None:
         """Have a request answered in place of all earlier ones."""
-        with self._condition:
-            self._waiting = [request]
-            self._condition.notify()
+        self._request = request
+        self._is_waiting.set()
 
     def close(self, timeout: float) -> None:
         """Cancel everything, and wait at most `timeout` for the thread to end. [s]"""
-        with self._condition:
-            self._is_open = False
-            self._waiting = []
-            self._condition.notify()
+        self._is_closing.set()
+        self._is_waiting.set()
         self._thread.join(timeout)
 
-    def _is_cancelled(self) -> bool:
-        return bool(self._waiting) or not self._is_open
-
     def _work(self) -> None:
-        while (request := self._next_request()) is not None:
-            begin = time.monotonic()
-            answer = self._compute(request[0], self._is_cancelled)
-            if not self._is_cancelled():
+        while self._is_waiting.wait() and not self._is_closing.is_set():
+            self._is_waiting.clear()
+            answer = self._compute(self._request, self._is_waiting.is_set)
+            if not self._is_waiting.is_set():
                 self._on_answer(answer)
-            with self._condition:
-                remaining = begin + self._interval - time.monotonic()
-                self._condition.wait_for(lambda: not self._is_open, max(remaining, 0.0))
-
-    def _next_request(self) -> list[Request] | None:
-        """Wait for a request; None if there will be none."""
-        with self._condition:
-            self._condition.wait_for(self._is_cancelled)
-            request, self._waiting = self._waiting, []
-            return request if self._is_open else None
+            self._is_closing.wait(self._interval)

@@ -31,6 +31,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from soft_throw_ros.configuration.interface import resolve, Service, Topic
+from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin.results import Outputs, ThrowResult
@@ -179,15 +180,16 @@ def _reason(result: Any) -> str:
     return str(result.reason)
 
 
-class GivenClock:
+class GivenClock(SystemClock):
     """A clock that shows what it is told to."""
-
-    tolerance = SECOND // 5000
 
     def __init__(self, now: int = SECOND, max_catch_up: int = 1000 * SECOND) -> None:
         self.epoch = 0
         self.time = now
         self.max_catch_up = max_catch_up
+
+    def adjust(self) -> None:
+        """Nothing is done to the time of day."""
 
     def now(self) -> int:
         return self.time

@@ -124,20 +124,3 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     final = [item for item in results if item.stage == 'final' and item.comparison]
     assert all(item.comparison.is_within_threshold for item in final)
     assert not any('identifying' in line for line in calibrator.lines)
-
-
-@pytest.mark.parametrize(
-    ('name', 'parameter', 'words'),
-    [
-        ('rig', 'noise:=-1.0', 'got -1.0'),
-        ('rig', 'layer.name:=gelatin_2.0mm', 'layer.name'),
-        ('calibrator', 'throws:=0', 'got 0'),
-        ('calibrator', 'twin:=/twin/', "got '/twin/'"),
-    ],
-)
-def test_bad_parameter_is_one_line_and_exit_code_2(start, name, parameter, words) -> None:
-    process = start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', '-p', parameter)
-    assert process.wait() == 2
-    (line,) = process.lines
-    assert line.startswith(f'{name}: ')
-    assert words in line

@@ -7,30 +7,21 @@ import dataclasses
 import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
-import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy
-from rclpy.serialization import deserialize_message
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.nodes.conversions import (
-    msg_to_array,
     msg_to_throw_result,
-    msg_to_time,
     msg_to_values,
     profile_to_qos,
     qos_to_profile,
-    rig_to_values,
     status_to_msg,
     throw_result_to_msg,
-    time_to_msg,
-    values_to_rig,
 )
 from soft_throw_ros.nodes.topics import qos_profile
-from soft_throw_ros.recording.cdr import ArrayEncoder
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
-from std_msgs.msg import Float64MultiArray
 
 RESULT = ThrowResult(
     throw=3,
@@ -52,11 +43,6 @@ RESULT = ThrowResult(
     models={'spring_mass': Release(time=0.01, speed=1.0, energy_transfer=3.0)},
 )
 COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1)
-
-
-@pytest.mark.parametrize('time_ns', [0, 999_999_999, 1_700_000_000_123_456_789])
-def test_time_comes_back(time_ns) -> None:
-    assert msg_to_time(time_to_msg(time_ns)) == time_ns
 
 
 @pytest.mark.parametrize(
@@ -92,18 +78,6 @@ def test_values_come_back_under_the_full_name_of_the_node() -> None:
     message = status_to_msg('/rig1/twin', 'timing', '', values)
     assert msg_to_values(message) == values
     assert (message.name, message.hardware_id) == ('/rig1/twin: timing', '/rig1/twin')
-
-
-def test_rig_comes_back() -> None:
-    assert values_to_rig(rig_to_values(RESULT.rig)) == RESULT.rig
-
-
-def test_array_comes_back_through_ros() -> None:
-    values = np.random.default_rng(2).normal(size=(4, 7))
-    encoded = ArrayEncoder({'t': 4, 'y': 7}).encode(values)
-    labels, decoded = msg_to_array(deserialize_message(encoded, Float64MultiArray))
-    assert labels == ['t', 'y']
-    np.testing.assert_array_equal(decoded, values)
 
 
 @pytest.mark.parametrize('topic', TWIN_TOPICS, ids=lambda topic: topic.name)

@@ -28,7 +28,6 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.twin.plate_estimator import Sample
-from soft_throw_ros.twin.replay import replay
 
 rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
@@ -58,7 +57,7 @@ class Sensors(Node):
         """Wait until the twin has taken all that was sent."""
 
         def is_taken() -> bool:
-            self._twin.steps.take()
+            self._twin.measurement.take()
             counts = self._twin.session.sample_counts
             return counts.taken + sum(counts.refused.values()) >= self._sent
 
@@ -108,17 +107,6 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
         assert msg_to_time(message.header.stamp) == residual.stamp_ns
         assert list(message.position) == list(residual[1:])
         assert list(message.velocity) == list(message.effort) == []
-
-
-def test_run_is_repeated_from_what_was_published(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.journal)
-    sensors.throw(rigs['measured_throw'](Rig(), begin_ns=twin.clock.time, noise=5e-6))
-    twin.session.close()
-    lines = [message.data for message in listener.hear(TWIN_TOPICS.journal, len(twin.lines))]
-    assert lines == twin.lines
-    again = list(replay(lines, until=twin.session.step))
-    assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs]
-    assert [outputs.results for outputs in again] == [outputs.results for outputs in twin.outputs]
 
 
 def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> None:

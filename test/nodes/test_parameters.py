@@ -154,8 +154,6 @@ def test_results_are_set_from_inside(ros, twin) -> None:
     assert math.isnan(client.get('recommended.wave_speed'))
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))
-    with pytest.raises(ParameterError, match="'thicknes', got 1"):
-        twin.parameters.set_results({'thicknes': 1.0})
     assert unchanged(twin)
 
 
@@ -208,12 +206,9 @@ def test_start_takes_arguments_over_a_file(start) -> None:
     ('rule', 'message'),
     [
         ('layer.thickness:=nan', 'got nan'),
-        ('layer.thickness:=16.8', 'got 16.8'),
         ('layer.thickness:=soft', "got 'soft'"),
-        ('layer.thickness:=[1, 2]', 'got '),
         ('layer.thicknes:=0.01', 'did you mean layer.thickness'),
         ('recommended.thickness:=0.01', 'is a result'),
-        ('engine.motion:=sampled', "got 'sampled'"),
     ],
 )
 def test_bad_argument_is_one_line(start, rule, message) -> None:
@@ -222,28 +217,6 @@ def test_bad_argument_is_one_line(start, rule, message) -> None:
     assert str(refused.value).startswith(f'-p {rule}: ')
     assert message in str(refused.value)
     assert '\n' not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ('argument', 'words'),
-    [
-        (('-p', 'use_sim_time:=maybe'), ['use_sim_time', 'maybe']),
-        (('-r', '__node:=no-name'), ['no-name']),
-    ],
-)
-def test_what_rclpy_refuses_is_one_line(start, argument, words) -> None:
-    with pytest.raises((ParameterError, RuntimeError)) as refused:
-        start(*argument)
-    assert all(word in str(refused.value) for word in words)
-
-
-@pytest.mark.parametrize('pattern', ['/**', 'twin', '/twin', '/**/twin'])
-def test_bad_file_is_named_with_the_line(start, tmp_path: Path, pattern) -> None:
-    path = tmp_path / 'bad.yaml'
-    path.write_text(f'{pattern}:\n  ros__parameters:\n    layer:\n      thickness: -1\n')
-    with pytest.raises(ParameterError) as refused:
-        start('--params-file', str(path))
-    assert str(refused.value).startswith(f'{path}:4: layer.thickness')
 
 
 def test_dump_of_a_running_twin_starts_another_and_is_loaded(ros, start, tmp_path: Path) -> None:

@@ -15,13 +15,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.nodes.conversions import msg_to_time
-from soft_throw_ros.nodes.player import PAUSE, PlaybackOptions, Player, RESUME, STEP
-from soft_throw_ros.nodes.raw_subscriptions import message_type, prefixes
+from soft_throw_ros.nodes.player import PAUSE, Player, RESUME, STEP
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 SECOND = 1_000_000_000
@@ -80,14 +81,11 @@ class Listener(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__('listener', **kwargs)
-        self.heard: dict[str, list[bytes]] = {}
 
-    def listen(self, topic: str, qos: QoSProfile = EVERYTHING, kind: str = '') -> list[bytes]:
+    def listen(self, topic: str, qos: QoSProfile = EVERYTHING) -> list[bytes]:
         """Take a topic, and return the list that messages will be in."""
         heard: list[bytes] = []
-        self.heard[topic] = heard
-        type_ = message_type(kind or 'std_msgs/msg/String')
-        self.create_subscription(type_, topic, heard.append, qos, raw=True)
+        self.create_subscription(String, topic, heard.append, qos, raw=True)
         return heard
 
 
@@ -103,7 +101,7 @@ def play(ros: Any) -> Iterator[Callable[..., Player]]:
 
     def play(path: Path, listeners: int = 0, **options: Any) -> Player:
         reader = readers.enter_context(BagReader(path))
-        player = ros.node(Player, reader, PlaybackOptions(**options))
+        player = ros.node(Player, reader, **options)
         publishers = list(player.publishers)
         ros.spin_until(
             lambda: sum(item.get_subscription_count() for item in publishers) >= listeners,
@@ -172,7 +170,7 @@ def test_only_the_part_and_the_topics_that_are_asked_for_come(
 
 def test_looped_bag_comes_again_and_again(ros, listener, play, tmp_path) -> None:
     heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages(50)), 1, is_looping=True)
+    player = play(write(tmp_path / 'bag', messages(50)), 1, loop=True)
     ros.spin_until(lambda: len(heard) >= 170, 'the fourth time')
     loop = [text(f'fast {number}') for number in range(50)]
     assert heard[:170] == (loop * 4)[:170]
@@ -189,7 +187,7 @@ def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
     listener.create_subscription(
         Clock, '/clock', lambda message: told.append(msg_to_time(message.clock)), EVERYTHING
     )
-    player = play(write(tmp_path / 'bag', made), 1, clock_rate=200.0, rate=2.0)
+    player = play(write(tmp_path / 'bag', made), 1, clock=200.0, rate=2.0)
     assert finish(ros, player) == 0
     assert told == sorted(told)
     assert BEGIN <= told[0] < told[-1] <= BEGIN + SECOND // 2
@@ -210,7 +208,7 @@ def call(ros: Any, listener: Listener) -> Callable[[str], Trigger.Response]:
 
 def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tmp_path) -> None:
     heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages(300)), 1, is_paused=True)
+    player = play(write(tmp_path / 'bag', messages(300)), 1, paused=True)
 
     answer = call(STEP)
     assert answer.success
@@ -227,7 +225,7 @@ def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tm
 
 
 def test_playing_bag_is_paused(ros, play, call, tmp_path) -> None:
-    player = play(write(tmp_path / 'bag', messages(100)), is_looping=True)
+    player = play(write(tmp_path / 'bag', messages(100)), loop=True)
 
     ros.spin_until(lambda: player.played > 10, 'the beginning')
     answer = call(STEP)

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 import pytest
-from soft_throw_ros.nodes.realtime import percentiles, SystemClock, Ticker
+from soft_throw_ros.nodes.realtime import SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -24,10 +24,6 @@ class CountingSession:
         self.rate = rate
         self.told: list[tuple[int, int, float, int]] = []
 
-    def advance(self) -> int:
-        self.step += 1
-        return self.step - 1
-
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         self.told.append((self.step, schedule.time_ns, schedule.rate, schedule.step))
 
@@ -39,9 +35,11 @@ class Bench:
         self.clock = clock
         self.session = CountingSession(rate)
         self.done: list[tuple[int, int]] = []
-        self.ticker = Ticker(
-            self.session, lambda step, due: self.done.append((step, due)), lambda: self.clock
-        )
+        self.ticker = Ticker(self.session, self._go_on, lambda: self.clock)
+
+    def _go_on(self, due: int) -> None:
+        self.done.append((self.session.step, due))
+        self.session.step += 1
 
     def at(self, time: float) -> list[tuple[int, float]]:
         """Show a time, and return which steps are done, and when they were due. [ms]"""
@@ -150,11 +148,6 @@ def test_system_clock_knows_when_it_was_set(monkeypatch) -> None:
     clock.adjust()
     assert clock.epoch == 1
     assert clock.now() < before
-
-
-def test_percentiles_are_in_seconds() -> None:
-    assert percentiles([]) == (0.0, 0.0, 0.0)
-    assert percentiles(list(range(1001))) == pytest.approx((500e-9, 990e-9, 1000e-9))
 
 
 def test_worker_cancels_what_is_outdated_and_answers_the_latest() -> None:

@@ -8,22 +8,20 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, resolve
+from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
-from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import Message
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
@@ -62,12 +60,6 @@ def talker(ros: Any) -> Node:
     return ros.node(Node, 'talker')
 
 
-def ask(ros: Any, node: Node, service: Any) -> Trigger.Response:
-    """Call a service of the recorder."""
-    client = node.create_client(Trigger, resolve(service.name, '/recorder'))
-    return ros.call(client, Trigger.Request())
-
-
 def say(ros: Any, recorder: Recorder, publisher: Any, said: list[str]) -> None:
     """Publish texts, and wait until the recorder has them."""
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
@@ -75,29 +67,6 @@ def say(ros: Any, recorder: Recorder, publisher: Any, said: list[str]) -> None:
     for text in said:
         publisher.publish(String(data=text))
     ros.spin_until(lambda: recorder.recording.received >= before + len(said), 'the messages')
-
-
-def statuses(ros: Any, topic: Any) -> Callable[..., Any]:
-    """Return what waits for a status of the recorder that is as wanted."""
-    heard: list[Any] = []
-
-    def take(message: DiagnosticArray) -> None:
-        heard.extend(message.status)
-
-    create_subscription(ros.node(Node, 'listener'), topic.at('/recorder'), take)
-
-    def wait(task: str, done: Callable[[Any], bool] = lambda _values: True) -> Any:
-        found: list[Any] = []
-
-        def is_there() -> bool:
-            named = [status for status in heard if status.name == f'/recorder: {task}']
-            found[:] = [status for status in named if done(msg_to_values(status))]
-            return bool(found)
-
-        ros.spin_until(is_there, task)
-        return found[-1]
-
-    return wait
 
 
 def test_what_is_published_is_in_the_bag(ros, recorder, talker, tmp_path) -> None:
@@ -110,50 +79,54 @@ def test_what_is_published_is_in_the_bag(ros, recorder, talker, tmp_path) -> Non
         assert bag.ros_distro in ('jazzy', 'kilted')
 
 
-def test_bag_is_named_by_the_time_and_never_overwritten(ros, recorder, talker, tmp_path) -> None:
+def test_bag_is_named_by_the_time_and_never_overwritten(
+    ros, recorder, talker, listen_to, tmp_path
+) -> None:
     node = recorder()
+    listener = listen_to(node)
     publisher = talker.create_publisher(String, '/talk', 100)
     for number in range(3):
         say(ros, node, publisher, [str(number)])
-        assert ask(ros, talker, RECORDER_SERVICES.stop).success
-        assert ask(ros, talker, RECORDER_SERVICES.start).success
+        assert listener.trigger(RECORDER_SERVICES.stop).success
+        assert listener.trigger(RECORDER_SERVICES.start).success
     node.close()
     bags = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     assert all(path.name.startswith('soft_throw_20') for path in bags)
     assert [texts(path) for path in bags] == [['0'], ['1'], ['2'], []]
 
 
-def test_recorder_waits_to_be_started(ros, recorder, talker, tmp_path) -> None:
+def test_recorder_waits_to_be_started_and_tells_so(recorder, listen_to, tmp_path) -> None:
     node = recorder(start='false', name='bag')
+    listener = listen_to(node)
+    listener.listen(RECORDER_TOPICS.status)  # latched
     assert node.recording is None
     assert not list(tmp_path.iterdir())
-    assert not ask(ros, talker, RECORDER_SERVICES.stop).success
-    started = ask(ros, talker, RECORDER_SERVICES.start)
-    assert started.success
-    assert str(tmp_path / 'bag') in started.message
-    again = ask(ros, talker, RECORDER_SERVICES.start)
-    assert not again.success
-    assert 'already' in again.message
-    stopped = ask(ros, talker, RECORDER_SERVICES.stop)
-    assert stopped.success
-    assert '0 messages' in stopped.message
-    assert '0 lost' in stopped.message
-    third = ask(ros, talker, RECORDER_SERVICES.start)
-    assert not third.success
-    assert 'never overwritten' in third.message
+    start, stop = RECORDER_SERVICES.start, RECORDER_SERVICES.stop
+    for service, is_accepted, words in (
+        (stop, False, 'nothing has been recorded'),
+        (start, True, str(tmp_path / 'bag')),
+        (start, False, 'already'),
+        (stop, True, '0 messages'),
+        (start, False, 'never overwritten'),
+    ):
+        answer = listener.trigger(service)
+        assert (answer.success, words in answer.message) == (is_accepted, True), answer
+    told = [message.status[0] for message in listener.hear(RECORDER_TOPICS.status, 3)]
+    assert [msg_to_values(status)['is_recording'] for status in told] == [False, True, False]
 
 
-def test_status_reaches_who_comes_late(ros, recorder, tmp_path) -> None:
+def test_what_was_lost_is_in_diagnostics_and_bag(
+    ros, recorder, talker, listen_to, monkeypatch
+) -> None:
     node = recorder(name='bag')
-    status = statuses(ros, RECORDER_TOPICS.status)
-    assert str(tmp_path / 'bag') in status('bag', lambda values: values['is_recording']).message
-    node.end()
-    status('bag', lambda values: not values['is_recording'])
+    listener = listen_to(node)
+    listener.listen(RECORDER_TOPICS.diagnostics)
 
+    def status(task: str, done: Callable[[Any], bool]) -> Any:
+        return listener.status(
+            RECORDER_TOPICS.diagnostics, task, lambda item: done(msg_to_values(item))
+        )
 
-def test_what_was_lost_is_in_diagnostics_and_bag(ros, recorder, talker, monkeypatch) -> None:
-    status = statuses(ros, RECORDER_TOPICS.diagnostics)
-    node = recorder(name='bag')
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
     assert status('losses', lambda values: values['lost'] == 0).level == DiagnosticStatus.OK
     assert msg_to_values(status('bag', lambda values: values['messages'] == 3))['topics'] == 1
@@ -179,9 +152,19 @@ def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, 
     assert list(read(tmp_path / 'second')) == ['/other']
 
 
-def test_recorder_with_nothing_to_do_is_refused(recorder) -> None:
-    with pytest.raises(ParameterError, match=r"storage and rerun\.sink are both 'none'"):
-        recorder(storage='none')
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'storage': 'none'}, r"rerun\.sink .*'none'"),
+        *(({'name': name}, f"'{name}'") for name in ('../bag', '/tmp/bag', 'a/b', '..')),
+        ({'name': 'there'}, 'there exists'),
+    ],
+)
+def test_recorder_that_could_not_record_is_refused(recorder, tmp_path, parameters, words) -> None:
+    (tmp_path / 'there').mkdir()
+    with pytest.raises(ParameterError, match=words):
+        recorder(**parameters)
+    assert [path.name for path in tmp_path.iterdir()] == ['there']
 
 
 def test_file_is_split_by_time(ros, recorder, talker, tmp_path) -> None:

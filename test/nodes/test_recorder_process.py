@@ -76,7 +76,7 @@ def wait_for_states(ros: Any, path: Path, count: int) -> None:
 
 
 def end_well(recorder: Any, number: int = signal.SIGINT) -> str:
-    """End a recorder, and return its last line."""
+    """End a recorder by a signal, and return its last line."""
     assert recorder.end(number) == 0
     assert not any('Traceback' in line for line in recorder.lines), recorder.lines
     return recorder.lines[-1]  # type: ignore[no-any-return]
@@ -93,13 +93,6 @@ def test_recorder_and_twin_in_two_processes(start, record, ros, tmp_path) -> Non
         counts = {connection.topic: connection.msgcount for connection in bag.connections}
     assert counts['/twin/joint_states'] >= 500
     assert {f'/twin/{name}' for name in ('journal', 'phase', 'recommendation')} <= counts.keys()
-
-
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_recorder_ends_well_by_a_signal(record, ros, talk, tmp_path, number) -> None:
-    recorder = record('bag')
-    wait_for_states(ros, tmp_path / 'bag', 100)
-    assert ' 0 lost, in ' in end_well(recorder, number)
 
 
 def test_recorder_that_is_killed_loses_at_most_the_last_second(
@@ -121,17 +114,6 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(
         assert {'/twin/joint_states', '/twin/journal'} <= recorded
         assert killed - stamps[-1] < 10**9
         assert len(stamps) > 100
-
-
-def test_second_recorder_into_a_bag_is_refused(record, tmp_path) -> None:
-    first = record('bag')
-    first.wait_for('recording into')
-    second = record('bag')
-    assert second.wait() == 2
-    (line,) = second.lines
-    assert line.startswith(f'recorder: {tmp_path / "bag"} ')
-    assert 'never overwritten' in line
-    end_well(first)
 
 
 @pytest.mark.parametrize('has_room_again', [False, True])
@@ -172,14 +154,6 @@ def test_folder_that_is_deleted_is_told_and_nothing_of_it_is_counted_as_recorded
     assert received == lost
 
 
-@pytest.mark.parametrize('name', ['../bag', '/tmp/bag', 'a/b', '..'])
-def test_name_that_leads_out_of_the_folder_is_refused(record, tmp_path, name) -> None:
-    recorder = record(name)
-    assert recorder.wait() == 2
-    assert repr(name) in recorder.lines[-1]
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tmp_path) -> None:
     place = tmp_path / 'place'
     place.write_text('in the way')
@@ -188,7 +162,7 @@ def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tm
     assert any(f'{place / "bag"}: Not a directory' in line for line in recorder.lines)
     place.unlink()
     wait_for_states(ros, place / 'bag', 100)
-    assert ' 0 lost, in ' in end_well(recorder)
+    assert ' 0 lost, in ' in end_well(recorder, signal.SIGTERM)
     with Reader(place / 'bag') as bag:
         assert bag.message_count > 100
 
@@ -209,7 +183,7 @@ def test_recorder_loses_nothing_by_a_viewer_that(record, ros, talk, tmp_path, vi
     starts = 1 if viewer == 'hangs' else 2
     ros.spin_until(lambda: heard and msg_to_values(heard[-1])['starts'] >= starts, 'the viewer')
     begin = time.monotonic()
-    last = end_well(recorder)
+    last = end_well(recorder, signal.SIGHUP)
     assert time.monotonic() - begin < 20.0  # not as long as that sleeps
     assert ' 0 lost' in last
     assert viewer == 'hangs' or 'not shown' in last

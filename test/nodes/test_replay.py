@@ -1,59 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of `replay`: what it refuses, and what it says of bags that it checks."""
+"""`replay`: what it refuses, what it says of bags that it checks, and how it plays and ends."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 import re
+import signal
 import struct
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 BEGIN = 1_700_000_000_000_000_000
-PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
 
 
-def channel(topic: str, kind: str) -> Channel:
-    schema = find_schema(kind, PREFIXES)
-    return Channel(topic=topic, type=kind, schema=schema.text, type_hash=schema.type_hash)
+def channel(topic: str, kind: str, *qos: Qos) -> Channel:
+    schema = find_schema(kind, prefixes())
+    return Channel(topic=topic, type=kind, schema=schema.text, type_hash=schema.type_hash, qos=qos)
 
 
-def messages_of_a_twin(steps: int, *, end: bool = True) -> list[Message]:
+def text(content: str) -> bytes:
+    data = content.encode() + b'\0'
+    return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
+
+
+def messages_of_a_twin(steps: int) -> list[Message]:
     """Make what a twin publishes in a run of so many steps."""
     journal = channel('/twin/journal', 'std_msgs/msg/String')
     states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
-    strain = channel('/twin/layer/strain', 'std_msgs/msg/Float64MultiArray')
     made: list[Message] = []
     due = BEGIN
 
     def write_line(line: str) -> None:
-        data = line.encode() + b'\0'
-        data = b'\0\1\0\0' + struct.pack('<I', len(data)) + data
-        made.append(Message(journal, data, due, due))
+        made.append(Message(journal, text(line), due, due))
 
     session = Session({**TWIN.defaults(), 'throw.period': 0.1}, on_entry=write_line)
     pace = TickSchedule(step=0, time_ns=BEGIN, rate=session.rate)
     session.set_tick_schedule(pace)
     encode = JointStateEncoder('rig', ('plate', 'projectile')).encode
-    encode_field = ArrayEncoder({'y': 64}).encode
     for step in range(steps):
         due = pace.deadline(step)
         outputs = session.advance()
         made.append(Message(states, encode(due, outputs.state), due, due))
-        if outputs.layer is not None:
-            made.append(Message(strain, encode_field(outputs.layer.height), due, due))
     return made
 
 
@@ -184,3 +189,137 @@ def test_check_needs_no_ros_and_playing_says_that_it_does(bag) -> None:
     )
     assert done.stdout.splitlines()[-1] == '[0, 1]'
     assert 'rclpy' in done.stderr
+
+
+# as a process
+
+
+MAIN = 'import sys; from soft_throw_ros.nodes.replay import main; sys.exit(main())'
+
+COMMAND = [sys.executable, '-c', MAIN]
+
+
+@pytest.fixture(scope='module')
+def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a bag of one second, with a message every millisecond."""
+    texts = channel('/texts', 'std_msgs/msg/String', Qos(depth=1000))
+    times = range(BEGIN, BEGIN + 1_000_000_001, 1_000_000)
+    made = [Message(texts, text(str(n)), time, time) for n, time in enumerate(times)]
+    return write(tmp_path_factory.mktemp('texts') / 'bag', made)
+
+
+def listen(ros: Any, topic: str) -> list[str]:
+    heard: list[str] = []
+    listener = ros.node(Node, 'listener')
+    listener.create_subscription(
+        String, topic, lambda message: heard.append(message.data), QoSProfile(depth=2000)
+    )
+    return heard
+
+
+def resume(ros: Any, replay: Any) -> None:
+    """Have a paused player go on: it answers, or plays to its end when it has not found us yet."""
+    client = ros.node(Node, 'asking').create_client(Trigger, '/replay/resume')
+    ros.spin_until(client.service_is_ready, client.srv_name)
+    answer = client.call_async(Trigger.Request())  # the middleware drops answers to the unknown
+    ros.spin_until(lambda: answer.done() or replay.process.poll() is not None, 'the player')
+
+
+def assert_is_calm(lines: list[str]) -> None:
+    assert not any('Traceback' in line or 'rror' in line for line in lines), lines
+
+
+def test_replay_ends_by_itself_after_the_last_message(start, ros, texts) -> None:
+    heard = listen(ros, '/elsewhere')
+    replay = start(*COMMAND, str(texts), '--paused', '--ros-args', '-r', '/texts:=/elsewhere')
+    resume(ros, replay)
+    ros.spin_until(lambda: '1000' in heard, 'the last message')
+    assert replay.wait() == 0
+    assert heard == [str(number) for number in range(1001)]
+    assert replay.lines == ['replay: 1001 messages of 1 topics played']
+
+
+@pytest.mark.parametrize(
+    ('number', 'option'), [(signal.SIGINT, '--loop'), (signal.SIGTERM, '--paused')]
+)
+def test_replay_ends_well_by_a_signal(start, ros, texts, number, option) -> None:
+    heard = listen(ros, '/texts')
+    replay = start(*COMMAND, str(texts), option, '--clock')
+    there = ros.node(Node, 'observer')
+    ros.spin_until(lambda: there.count_publishers('/texts') > 0, 'the player')
+    if option == '--loop':
+        ros.spin_until(lambda: len(heard) > 10, 'messages')
+    assert replay.end(number) == 0
+    assert_is_calm(replay.lines)
+
+
+SUBSCRIBER = """
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import String
+
+rclpy.init()
+node = Node('subscriber')
+node.create_subscription(String, '/texts', lambda _: print('heard', flush=True), 10)
+print('ready', flush=True)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.parametrize('number', [None, signal.SIGINT])
+def test_stopped_subscriber_does_not_hold_up_the_end(start, ros, texts, number) -> None:
+    subscriber = start(sys.executable, '-c', SUBSCRIBER)
+    subscriber.wait_for('ready')
+    # in the other case slow enough for the subscriber to be found before the end
+    replay = start(*COMMAND, str(texts), *(['--loop'] if number else ['--rate', '0.3']))
+    subscriber.wait_for('heard')
+    subscriber.process.send_signal(signal.SIGSTOP)
+    try:
+        if number is not None:
+            assert not threading.Event().wait(0.3)  # while messages pile up
+        assert (replay.wait() if number is None else replay.end(number)) == 0
+    finally:
+        subscriber.process.send_signal(signal.SIGCONT)
+    assert_is_calm(replay.lines)
+
+
+def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
+    start, ros, tmp_path
+) -> None:
+    def run(name: str, *options: str) -> Any:
+        command = [sys.executable, '-m', 'soft_throw_ros', name, '--ros-args']
+        return start(*command, *[word for option in options for word in ('-p', option)])
+
+    def record(name: str) -> Any:
+        recorder = run('recorder', f'folder:={tmp_path}', f'name:={name}', 'topics:=[/twin]')
+        recorder.wait_for('recording into')
+        return recorder
+
+    def check(name: str) -> list[str]:
+        checking = start(*COMMAND, '--check', str(tmp_path / name))
+        assert checking.wait() == 0, checking.lines
+        return checking.lines
+
+    twin = run('twin', 'throw.period:=0.3')
+    twin.wait_for('ready')
+    recorder = record('first')
+    observer = ros.node(Node, 'observer')
+    ros.spin_until(lambda: observer.count_subscribers('/twin/joint_states') > 0, 'the recorder')
+    thrown = sum(': left' in line for line in twin.lines)
+    twin.wait_for(f'throw {thrown + 5}: left')
+    assert recorder.end(signal.SIGINT) == 0
+    assert twin.end(signal.SIGINT) == 0
+    first = check('first')
+    assert not any(' 0 are the same' in line for line in first)
+
+    recorder = record('second')
+    replay = start(*COMMAND, str(tmp_path / 'first'), '--paused', '--rate', '3')
+    for topic in ('/twin/joint_states', '/twin/journal'):
+        ros.spin_until(lambda topic=topic: observer.count_subscribers(topic) > 0, topic)
+    resume(ros, replay)
+    assert replay.wait() == 0
+    assert recorder.end(signal.SIGINT) == 0
+    second = check('second')
+    assert [' 0 are different' in line for line in second] == [
+        ' 0 are different' in line for line in first
+    ]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import to_twin
-from soft_throw_ros.nodes.rig import Rig
+from soft_throw_ros.nodes.rig import SimulatedRig
 from soft_throw_ros.twin.session import Session
 
 SECOND = 1_000_000_000
@@ -17,7 +17,7 @@ RATE = 5000
 QUIET = ('-p', 'noise:=0.0', '-p', 'jitter:=0.0')
 
 
-class Driven(Rig):
+class Driven(SimulatedRig):
     """A rig that goes where the test sends it, and remembers what its sensors told."""
 
     def __init__(self, clock: Any, **kwargs: Any) -> None:
@@ -30,10 +30,6 @@ class Driven(Rig):
             self.positions.append(values),
         )
         self.ticker.run_due()  # the first step
-
-    def _remember(self, stamp: int, positions: tuple[float, float]) -> None:
-        self.stamps.append(stamp)
-        self.positions.append(positions)
 
     def go(self, seconds: float) -> None:
         self.clock.time += round(seconds * SECOND)
@@ -88,7 +84,7 @@ def test_layer_ages_once_after_its_throws(start, ros) -> None:
 
 @pytest.mark.parametrize('namespace', ['', '/rig1'])
 def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
-    rig = ros.node(Rig, ros_args=('-r', f'__ns:={namespace or "/"}'))
+    rig = ros.node(SimulatedRig, ros_args=('-r', f'__ns:={namespace or "/"}'))
     topics = [publisher.topic_name for publisher in rig.publishers]
     assert f'{namespace}/{RIG_TOPICS.measured_joint_states.name}' in topics
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node as a process: how it starts, refuses and ends."""
+"""Nodes as processes: how they start, refuse and end."""
 
 from __future__ import annotations
 
-from pathlib import Path
 import signal
 import sys
 import time
@@ -15,22 +14,25 @@ from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.twin import main
 
 COMMAND = [sys.executable, '-m', 'soft_throw_ros', 'twin']
-SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 def assert_quiet(process: Any) -> None:
     assert not any('Traceback' in line for line in process.lines), process.lines
 
 
-@pytest.mark.parametrize('number', SIGNALS)
-def test_twin_ends_well_by_a_signal(start, number) -> None:
-    twin = start(*COMMAND)
-    twin.wait_for('ready')
-    assert twin.end(number) == 0
-    assert_quiet(twin)
+@pytest.mark.parametrize(
+    ('name', 'number'),
+    [('twin', INT), ('twin', TERM), ('twin', HUP), ('rig', INT), ('calibrator', TERM)],
+)
+def test_node_ends_well_by_a_signal(start, name, number) -> None:
+    node = start(sys.executable, '-m', 'soft_throw_ros', name)
+    node.wait_for('ready')
+    assert node.end(number) == 0
+    assert_quiet(node)
 
 
-@pytest.mark.parametrize('number', SIGNALS)
+@pytest.mark.parametrize('number', [INT, TERM, HUP])
 def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start, number) -> None:
     # whatever is imported first tells that importing has begun, and takes long
     telling = (
@@ -45,16 +47,6 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start, number) 
     twin.wait_for('importing')
     assert twin.end(number) == 0
     assert twin.lines == ['importing']
-
-
-def test_twin_ends_well_while_throwing_and_being_asked(start, listen_to) -> None:
-    twin = start(*COMMAND, '--ros-args', '-p', 'throw.period:=0.05')
-    twin.wait_for('throw 3: left')
-    listener = listen_to()
-    listener.listen(TWIN_TOPICS.joint_states)
-    listener.hear(TWIN_TOPICS.joint_states, 100)
-    assert twin.end(signal.SIGINT) == 0
-    assert_quiet(twin)
 
 
 SUBSCRIBER = """
@@ -106,36 +98,34 @@ BAD_FILE = """/**:
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'words'),
+    ('name', 'arguments', 'words'),
     [
-        (['-p', 'layer.thickness:=-1.0'], ['-p layer.thickness:=-1.0', 'got -1.0']),
-        (
-            [
-                *('-p', 'layer.thickness:=0.1'),
-                *('-p', 'layer.wave_speed:=1.0'),
-                *('-p', 'engine.frequency:=1000.0'),
-            ],
-            ['steps per crossing'],
-        ),
-        (['-p', 'use_sim_time:=maybe'], ['use_sim_time', 'maybe']),
-        (['-p', 'foo'], ['-p foo']),
-        (['--params-file', '{file}'], ['bad.yaml:4', 'got 16.8']),
-        (['--params-file', '{file}.missing'], ['bad.yaml.missing']),
-        (['-r', 'foo'], ['-r foo']),
-        (['--bogus'], ['--bogus']),
-        (['--', '--thickness', '3'], ['no such argument: --thickness 3; usage: twin']),
+        ('twin', ['-p', 'layer.thickness:=-1.0'], ['-p layer.thickness:=-1.0', 'got -1.0']),
+        ('twin', ['-p', 'engine.frequency:=1000.0', '-p', 'layer.wave_speed:=1.0',
+                  '-p', 'layer.thickness:=0.1'], ['steps per crossing']),
+        ('twin', ['-p', 'use_sim_time:=maybe'], ['use_sim_time', 'maybe']),
+        ('twin', ['-p', 'foo'], ['-p foo']),
+        ('twin', ['--params-file', '{file}'], ['bad.yaml:4', 'got 16.8']),
+        ('twin', ['--params-file', '{file}.missing'], ['bad.yaml.missing']),
+        ('twin', ['-r', 'foo'], ['-r foo']),
+        ('twin', ['-r', '__node:=no-name'], ['no-name']),
+        ('twin', ['--bogus'], ['--bogus']),
+        ('twin', ['--', '--thickness', '3'], ['no such argument: --thickness 3; usage: twin']),
+        ('rig', ['-p', 'noise:=-1.0'], ['got -1.0']),
+        ('rig', ['-p', 'layer.name:=gelatin_2.0mm'], ['layer.name']),
+        ('calibrator', ['-p', 'throws:=0'], ['got 0']),
+        ('calibrator', ['-p', 'twin:=/twin/'], ["got '/twin/'"]),
+        ('recorder', ['-p', 'name:=../bag'], ["'../bag'"]),
     ],
-)
-def test_bad_argument_is_one_line_and_exit_code_2(
-    start, tmp_path: Path, arguments: list[str], words: list[str]
-) -> None:
+)  # fmt: skip
+def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path, name, arguments, words) -> None:
     file = tmp_path / 'bad.yaml'
     file.write_text(BAD_FILE)
     arguments = [argument.format(file=file) for argument in arguments]
-    twin = start(*COMMAND, '--ros-args', *arguments)
-    assert twin.wait() == 2
-    (line,) = [line for line in twin.lines if 'compiling' not in line]
-    assert line.startswith('twin: ')
+    node = start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *arguments)
+    assert node.wait() == 2
+    (line,) = [line for line in node.lines if 'compiling' not in line]
+    assert line.startswith(f'{name}: ')
     assert all(word in line for word in words)
 
 
