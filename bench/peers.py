@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 from scipy.integrate import solve_ivp
-
-from bench.package import peak_velocity_ratio, Rig
+from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.rig import Rig
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 

@@ -14,55 +14,23 @@ BUDGET = 3.0  # after this a case sits out the turns that are left [s]
 
 
 class Case(NamedTuple):
-    """
-    One way to get some numbers.
-
-    Parameters
-    ----------
-    name : str
-        What it is.
-    call : callable
-        What is timed.
-    units : float
-        How many units of the table (throws, seconds, ticks) one call does.
-    error : callable, optional
-        Of what `call` returns.
-    goal : float, optional
-        What it is to reach, in the table's measure.
-
-    """
+    """One way to get some numbers; one call does so many units (throws, seconds) of the table."""
 
     name: str
     call: Callable[[], Any]
     units: float = 1.0
-    error: Callable[[Any], float] | None = None
-    goal: float | None = None
+    error: Callable[[Any], float] | None = None  # of what `call` returns
+    goal: float | None = None  # that it is to reach, in the table's measure
 
 
 class Table(NamedTuple):
-    """
-    Cases that are compared; the first is what the others are measured by.
-
-    Parameters
-    ----------
-    title : str
-        What the cases do.
-    unit : str
-        What is counted.
-    error : str
-        What the errors are of.
-    cases : list of Case
-        In the order of the rows.
-    is_factor : bool
-        Whether the measure is units per second (a real-time factor), not microseconds per unit.
-
-    """
+    """Cases that are compared; the first is what the others are measured by."""
 
     title: str
     unit: str
-    error: str
+    error: str  # what the errors are of
     cases: list[Case]
-    is_factor: bool = False
+    is_factor: bool = False  # units per second, a real-time factor, not microseconds per unit
 
 
 class Times(NamedTuple):
@@ -73,20 +41,7 @@ class Times(NamedTuple):
 
 
 def race(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
-    """
-    Time calls, in turns.
-
-    Parameters
-    ----------
-    calls : mapping of str to callable
-        What to call, by name. It is called once before it counts, and so is compiled.
-
-    Returns
-    -------
-    dict of str to Times
-        In the same order.
-
-    """
+    """Time calls, in turns; each is made once before it counts, and so is compiled."""
     counts: dict[str, int] = {}
     for name, call in calls.items():
         call()

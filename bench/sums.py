@@ -12,9 +12,22 @@ from typing import Any
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.cell_stepper import CellStepper, first_throws
+from soft_throw_ros.core.closed_form import (
+    first_release,
+    first_release_kernel,
+    first_releases,
+    MAX_INTERVALS,
+)
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.smoothing import smooth
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.design.objective import Limits, Robust
+from soft_throw_ros.design.recommendation import recommend
 
-from bench import package, peers
-from bench.package import Engine, Layer, Projectile, Rig
+from bench import peers
 from bench.race import Case, Table
 
 Floats = NDArray[np.float64]
@@ -41,17 +54,15 @@ def one_throw() -> Table:
     """List ways to one first release of the default rig, without gravity."""
     rig = Rig(gravity=0.0)
     case = peers.Case.of(rig)
-    work = package.work_of_kernel()
-    plate_speed = package.Underdamped.of(rig.engine).peak_velocity
+    work = np.empty((2, MAX_INTERVALS))
+    plate_speed = Underdamped.of(rig.engine).peak_velocity
 
     def in_loop() -> peers.Release:
-        phase, speed = _throw_often(case.mu, case.kappa, case.zeta, *work)
+        phase, speed = _throw_often(case.mu, case.kappa, case.zeta, work)
         return case.release(phase * case.kappa, speed * case.omega)
 
     def called() -> peers.Release:
-        exact = package.first_release(
-            mass_ratio=case.mu, speed_ratio=case.kappa, damping_ratio=case.zeta
-        )
+        exact = first_release(mass_ratio=case.mu, speed_ratio=case.kappa, damping_ratio=case.zeta)
         return peers.Release(float(exact.ejection_phase), float(exact.energy_transfer))
 
     def stepped(stepper: Any) -> peers.Release:
@@ -66,8 +77,8 @@ def one_throw() -> Table:
     return _table_of_throws(
         Case('closed form, called from Python', called),
         Case('closed form, in a compiled loop', in_loop, LOOP),
-        Case('travelling waves, to the release', partial(stepped, package.wave_stepper(rig))),
-        Case('cells, to the release', partial(stepped, package.cell_stepper(rig))),
+        Case('travelling waves, to the release', partial(stepped, WaveStepper(rig))),
+        Case('cells, to the release', partial(stepped, CellStepper(rig))),
         *(
             Case(f'finite differences, numba, {cells} cells',
                  partial(peers.rigid_numba, case, cells=cells))
@@ -95,7 +106,7 @@ def _throw_often(mu, kappa, zeta, work):
     phase = speed = 0.0
     for i in range(LOOP):
         nearby = mu * (1.0 + 1e-9 * (LOOP - 1 - i))
-        phase, speed, _ = package.first_release_kernel(nearby, kappa, zeta, 0.0, work)
+        phase, speed, _ = first_release_kernel(nearby, kappa, zeta, 0.0, work)
     return phase, speed
 
 
@@ -108,16 +119,19 @@ def landscape() -> Table:
     c = 14.0 * (np.arange(SIDE) + 1.0) / SIDE
     x, c = map(np.ravel, np.meshgrid(x, c))
     mu, kappa = DENSITY_RATIO * (1.0 - x) / x, c / x
-    exact = np.asarray(package.first_releases(mass_ratio=mu, speed_ratio=kappa).ejection_phase)
+    exact = np.asarray(first_releases(mass_ratio=mu, speed_ratio=kappa).ejection_phase)
     wave_speed_ratio = Layer().wave_speed / math.sqrt(3.6e9 / 1300.0)
     elastic = mu / DENSITY_RATIO * wave_speed_ratio
 
     def by_closed_form(threads: int | None) -> Floats:
-        found = package.first_releases(mass_ratio=mu, speed_ratio=kappa, threads=threads)
+        found = first_releases(mass_ratio=mu, speed_ratio=kappa, threads=threads)
         return np.asarray(found.ejection_phase)
 
     def by_cells(crossing_ratio: Floats | float) -> Floats:
-        found = package.map_by_cells(mu, kappa, crossing_ratio, threads=1)
+        found = first_throws(
+            mass_ratio=mu, speed_ratio=kappa, crossing_ratio=crossing_ratio,
+            unresolved='nan', threads=1,
+        )  # fmt: skip
         return np.asarray(found.ejection_phase)
 
     some = np.random.default_rng(1).permutation(mu.size)
@@ -186,11 +200,11 @@ def one_second() -> Table:
     lossy = Rig(layer=Layer(loss_tangent=0.05))
     case = peers.Case.of(rig)
     second = 1.0 / rig.crossing_time
-    exact = package.simulate(rig, max_events=1).ejection_time
-    with_loss = package.simulate(lossy, model='finite_difference', max_events=1, cells=1024)
+    exact = simulate(rig, max_events=1).ejection_time
+    with_loss = simulate(lossy, model='finite_difference', max_events=1, cells=1024)
 
     def run(stepper: Any, ticks: int, *, reads: bool) -> float:
-        read = package.reader_of(stepper)
+        read = partial(stepper.read_layer, np.empty((3, stepper.field_points)))
         stepper.reset()
         for tick in range(1, ticks + 1):
             stepper.advance_to(tick / ticks)
@@ -211,11 +225,11 @@ def one_second() -> Table:
         arguments = (case.mu, case.omega, case.zeta, case.gravity, 200, second)
         return float(peers.delay_line_kernel(*arguments)) * rig.crossing_time
 
-    waves = package.wave_stepper(rig, steps=200)
-    usual = package.wave_stepper(rig)
-    cells = package.cell_stepper(rig, cells=64)
-    elastic = package.cell_stepper(rig, 'finite_difference_elastic')
-    with_heat = package.cell_stepper(lossy, cells=64)
+    waves = WaveStepper(rig, steps=200)
+    usual = WaveStepper(rig)
+    cells = CellStepper(rig, cells=64)
+    elastic = CellStepper(rig, model='finite_difference_elastic')
+    with_heat = CellStepper(lossy, cells=64)
     of_loss = partial(error, true=with_loss.ejection_time)
     cases = [
         Case('waves, 200 steps per crossing, one call', partial(run, waves, 1, reads=False),
@@ -254,7 +268,7 @@ def recommendation() -> Table:
         thickness = np.geomspace(1e-3, 0.05, 400)[:, None]
         speed = np.geomspace(1.0, 50.0, 400)
         layer = rig.layer.density * rig.layer.section * thickness
-        found = package.first_releases(
+        found = first_releases(
             mass_ratio=rig.projectile.mass / layer + 0.0 * speed,
             speed_ratio=speed / (thickness * rig.engine.frequency),
             damping_ratio=rig.engine.damping_ratio,
@@ -265,16 +279,16 @@ def recommendation() -> Table:
     best = brute_force()
 
     def plain() -> float:
-        return float(package.recommend(rig).energy_transfer)
+        return float(recommend(rig).energy_transfer)
 
-    limits = package.Limits(max_strain=0.1)
+    limits = Limits(max_strain=0.1)
     cases = [
         Case('plain', plain, error=lambda alpha: max(best - alpha, 0.0) / best, goal=5e4),
         Case('brute force, 400 x 400 by the closed form', brute_force, error=lambda _: 0.0),
-        Case('robust', lambda: package.recommend(rig, objective=package.Robust())),
-        Case('with a limit of strain', lambda: package.recommend(rig, limits=limits)),
+        Case('robust', lambda: recommend(rig, objective=Robust())),
+        Case('with a limit of strain', lambda: recommend(rig, limits=limits)),
         Case('with loss and a limit of strain',
-             lambda: package.recommend(lossy, limits=limits), goal=2e6),
+             lambda: recommend(lossy, limits=limits), goal=2e6),
     ]  # fmt: skip
     return Table('one recommendation', 'answer', 'alpha lost, relative', cases)
 
@@ -286,7 +300,7 @@ def smoothing() -> Table:
     """Compare what a sample of a measured plate costs: a local cubic."""
     times = np.arange(16) / 5000.0
     heights = times**3
-    ours = partial(package.smooth, [1.6e-3], times, heights, window=2e-3, position_noise=5e-6)
+    ours = partial(smooth, [1.6e-3], times, heights, window=2e-3, position_noise=5e-6)
     near = times[:11] - 1.6e-3
     return Table(
         'smooth a measured plate', 'state', '-',

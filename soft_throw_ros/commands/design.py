@@ -7,6 +7,8 @@ import argparse
 import importlib
 import sys
 
+from soft_throw_ros.commands.output import run_command
+
 # Name: module with add_arguments(parser) and run(arguments), and what it is for. Only the module
 # that is asked for is imported, for they are slow to load.
 TASKS = {
@@ -17,26 +19,7 @@ TASKS = {
 
 
 def main(args: list[str] | None = None) -> int:
-    """
-    Run one of the tasks.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Its name and its arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code of the task.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 if something is refused, after a line that says what: whatever ValueError
-        a task raises is such a refusal.
-
-    """
+    """Run the task that the first argument names with the others; return its exit code."""
     args = sys.argv[1:] if args is None else args
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
@@ -46,11 +29,5 @@ def main(args: list[str] | None = None) -> int:
         )
     name = parser.parse_args(args[:1]).task
     task = importlib.import_module(TASKS[name][0])
-    subparser = tasks.choices[name]
-    task.add_arguments(subparser)
-    arguments = subparser.parse_args(args[1:])
-    try:
-        exit_code: int = task.run(arguments)
-    except ValueError as error:
-        subparser.error(str(error))
-    return exit_code
+    task.add_arguments(tasks.choices[name])
+    return run_command(tasks.choices[name], task.run, args[1:])

@@ -4,26 +4,30 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-import errno
-import importlib.util
-import math
-import os
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 import sys
-from typing import Any, get_args, TYPE_CHECKING
+from typing import Any, get_args, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.commands.executors import (
+from soft_throw_ros.commands.options import (
     add_executor_options,
+    add_rig_options,
     open_executor,
+    read_settings,
     WorkersLostError,
 )
-from soft_throw_ros.commands.options import add_rig_options, read_settings, slow_notice
+from soft_throw_ros.commands.output import naming, print_text, require, slow_notice
+from soft_throw_ros.commands.rerun_output import (
+    check_viewer,
+    PORT,
+    save_recording,
+    send_recording,
+)
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.landscape import (
     AXES,
     compute_landscape,
@@ -33,16 +37,15 @@ from soft_throw_ros.design.landscape import (
     Release,
     RESULTS,
 )
-from soft_throw_ros.recording.viewer import has_display, HOST, listens, Viewer, ViewerError
+from soft_throw_ros.recording.viewer import HOST, ViewerError
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from soft_throw_ros.recording import rerun_canvas
+    import rerun as rr
+
+Floats = NDArray[np.float64]
 
 _POINTS = 256
-
-PORT = 9876
-"""Where a viewer of Rerun is, or will be."""
 
 _SHOW_TIME = 20.0  # for a viewer to take a map [s]
 
@@ -57,7 +60,7 @@ _RANGES = {
 }
 """What is mapped if an axis is given by its name alone."""
 
-_SHOWN = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
+_UNITS = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
 """Units of axes that pictures have in another size."""
 
 _PLAIN = {
@@ -78,12 +81,6 @@ _PLAIN = {
 }
 """Symbols of axes and results where there is no TeX, if they are not their names."""
 
-Floats = NDArray[np.float64]
-
-
-class OutputError(ValueError):
-    """A file cannot be written."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the task."""
@@ -95,71 +92,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'An axis is NAME or NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
         f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}.'
     )
-    parser.add_argument(
-        'axes', metavar='AXIS', nargs='*', help="two of them (default: the paper's, x and C)"
-    )
-    parser.add_argument(
-        '--model',
-        choices=MODELS,
+    add = parser.add_argument
+    add('axes', metavar='AXIS', nargs='*', help="two of them (default: the paper's, x and C)")
+    add(
+        '--model', choices=MODELS, metavar='NAME',
         help=f'one of {", ".join(MODELS)} '
         '(default travelling_wave, or finite_difference with loss)',
-        metavar='NAME',
-    )
-    parser.add_argument(
-        '--release', choices=get_args(Release), default='first', help='which one (default first)'
-    )
-    parser.add_argument(
-        '--density-ratio',
-        metavar='NUMBER',
-        type=float,
+    )  # fmt: skip
+    add('--release', choices=get_args(Release), default='first', help='which one (default first)')
+    add(
+        '--density-ratio', metavar='NUMBER', type=float,
         help="projectile over layer, for x and C (default: the rig's; 1 in the paper's maps)",
-    )
-    parser.add_argument(
-        '--output',
-        metavar='FILE',
-        nargs='+',
-        type=Path,
-        default=[],
+    )  # fmt: skip
+    add(
+        '--output', metavar='FILE', nargs='+', type=Path, default=[],
         help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
-    )
-    parser.add_argument(
-        '--rerun',
-        action='store_true',
+    )  # fmt: skip
+    add(
+        '--rerun', action='store_true',
         help=f'show it in a viewer of Rerun, that at {HOST}:{PORT} if there is one',
-    )
+    )  # fmt: skip
     add_executor_options(parser)
     add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """
-    Compute the map, and hand it to whoever is to have it.
-
-    Parameters
-    ----------
-    arguments : Namespace
-        As `add_arguments` defines them.
-
-    Returns
-    -------
-    int
-        0, or 130 after Ctrl-C, or 1 if the workers are gone.
-
-    Raises
-    ------
-    ValueError
-        If something is refused, saying what.
-
-    """
+    """Compute and hand over the map; return 0, 130 after Ctrl-C, or 1 if workers are gone."""
     rig = rig_of(read_settings(arguments))
     axes = _read_axes(arguments.axes or ['x', 'C'])
     for path in arguments.output:
         _check_output(path)
-    if arguments.rerun:
-        _check_viewer()
     has_loss = rig.layer.loss_tangent > 0.0 or 'layer.loss_tangent' in axes
     total = int(np.prod([values.size for values in axes.values()]))
     try:
+        if arguments.rerun:
+            require('--rerun', 'rerun', 'rerun')
+            check_viewer(PORT, '--output FILE.rrd')
         with (
             slow_notice('design map'),
             open_executor(arguments) as executor,
@@ -175,18 +143,19 @@ def run(arguments: argparse.Namespace) -> int:
                 progress=bar.update,
             )
         for path in arguments.output:
-            _WRITERS[path.suffix](landscape, path)
+            with naming(path):
+                _WRITERS[path.suffix](landscape, path)
         if arguments.rerun:
             _view(landscape)
-    except OSError as error:
-        raise OutputError(f'{error.filename}: {error.strerror}') from None
+    except ViewerError as error:
+        raise ValueError(f'--rerun: {error}') from None
     except KeyboardInterrupt:
         print('design map: stopped, and nothing written', file=sys.stderr)
         return 130
     except WorkersLostError as error:
         print(f'design map: {error}; nothing is written', file=sys.stderr)
         return 1
-    print(describe(landscape), end='')
+    print_text('\n'.join(_summary(landscape)) + '\n')
     return 0
 
 
@@ -202,14 +171,13 @@ def _read_axis(text: str) -> tuple[str, Floats]:
     name, _, rest = text.partition('=')
     if name not in AXES:
         raise ValueError(f'no axis is named {name!r}; there are: {", ".join(AXES)}')
+    rest = rest or _RANGES.get(name, '')
     if not rest:
-        if name not in _RANGES:
-            raise ValueError(f'{name} needs a range: {name}=LOW:HIGH')
-        rest = _RANGES[name]
+        raise ValueError(f'{name} needs a range: {name}=LOW:HIGH')
     parts = rest.split(':')
-    spaced = np.geomspace if parts[-1] == 'log' else np.linspace
+    is_log = parts[-1] == 'log'
     try:
-        low, high, *count = parts[: len(parts) - (parts[-1] == 'log')]
+        low, high, *count = parts[: len(parts) - is_log]
         bounds = float(low), float(high)
         (points,) = map(int, count) if count else (_POINTS,)
     except ValueError:
@@ -221,208 +189,163 @@ def _read_axis(text: str) -> tuple[str, Floats]:
     if points < 2:
         raise ValueError(f'{name} must have at least 2 points, got {text!r}')
     for bound in bounds:
-        LandscapeAxis(name=name, values=np.array([bound]))
-    if spaced is np.geomspace and bounds[0] == 0.0:
+        LandscapeAxis(name=name, values=np.array([bound]))  # which refuses what is out of range
+    if is_log and bounds[0] == 0.0:
         raise ValueError(f'{name} cannot begin at 0 with :log, got {text!r}')
-    return name, spaced(*bounds, points)
+    return name, (np.geomspace if is_log else np.linspace)(*bounds, points)
 
 
 def _check_output(path: Path) -> None:
     """Refuse before the work what could not be written after it."""
     if path.suffix not in _WRITERS:
-        raise OutputError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
+        raise ValueError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
     if not path.parent.is_dir():
-        raise OutputError(f'{path}: there is no folder {path.parent}')
-    for suffix, needed, what, extra in (
-        ('.png', 'matplotlib', 'pictures', 'plot'),
-        ('.rrd', 'rerun', 'recordings of Rerun', 'rerun'),
-    ):
-        if path.suffix == suffix and importlib.util.find_spec(needed) is None:
-            raise OutputError(
-                f"{path}: {what} need what pip installs with 'soft_throw_ros[{extra}]'"
-            )
+        raise ValueError(f'{path}: there is no folder {path.parent}')
+    for suffix, module, extra in (('.png', 'matplotlib', 'plot'), ('.rrd', 'rerun', 'rerun')):
+        if path.suffix == suffix:
+            require(str(path), extra, module)
 
 
-def _check_viewer() -> None:
-    """Refuse before the work what could not be shown after it."""
-    if importlib.util.find_spec('rerun') is None:
-        raise OutputError("--rerun needs what pip installs with 'soft_throw_ros[rerun]'")
-    if not listens(PORT) and not has_display():
-        raise OutputError(
-            '--rerun: there is no screen for a window; take --output FILE.rrd, or start a viewer '
-            f'that listens at {HOST}:{PORT}'
-        )
-
-
-def describe(landscape: Landscape) -> str:
+def _summary(landscape: Landscape) -> Iterator[str]:
     """Tell the largest energy transfer and where it is, in a few lines."""
-    first, second = landscape.axes
-    size = f'{first.values.size} x {second.values.size}'
-    lines = [f'{size} throws, {landscape.release} release by {landscape.model}']
+    size = ' x '.join(str(axis.values.size) for axis in landscape.axes)
+    yield f'{size} throws, {landscape.release} release by {landscape.model}'
     optimum = landscape.optimum
     if optimum is None:
-        lines.append('the projectile leaves nowhere')
+        yield 'the projectile leaves nowhere'
     else:
         place = ', '.join(
             f'{axis.name} {value:.5g} {axis.quantity.unit}'.rstrip()
             for axis, value in zip(landscape.axes, optimum.place, strict=True)
         )
-        lines.append(
+        yield (
             f'largest alpha {optimum.energy_transfer:.4f} at {place}; '
             f't_e f {optimum.ejection_phase:.4f}'
         )
     lost = int(np.isnan(landscape.energy_transfer).sum())
     if lost:
-        lines.append(f'{lost} throws without a release, or with one that cannot be told')
+        yield f'{lost} throws without a release, or with one that cannot be told'
     if landscape.left_out:
-        lines.append(f'left out by this model: {", ".join(landscape.left_out)}')
-    return '\n'.join(lines) + '\n'
+        yield f'left out by this model: {", ".join(landscape.left_out)}'
 
 
-def draw(landscape: Landscape, path: Path, *, mark: Rig | None = None) -> None:
-    """
-    Draw ejection phase and energy transfer side by side, with optimum, ridge and a rig marked.
+class _Shown(NamedTuple):
+    """An axis as it is drawn: its values in a unit of handy size, which is SI times `factor`."""
 
-    Parameters
-    ----------
-    landscape : Landscape
-        With two or more values along each axis.
-    path : Path
-        Of a PNG file.
-    mark : Rig, optional
-        Is marked if it is within the axes; that of the landscape if not given.
+    values: Floats
+    unit: str
+    factor: float
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib is not installed.
-    OSError
-        If the file cannot be written.
+    @classmethod
+    def of(cls, axis: LandscapeAxis) -> _Shown:
+        unit, factor = _UNITS.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
+        return cls(factor * axis.values, f' ({unit})' if unit else '', factor)
 
-    """
+    @property
+    def scale(self) -> str:
+        """How its values are spaced, for matplotlib."""
+        values = self.values
+        is_log = values.size > 2 and values[0] > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-9
+        return 'log' if is_log else 'linear'
+
+
+def draw(landscape: Landscape, path: Path) -> None:
+    """Draw both results of a map side by side into a PNG file, with optimum, ridge and rig."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    (x, x_scale, x_label), (y, y_scale, y_label) = map(_shown, landscape.axes)
+    x, y = map(_Shown.of, landscape.axes)
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     # Both maps of colours grow evenly in lightness, whatever the eyes
-    for panel, (name, quantity), colours in zip(
-        panels, RESULTS.items(), ('magma', 'viridis'), strict=True
-    ):
-        values = getattr(landscape, name)
-        highest = _highest(landscape, name)
+    for panel, name, colours in zip(panels, RESULTS, ('magma', 'viridis'), strict=True):
+        quantity, highest = RESULTS[name], _highest(landscape, name)
         image = panel.pcolormesh(
-            x, y, values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
-        )
-        figure.colorbar(
-            image,
-            label=f'{quantity.meaning.lower()} ${quantity.symbol}$',
-            extend='neither' if highest is None else 'max',
-        )
-        panel.set(xscale=x_scale, yscale=y_scale, xlabel=x_label, ylabel=y_label)
-        panel.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), facecolor='0.75')
-        for axis, scale in ((panel.xaxis, x_scale), (panel.yaxis, y_scale)):
-            if scale == 'log':
-                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-                axis.set_major_formatter(StrMethodFormatter('{x:g}'))
-                axis.set_minor_formatter(NullFormatter())
-        panel.plot(x, _ridge(landscape, y), color='white', lw=1.0, ls=(0, (4, 2)), label='ridge')
-        for label, marker, place in _marks(landscape, mark or landscape.rig):
-            panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=label)
+            x.values, y.values, getattr(landscape, name).T, cmap=colours, vmin=0.0, vmax=highest,
+            shading='nearest',
+        )  # fmt: skip
+        label = f'{quantity.meaning.lower()} ${quantity.symbol}$'
+        figure.colorbar(image, label=label, extend='neither' if highest is None else 'max')
+        panel.set(facecolor='0.75')
+        _scale_axes(panel, landscape, x, y)
+        ridge = _ridge(landscape, y.values)
+        panel.plot(x.values, ridge, color='white', lw=1.0, ls=(0, (4, 2)), label='ridge')
+        for title, *place in _marks(landscape, r'$\alpha$'):
+            marker = 'o' if title == 'this rig' else '*'
+            panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=title)
     figure.suptitle(_title(landscape), fontsize='medium')
     figure.legend(
-        *panels[0].get_legend_handles_labels(),
-        loc='outside lower center',
-        ncols=3,
-        facecolor='0.5',
-        labelcolor='white',
-    )
+        *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=3,
+        facecolor='0.5', labelcolor='white',
+    )  # fmt: skip
     with atomic_file(path) as unfinished:
         figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
 
 
-def record(landscape: Landscape, path: Path) -> None:
-    """
-    Write a landscape as a recording of Rerun.
+def _scale_axes(panel: Any, landscape: Landscape, x: _Shown, y: _Shown) -> None:
+    """Set limits, scales and labels; `panel` is an Axes of matplotlib, which may be missing."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    Parameters
-    ----------
-    landscape : Landscape
-        With two or more values along each axis.
-    path : Path
-        Of an .rrd file.
+    for letter, shown, axis in zip('xy', (x, y), landscape.axes, strict=True):
+        words = axis.name.rpartition('.')[2].replace('_', ' ') + ' '
+        label = f'{words * (axis.name in TWIN.by_name)}${axis.quantity.symbol}${shown.unit}'
+        limits = (shown.values[0], shown.values[-1])
+        panel.set(
+            **{f'{letter}scale': shown.scale, f'{letter}label': label, f'{letter}lim': limits}
+        )
+        if shown.scale == 'log':
+            ticks = getattr(panel, f'{letter}axis')
+            ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ticks.set_major_formatter(StrMethodFormatter('{x:g}'))
+            ticks.set_minor_formatter(NullFormatter())
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If Rerun is not installed.
-    OSError
-        If the file cannot be written.
 
-    """
+def _record(landscape: Landscape, path: Path) -> None:
+    """Write a landscape as a recording of Rerun."""
     from soft_throw_ros.recording import rerun_canvas
 
+    stream = rerun_canvas.new_stream()
     with atomic_file(path) as unfinished:
-        stream = rerun_canvas.new_stream()
-        rerun_canvas.save_to(stream, unfinished, is_live=False)
-        _send(landscape, stream)
-        is_written = rerun_canvas.flush(stream, math.inf)
-        stream.disconnect()
-        if not is_written:
-            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        save_recording(stream, unfinished, partial(_send, landscape, stream))
 
 
 def _view(landscape: Landscape) -> None:
     """Show a landscape in the viewer that is there, or in one that stays."""
     from soft_throw_ros.recording import rerun_canvas
 
-    try:
-        if not listens(PORT):
-            Viewer(PORT, '--hide-welcome-screen', '--expect-data-soon', stays=True)
-        stream = rerun_canvas.new_stream()
-        rerun_canvas.connect_to(stream, PORT)
-        _send(landscape, stream)
-        is_shown = rerun_canvas.flush(stream, _SHOW_TIME)
-        stream.disconnect()
-    except ViewerError as error:
-        raise OutputError(f'--rerun: {error}') from None
-    if not is_shown:
-        raise OutputError(f'--rerun: the viewer at {HOST}:{PORT} does not take it')
+    stream = rerun_canvas.new_stream()
+    send_recording(stream, PORT, partial(_send, landscape, stream), within=_SHOW_TIME)
+    stream.disconnect()
 
 
-def _send(landscape: Landscape, stream: Any) -> None:
+def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
     """Draw a landscape into a recording of Rerun."""
     from soft_throw_ros.recording import rerun_canvas
 
+    x, y = (
+        rerun_canvas.MapAxis(
+            title=_PLAIN.get(axis.name, axis.name) + _Shown.of(axis).unit,
+            values=_Shown.of(axis).values,
+        )
+        for axis in landscape.axes
+    )
     rerun_canvas.draw_landscape(
         stream,
         name=str(landscape.attributes['title']),
-        axes=(_map_axis(landscape.axes[0]), _map_axis(landscape.axes[1])),
+        axes=(x, y),
         panels=[
             rerun_canvas.MapPanel(
                 name=name,
-                title=RESULTS[name].meaning,
+                title=quantity.meaning,
                 symbol=_PLAIN[name],
                 values=getattr(landscape, name),
                 highest=_highest(landscape, name),
             )
-            for name in RESULTS
+            for name, quantity in RESULTS.items()
         ],
         marks=[
-            (place[0], place[1], label.replace(r'$\alpha$', _PLAIN['energy_transfer']))
-            for label, _, place in _marks(landscape, landscape.rig)
+            (right, up, title) for title, right, up in _marks(landscape, _PLAIN['energy_transfer'])
         ],
     )
-
-
-def _map_axis(axis: LandscapeAxis) -> rerun_canvas.MapAxis:
-    from soft_throw_ros.recording import rerun_canvas
-
-    unit, factor = _SHOWN.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
-    symbol = _PLAIN.get(axis.name, axis.name)
-    title = f'{symbol} ({unit})' if unit else symbol
-    return rerun_canvas.MapAxis(title=title, values=factor * axis.values)
 
 
 def _highest(landscape: Landscape, name: str) -> float | None:
@@ -449,30 +372,17 @@ def _title(landscape: Landscape) -> str:
     return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
 
 
-def _shown(axis: LandscapeAxis) -> tuple[Floats, str, str]:
-    """Return the values of an axis as they are drawn, its scale and its label."""
-    quantity = axis.quantity
-    unit, factor = _SHOWN.get(quantity.unit, (quantity.unit, 1.0))
-    values = factor * axis.values
-    is_log = values.size > 2 and values[0] > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-9
-    words = axis.name.rpartition('.')[2].replace('_', ' ') if axis.name in TWIN.by_name else ''
-    label = f'{words} ${quantity.symbol}$' + (f' ({unit})' if unit else '')
-    return values, 'log' if is_log else 'linear', label.strip()
-
-
-def _marks(landscape: Landscape, rig: Rig) -> Iterator[tuple[str, str, list[float]]]:
-    """Give label, marker and place of the highest point, and of a rig that is on the map."""
-    places = [('this rig', 'o', landscape.place(rig))]
+def _marks(landscape: Landscape, alpha: str) -> Iterator[tuple[str, float, float]]:
+    """Give title and place of the rig and of the highest point, as far as they are on the map."""
+    marks = [('this rig', landscape.place(landscape.rig))]
     if landscape.optimum is not None:
-        label = rf'largest $\alpha$, {landscape.optimum.energy_transfer:.3f}'
-        places.append((label, '*', landscape.optimum.place))
-    for label, marker, place in places:
-        if all(
-            axis.values[0] <= value <= axis.values[-1]
-            for axis, value in zip(landscape.axes, place, strict=True)
-        ):
-            factors = (_SHOWN.get(axis.quantity.unit, ('', 1.0))[1] for axis in landscape.axes)
-            yield label, marker, [f * value for f, value in zip(factors, place, strict=True)]
+        title = f'largest {alpha}, {landscape.optimum.energy_transfer:.3f}'
+        marks.append((title, landscape.optimum.place))
+    low, high = zip(*((axis.values[0], axis.values[-1]) for axis in landscape.axes), strict=True)
+    x, y = map(_Shown.of, landscape.axes)
+    for title, (right, up) in marks:
+        if low[0] <= right <= high[0] and low[1] <= up <= high[1]:
+            yield title, x.factor * right, y.factor * up
 
 
 def _ridge(landscape: Landscape, y: Floats) -> Floats:
@@ -484,9 +394,6 @@ def _ridge(landscape: Landscape, y: Floats) -> Floats:
     return ridge
 
 
-_WRITERS: dict[str, Any] = {
-    '.npz': Landscape.save,
-    '.nc': Landscape.save,
-    '.png': draw,
-    '.rrd': record,
-}
+_WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
+    '.npz': Landscape.save, '.nc': Landscape.save, '.png': draw, '.rrd': _record,
+}  # fmt: skip

@@ -4,23 +4,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-import sys
 from typing import get_args
 
-from soft_throw_ros.commands.design_table import prediction_lines, to_json, uncertainty_line
-from soft_throw_ros.commands.options import (
-    add_options,
-    add_rig_options,
-    read_settings,
-    RECOMMENDATION_OPTIONS,
-    slow_notice,
-    UNCERTAINTY_OPTIONS,
-)
+from soft_throw_ros.commands.design_table import add_search_options, answer_json, answer_lines
+from soft_throw_ros.commands.options import read_settings
+from soft_throw_ros.commands.output import print_text, slow_notice
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.design.recommendation import (
-    PredictedThrow,
     Recommendation,
     Sensitivity,
     TOLERATED,
@@ -29,8 +21,6 @@ from soft_throw_ros.design.recommendation import (
     WITHIN,
 )
 from soft_throw_ros.design.requests import answer
-
-_OF_AIMING = ('max_amplitude', 'target_height', 'target_speed')
 
 _OBJECTIVE = replace(
     TWIN.by_name['recommendation.objective'],
@@ -51,35 +41,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '%(prog)s [-h] [--objective peak|robust|versatile] '
         '[--vary thickness|wave_speed|both|library] [--json] [--config FILE] [--thickness M ...]'
     )
-    parser.add_argument(
-        '--json', action='store_true', help='print one object: SI units, full precision'
+    add_search_options(
+        parser,
+        'what is asked of the layer',
+        without=('max_amplitude', 'target_height', 'target_speed'),
+        entries=(_OBJECTIVE, _VARY),
     )
-    asked = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(_OF_AIMING)]
-    add_options(parser, asked, title='what is asked of the layer', entries=(_OBJECTIVE, _VARY))
-    add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
-    add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """
-    Recommend, and print it.
-
-    Parameters
-    ----------
-    arguments : Namespace
-        As `add_arguments` defines them.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    ValueError
-        If something is refused, saying what.
-
-    """
+    """Recommend, and print it; return 0. What is refused is a ValueError."""
     settings = read_settings(arguments)
     with slow_notice('design recommend'):
         best = answer(settings)
@@ -88,24 +59,25 @@ def run(arguments: argparse.Namespace) -> int:
                 "recommendation.objective 'aim' is what `design aim` is for; give --objective"
             )
         if arguments.json:
-            text = to_json(settings, best.rig, recommendation=best)
+            text = answer_json(settings, best, 'recommendation')
         else:
             text = '\n'.join(_lines(settings, best)) + '\n'
-    sys.stdout.write(text)
+    print_text(text)
     return 0
 
 
 def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
-    yield best.summary
-    yield ''
     others = {
         f'by_{name}': getattr(best, f'by_{name}')
         for name in ('thickness', 'wave_speed', 'both')
-        if name != best.vary and getattr(best, f'by_{name}') is not None
+        if name != best.vary
     }
-    columns: dict[str, PredictedThrow | None] = {'now': best.now, 'recommended': best, **others}
-    yield from prediction_lines(columns, max_strain=settings['max_strain'])
-    yield uncertainty_line(best.rig, settings)
+    columns: dict[str, Mapping[str, float] | None] = {
+        'now': vars(best.now) if best.now else None,
+        'recommended': vars(best),
+    }
+    columns |= {name: vars(each) for name, each in others.items() if each is not None}
+    yield from answer_lines(settings, best, columns)
     yield ''
     yield (
         f'around the recommended layer{"best":>11}{f"{100.0 * WITHIN:g} % lost at":>22}'
@@ -113,10 +85,11 @@ def _lines(settings: Settings, best: Recommendation) -> Iterator[str]:
     )
     yield from map(_sensitivity_line, best.sensitivities)
     if best.candidates:
-        yield ''
-        yield from _candidate_lines(best)
-    yield ''
-    yield best.remarks
+        width = max(22, *(len(item.layer) for item in best.candidates))
+        yield from ('', f'{"from the library":{width}}{"mm":>6}{"score":>11}')
+        for item in best.candidates:
+            yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'
+    yield from ('', best.remarks)
 
 
 def _sensitivity_line(item: Sensitivity) -> str:
@@ -128,10 +101,3 @@ def _sensitivity_line(item: Sensitivity) -> str:
         f'{title:22}{unit:>6}{scale * item.value:11.4g}{span:>22}{scale * item.tolerance:18.2g}'
         f'{item.elasticity:+10.2f} %{edge}'
     )
-
-
-def _candidate_lines(best: Recommendation) -> Iterator[str]:
-    width = max(22, *(len(item.layer) for item in best.candidates))
-    yield f'{"from the library":{width}}{"mm":>6}{"score":>11}'
-    for item in best.candidates:
-        yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions side by side, for people to read, and whole for programs."""
+"""What the tasks that look for a layer share: their options, and how they print what they find."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, is_dataclass
-import json
-import math
-from typing import Any
+import argparse
+from collections.abc import Iterable, Iterator, Mapping
 
-from soft_throw_ros.commands.options import OPTIONS, Row, write_columns
-from soft_throw_ros.configuration import Settings
-from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
-from soft_throw_ros.design.recommendation import PredictedThrow
+from soft_throw_ros.commands.options import (
+    add_options,
+    add_rig_options,
+    OPTIONS,
+    RECOMMENDATION_OPTIONS,
+    UNCERTAINTY_OPTIONS,
+)
+from soft_throw_ros.commands.output import Row, strain_warning, to_json, write_columns
+from soft_throw_ros.configuration import Entry, Settings
+from soft_throw_ros.core.rig import STANDARD_GRAVITY
+from soft_throw_ros.design.aiming import Aim
+from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
@@ -39,75 +44,48 @@ _ROWS = (
 )
 
 
-def prediction_lines(
-    predictions: Mapping[str, PredictedThrow | None], *, max_strain: float
+def add_search_options(
+    parser: argparse.ArgumentParser,
+    title: str,
+    *,
+    without: tuple[str, ...],
+    entries: Iterable[Entry] = (),
+) -> None:
+    """Add the options of a search for a layer, but for some that are of other objectives."""
+    parser.add_argument(
+        '--json', action='store_true', help='print one object: SI units, full precision'
+    )
+    asked = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(without)]
+    add_options(parser, asked, title=title, entries=entries)
+    add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
+    add_rig_options(parser)
+
+
+def answer_lines(
+    settings: Settings,
+    best: Aim | Recommendation,
+    columns: Mapping[str, Mapping[str, float] | None],
 ) -> Iterator[str]:
-    """
-    Write predictions side by side.
-
-    Parameters
-    ----------
-    predictions : mapping of str to PredictedThrow or None
-        Under which head stands what; the second one is what is proposed.
-    max_strain : float
-        Beyond it the layer is no longer linear. [-]
-
-    Yields
-    ------
-    str
-        Line by line.
-
-    """
-    columns = {head: vars(each) if each else None for head, each in predictions.items()}
+    """Write predictions side by side for people, and how far the proposed one may be off."""
+    yield from (best.summary, '')
     yield from write_columns(_ROWS, columns)
     beyond = [
         head.replace('_', ' ')
-        for head, each in predictions.items()
-        if each is not None and each.peak_strain > max_strain
+        for head, each in columns.items()
+        if each and each['peak_strain'] > settings['max_strain']
     ]
     if beyond:
-        yield (
-            f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range '
-            f'({", ".join(beyond)}): a real layer will do otherwise.'
-        )
+        yield strain_warning(settings['max_strain'], ', '.join(beyond))
+    uncertainty = prediction_uncertainty(best.rig, uncertainties_of(settings))
+    yield f'From what is uncertain (--uncertain-...): {uncertainty.describe()}'
 
 
-def uncertainty_line(rig: Rig, settings: Settings) -> str:
-    """Say how far the first release of a rig may be off."""
-    uncertainty = prediction_uncertainty(rig, uncertainties_of(settings))
-    return f'From what is uncertain (--uncertain-...): {uncertainty.describe()}'
-
-
-def to_json(settings: Settings, rig: Rig, **parts: Any) -> str:
-    """
-    Write all that is known as one object.
-
-    Parameters
-    ----------
-    settings : mapping of str to value
-        What was asked for; written as `parameters`.
-    rig : Rig
-        What is proposed; how far its first release may be off is written as `uncertainty`.
-    **parts : object
-        What else there is, dataclasses among it. What is not finite becomes null.
-
-    """
+def answer_json(settings: Settings, best: Aim | Recommendation, name: str) -> str:
+    """Write what was asked for, what was found, and how far it may be off, as one object."""
     asked = {
         name: value
         for name, value in settings.items()
         if name in OPTIONS or name.startswith(('recommendation.', 'uncertainty.'))
     }
-    uncertainty = prediction_uncertainty(rig, uncertainties_of(settings))
-    whole = {'parameters': asked, **parts, 'uncertainty': uncertainty.values()}
-    return json.dumps(_plain(whole), indent=2, allow_nan=False) + '\n'
-
-
-def _plain(value: Any) -> Any:
-    """Make of a value what JSON can write."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    uncertainty = prediction_uncertainty(best.rig, uncertainties_of(settings))
+    return to_json({'parameters': asked, name: best, 'uncertainty': uncertainty.values()})

@@ -8,13 +8,18 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import math
 from pathlib import Path
 import sys
 
 from soft_throw_ros.commands import identify_figure
-from soft_throw_ros.commands.identify_input import TrackReader
+from soft_throw_ros.commands.identify_input import (
+    add_video_options,
+    check_video_options,
+    read_layer,
+    read_throws,
+)
 from soft_throw_ros.commands.identify_report import (
     ejection_data,
     ejection_lines,
@@ -24,14 +29,8 @@ from soft_throw_ros.commands.identify_report import (
     unit_of,
     with_unit,
 )
-from soft_throw_ros.commands.identify_video import (
-    add_video_options,
-    check_video_options,
-    is_video,
-    read_layer,
-    read_throw,
-)
 from soft_throw_ros.commands.options import add_rig_options, read_settings
+from soft_throw_ros.commands.output import naming, print_text, require, run_command
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
@@ -61,40 +60,20 @@ _MAX_COLUMNS = 4  # of running averages in the table
 
 
 def main(args: list[str] | None = None) -> int:
-    """
-    Run the command.
+    """Run the command; return exit code 0. What there is to doubt goes to standard error."""
+    return run_command(_parser(), _run, args)
 
-    Parameters
-    ----------
-    args : list of str, optional
-        Its arguments; those of the process by default.
 
-    Returns
-    -------
-    int
-        Exit code 0. What there is to doubt goes to standard error.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 if something is refused, after a line that says what.
-
-    """
-    parser = _parser()
-    arguments = parser.parse_args(args)
-    try:
-        settings = read_settings(arguments)
-        _check(arguments)
-        if arguments.free_layer:
-            report = _identify_layers(arguments, settings)
-        else:
-            report = _identify_throws(arguments, settings)
-        identified = report.put_into(settings)
-        if arguments.output:
-            _into(arguments.output, lambda path: report.write(identified, path))
-    except ValueError as error:  # what is refused, and what tracks do not give
-        parser.error(str(error))
-    print(report.json() if arguments.json else report.table(), end='')
+def _run(arguments: argparse.Namespace) -> int:
+    settings = read_settings(arguments)
+    _check(arguments)
+    identify = _identify_layers if arguments.free_layer else _identify_throws
+    report = identify(arguments, settings)
+    identified = report.put_into(settings)
+    if arguments.output:
+        with naming(arguments.output):
+            report.write(identified, arguments.output)
+    print_text(report.json() if arguments.json else report.table())
     for warning in report.warnings:
         print(f'identify: {warning}', file=sys.stderr)
     return 0
@@ -181,14 +160,15 @@ def _check(arguments: argparse.Namespace) -> None:
     check_video_options(arguments)
     for name in ('output', 'figure', 'tracks', 'space_time'):
         path = getattr(arguments, name)
-        option = name.replace('_', '-')
-        if path is not None and not path.parent.is_dir():
-            raise ValueError(f'argument --{option}: there is no folder {path.parent}')
-        is_figure = name in ('figure', 'space_time')
-        if path is not None and is_figure and path.suffix not in _FIGURES:
-            raise ValueError(
-                f'argument --{option}: must end on {", ".join(_FIGURES)}, got {str(path)!r}'
-            )
+        if path is None:
+            continue
+        option = f'argument --{name.replace("_", "-")}'
+        if not path.parent.is_dir():
+            raise ValueError(f'{option}: there is no folder {path.parent}')
+        if name in ('figure', 'space_time'):
+            if path.suffix not in _FIGURES:
+                raise ValueError(f'{option}: must end on {", ".join(_FIGURES)}, got {str(path)!r}')
+            require('a figure', 'plot', 'matplotlib')
 
 
 def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
@@ -214,23 +194,11 @@ def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
     return description
 
 
-def _reader(arguments: argparse.Namespace) -> TrackReader:
-    return TrackReader(
-        unit=arguments.unit,
-        topic=arguments.topic,
-        noise=arguments.noise,
-        start=arguments.start,
-        end=arguments.end,
-    )
-
-
-def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
+def _read_all(arguments: argparse.Namespace) -> list[ThrowTracks]:
     """Read all throws, but for those of a record of several that are none."""
-    reader = _reader(arguments)
     throws: list[ThrowTracks] = []
-    records = [reader.throws(path) for path in arguments.files]
-    records += [reader.split(read_throw(path, arguments), path) for path in arguments.video]
-    for found in records:
+    for path in (*arguments.files, *arguments.video):
+        found = read_throws(path, arguments)
         good = []
         for throw in found if len(found) > 1 else ():
             try:
@@ -245,7 +213,7 @@ def _read_throws(arguments: argparse.Namespace) -> list[ThrowTracks]:
 
 def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
     """Fit a rig to throws."""
-    throws = _read_throws(arguments)
+    throws = _read_all(arguments)
     has_projectile = any(throw.projectile is not None for throw in throws)
     description = _describe_fit(arguments)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
@@ -276,10 +244,8 @@ def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> Ident
             f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
             for name, value in values.items()
         ]
-        _into(
-            arguments.figure,
-            lambda path: identify_figure.draw_throws(found, ejection, summary, path),
-        )
+        with naming(arguments.figure):
+            identify_figure.draw_throws(found, ejection, summary, arguments.figure)
     return IdentificationReport(
         sources=tuple(throw.name for throw in found.throws),
         found=values,
@@ -342,10 +308,8 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
     if _describe_fit(arguments).is_free('layer.loss_tangent'):
         found['layer.loss_tangent'] = loss
     if arguments.figure:
-        error = arguments.thickness_error
-        _into(
-            arguments.figure, lambda path: identify_figure.draw_layers(layers, speed, error, path)
-        )
+        with naming(arguments.figure):
+            identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
     lines = [f'{"thickness":>12} {"period T_0":>22} {"loss tangent there":>22}']
     lines += [
         f'{1e3 * thickness:9.4g} mm {with_unit(ringing.period, "s"):>22} '
@@ -362,8 +326,8 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
             'layers': [
                 {
                     'thickness': thickness,
-                    'period': ringing.period._asdict(),
-                    'loss_tangent': ringing.loss_tangent._asdict(),
+                    'period': ringing.period,
+                    'loss_tangent': ringing.loss_tangent,
                     'fit': fit_data(ringing.fit),
                 }
                 for thickness, ringing in layers
@@ -373,7 +337,7 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
                 'chi2': speed.chi2,
                 'degrees_of_freedom': speed.dof,
             },
-            'loss_tangent_at_engine_frequency': loss._asdict(),
+            'loss_tangent_at_engine_frequency': loss,
         },
         warnings=tuple(warnings),
     )
@@ -381,21 +345,14 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
 
 def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
     """Read how a free layer rings, and draw it if that is asked for."""
-    reader, line = _reader(arguments), None
-    if is_video(path):
-        ends, line = read_layer(path, arguments)
-        ends = reader.cut_layer(ends, path)
-    else:
-        ends = reader.free_layer(path)
+    ends, line = read_layer(path, arguments)
     try:
         ringing = fit_ringing(change_of_length(*ends))
     except FitError as error:
         raise FitError(f'{path}: {error}') from None
     if line is not None and arguments.space_time:
-        _into(
-            arguments.space_time,
-            lambda path: identify_figure.draw_space_time(line, ends, ringing, path),
-        )
+        with naming(arguments.space_time):
+            identify_figure.draw_space_time(line, ends, ringing, arguments.space_time)
     return ringing
 
 
@@ -415,11 +372,3 @@ def _mean(values: Sequence[Estimate]) -> Estimate:
     weights = [1.0 / max(value.error, 1e-12) ** 2 for value in values]
     mean = sum(weight * value.value for weight, value in zip(weights, values, strict=True))
     return Estimate(mean / sum(weights), 1.0 / math.sqrt(sum(weights)))
-
-
-def _into(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file, and refuse in words what cannot be written."""
-    try:
-        write(path)
-    except OSError as error:
-        raise ValueError(f'{path}: {error.strerror}') from None

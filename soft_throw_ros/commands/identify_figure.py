@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.ringing import Ringing, WaveSpeed
 from soft_throw_ros.identification.throw_analysis import Ejection
@@ -48,22 +48,12 @@ def draw_throws(
     path : Path
         Of a PNG, PDF or SVG file.
 
-    Raises
-    ------
-    FitError
-        If matplotlib is not installed.
-    OSError
-        If the file cannot be written.
-
     """
     residuals = {id(each.track): each for each in found.fit.residuals}
     bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in found.throws)]
     figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
     layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
-    panels = figure.subplot_mosaic(
-        layout,
-        height_ratios=[2.6, *[1.0] * len(bodies)],
-    )
+    panels = figure.subplot_mosaic(layout, height_ratios=[2.6, *[1.0] * len(bodies)])
     for body in bodies[1:]:
         panels[body].sharex(panels['plate'])
     for number, throw in enumerate(found.throws[:_MOST]):
@@ -111,15 +101,7 @@ def draw_throws(
 def draw_layers(
     layers: Sequence[tuple[float, Ringing]], speed: WaveSpeed, thickness_error: float, path: Path
 ) -> None:
-    """
-    Draw how free layers ring, and their periods over their thicknesses [m].
-
-    Raises
-    ------
-    FitError, OSError
-        As for `draw_throws`.
-
-    """
+    """Draw how free layers ring, and their periods over their thicknesses [m]."""
     figure = _figure(9.6, 6.0)
     panels = figure.subplot_mosaic(
         [['ring', 'line'], ['left', 'apart']], height_ratios=[2.6, 1.0], sharex=False
@@ -130,17 +112,13 @@ def draw_layers(
         track, rest = residual.track, ringing.fit['length'].value
         step -= 2.2 * _MILLI * float(np.abs(track.position - rest).max())
         since = _MILLI * (track.time - ringing.start_time)
-        panels['ring'].plot(since, _MILLI * (track.position - rest) + step, color='black', **_DATA)
-        panels['ring'].plot(
-            since, _MILLI * (residual.fitted - rest) + step, color=_COLOURS['layer'], lw=1.0
-        )
+        data, model = (_MILLI * (each - rest) + step for each in (track.position, residual.fitted))
+        panels['ring'].plot(since, data, color='black', **_DATA)
+        panels['ring'].plot(since, model, color=_COLOURS['layer'], lw=1.0)
         panels['ring'].annotate(
-            f'{_MILLI * thickness:.3g} mm',
-            xy=(since[-1], step),
-            xytext=(0, 12),
-            textcoords='offset points',
-            ha='right',
-        )
+            f'{_MILLI * thickness:.3g} mm', xy=(since[-1], step), xytext=(0, 12),
+            textcoords='offset points', ha='right',
+        )  # fmt: skip
         panels['left'].plot(since, _MICRO * residual.values, color='black', **_DATA)
     panels['ring'].set(ylabel='change of length (mm), one below the other', xticklabels=[])
     panels['left'].set(xlabel='time (ms)', ylabel='data - model (µm)')
@@ -155,14 +133,9 @@ def draw_layers(
     label = f'$2 L_s / c_s$, $c_s$ = {speed.value} m/s'.replace('+-', '±')
     for name, values, scale in (('line', period, _MILLI), ('apart', period - expected, _MICRO)):
         panels[name].errorbar(
-            _MILLI * thicknesses,
-            scale * values,
-            yerr=scale * error,
-            fmt='o',
-            color='black',
-            ms=4.0,
-            capsize=2.0,
-        )
+            _MILLI * thicknesses, scale * values, yerr=scale * error, fmt='o', color='black',
+            ms=4.0, capsize=2.0,
+        )  # fmt: skip
         line = 2.0 * ends / speed.value.value if name == 'line' else np.zeros(2)
         panels[name].plot(
             _MILLI * ends, scale * line, color=_COLOURS['layer'], lw=1.2, label=label
@@ -177,62 +150,39 @@ def draw_layers(
 def draw_space_time(
     line: SpaceTime, ends: tuple[Track, Track], ringing: Ringing, path: Path
 ) -> None:
-    """
-    Draw a line through a free layer over time, with its edges and its period.
-
-    Raises
-    ------
-    FitError, OSError
-        As for `draw_throws`.
-
-    """
+    """Draw a line through a free layer over time, with its edges and its period."""
     figure = _figure(9.6, 4.8)
     panel = figure.add_subplot()
-    time, pixel = line.time, _MILLI * line.scale
-    half = 0.5 / line.rate
+    half, width = 0.5 / line.rate, line.levels.shape[1]
     panel.imshow(
-        line.levels.T,
-        cmap='gray',
-        origin='lower',
-        aspect='auto',
-        interpolation='nearest',
+        line.levels.T, cmap='gray', origin='lower', aspect='auto', interpolation='nearest',
         extent=(
-            _MILLI * (time[0] - half),
-            _MILLI * (time[-1] + half),
-            0.0,
-            pixel * line.levels.shape[1],
+            _MILLI * (line.time[0] - half), _MILLI * (line.time[-1] + half),
+            0.0, _MILLI * line.scale * width,
         ),
-    )
+    )  # fmt: skip
     colour = _COLOURS['layer']
     for end in ends:
         panel.plot(_MILLI * end.time, _MILLI * end.position, color=colour, lw=0.8)
     start, period = _MILLI * ringing.start_time, _MILLI * ringing.period.value
     height = _MILLI * float(np.mean([end.position.mean() for end in ends]))
     panel.annotate(
-        '',
-        xy=(start, height),
-        xytext=(start + period, height),
+        '', xy=(start, height), xytext=(start + period, height),
         arrowprops={'arrowstyle': '<->', 'color': colour, 'shrinkA': 0, 'shrinkB': 0},
-    )
+    )  # fmt: skip
     shown = Estimate(period, _MILLI * ringing.period.error)
     panel.annotate(
-        f' $T_0$ = {shown} ms'.replace('+-', '±'),
-        xy=(start + period, height),
-        color=colour,
+        f' $T_0$ = {shown} ms'.replace('+-', '±'), xy=(start + period, height), color=colour,
         va='center',
-    )
+    )  # fmt: skip
     panel.set(xlabel='time (ms)', ylabel='height along the line (mm)')
     _save(figure, path)
 
 
 def _figure(width: float, height: float) -> Figure:
-    try:
-        from matplotlib.figure import Figure as Canvas
-    except ModuleNotFoundError as error:
-        raise FitError(
-            f"a figure needs what pip installs with 'soft_throw_ros[plot]': {error}"
-        ) from None
-    return Canvas(figsize=(width, height), layout='constrained')
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout='constrained')
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-import json
-import math
 from pathlib import Path
 from typing import Any
 
+from soft_throw_ros.commands.output import to_json
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.fit_description import PARAMETERS
@@ -46,7 +45,7 @@ class IdentificationReport:
     lines : tuple of str
         More for people.
     data : mapping
-        The same for programs.
+        The same for programs: whatever JSON has a form for.
     warnings : tuple of str
         What there is to doubt.
 
@@ -56,21 +55,17 @@ class IdentificationReport:
     found: Mapping[str, Estimate]
     held: Mapping[str, float] = field(default_factory=dict)
     lines: tuple[str, ...]
-    data: Mapping[str, Any]  # whatever JSON has a form for
+    data: Mapping[str, Any]
     warnings: tuple[str, ...]
 
     def table(self) -> str:
         """Write it for people to read."""
         width = max(map(len, PARAMETERS))
-        lines = [
-            f'{name:{width}}  {with_unit(value, unit_of(name))}'
-            for name, value in self.found.items()
-        ]
+        lines = [f'{name:{width}}  {text}' for name, text in self._estimates()]
         for name, value in self.held.items():
             unit, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
-            lines.append(
-                f'{name:{width}}  {f"{factor * value:.6g} {unit}".rstrip()}, taken as known'
-            )
+            text = f'{factor * value:.6g} {unit}'.rstrip()
+            lines.append(f'{name:{width}}  {text}, taken as known')
         return '\n'.join([*lines, '', *self.lines]) + '\n'
 
     def json(self) -> str:
@@ -78,25 +73,15 @@ class IdentificationReport:
         found = {
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
         }
-        data = {
-            'sources': self.sources,
-            'found': found,
-            'held': self.held,
-            **self.data,
-            'warnings': self.warnings,
-        }
-        return json.dumps(_finite(data), indent=2, allow_nan=False) + '\n'
+        parts = {'sources': self.sources, 'found': found, 'held': self.held}
+        return to_json({**parts, **self.data, 'warnings': self.warnings})
+
+    def _estimates(self) -> Iterator[tuple[str, str]]:
+        for name, value in self.found.items():
+            yield name, with_unit(value, unit_of(name))
 
     def put_into(self, settings: Settings) -> dict[str, Any]:
-        """
-        Put what was found into settings of the twin.
-
-        Raises
-        ------
-        ParameterError
-            If the twin does not take it.
-
-        """
+        """Put what was found into settings of the twin, or raise ParameterError."""
         request = {name: float(f'{value.value:.8g}') for name, value in self.found.items()}
         try:
             return {**settings, **TWIN.change(settings, request)}
@@ -120,7 +105,7 @@ class IdentificationReport:
         if len(names) > _MAX_NAMES:
             names = [names[0], '...', names[-1]]
         title = [f'Identified from {", ".join(names)}:']
-        title += [f'{name} {with_unit(each, unit_of(name))}' for name, each in self.found.items()]
+        title += [f'{name} {text}' for name, text in self._estimates()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
         with atomic_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
             files.write(unfinished, kept, title='\n'.join(title))
@@ -170,11 +155,11 @@ def fit_lines(fit: Fit) -> Iterator[str]:
 
 
 def fit_data(fit: Fit) -> dict[str, Any]:
-    """Put a fit in a form that JSON has."""
+    """Name what JSON tells of a fit."""
     return {
         'names': fit.names,
-        'values': fit.values.tolist(),
-        'covariance': fit.covariance.tolist(),
+        'values': fit.values,
+        'covariance': fit.covariance,
         'chi2': fit.chi2,
         'degrees_of_freedom': fit.dof,
         'residuals': [
@@ -185,7 +170,7 @@ def fit_data(fit: Fit) -> dict[str, Any]:
                 'rms': residual.rms,
                 'autocorrelation': residual.autocorrelation,
                 'whiteness': residual.whiteness,
-                'outliers': [outlier._asdict() for outlier in residual.outliers],
+                'outliers': residual.outliers,
             }
             for residual in fit.residuals
         ],
@@ -201,17 +186,8 @@ def ejection_lines(columns: Mapping[str, Ejection]) -> Iterator[str]:
         yield f'{label:22}' + ''.join(f'{cell:>26}' for cell in cells)
 
 
-def ejection_data(ejection: Ejection | None) -> dict[str, Any] | None:
-    """Put an ejection in a form that JSON has."""
+def ejection_data(ejection: Ejection | None) -> dict[str, Estimate] | None:
+    """Name what JSON tells of an ejection."""
     if ejection is None:
         return None
-    return {key: getattr(ejection, key)._asdict() for key, _, _ in EJECTION_ROWS}
-
-
-def _finite(data: Any) -> Any:
-    """Replace what JSON has no number for."""
-    if isinstance(data, Mapping):
-        return {name: _finite(value) for name, value in data.items()}
-    if isinstance(data, Sequence) and not isinstance(data, str):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
+    return {key: getattr(ejection, key) for key, _, _ in EJECTION_ROWS}

@@ -9,8 +9,8 @@ and it ends soon after its input does, whatever the viewer does.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 import contextlib
+from functools import partial
 import itertools
 import math
 import os
@@ -27,6 +27,15 @@ import time
 from types import FrameType
 from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
 
+from soft_throw_ros.commands.output import naming, slow_notice
+from soft_throw_ros.commands.rerun_output import (
+    check_viewer,
+    PORT,
+    PROBE_TIME,
+    save_recording,
+    send_recording,
+    WINDOW,
+)
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.timeseries import find_throws, is_shown, tells_throws, ThrowStart
@@ -52,14 +61,8 @@ LIVE_PERIOD = 1.0 / 30.0
 FILE_PERIOD = 0.5
 """The same where nobody looks, and fewer pieces make a smaller file. [s]"""
 
-PROBE_TIME = 1.0
-"""How often it is looked for a viewer. [s]"""
-
 EXIT_TIME = 0.7
 """After its input, or a signal, the process ends within this time. [s]"""
-
-SLOW_NOTICE_TIME = 3.0
-"""After this it is said why it takes so long. [s]"""
 
 _BATCH = 5000
 """Messages of a bag that are drawn at once."""
@@ -71,33 +74,15 @@ _FINAL_PAUSE = 2e-3
 """Between looks at the input once the end is near. [s]"""
 
 
-_WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
-"""Options of a viewer with a window."""
-
-
-class InspectError(Exception):
-    """It cannot be done as asked; the message says why."""
-
-
 def main(args: list[str] | None = None) -> int:
     """
     Run the command.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Its arguments; those of the process by default.
 
     Returns
     -------
     int
         Exit code: 0; 1 if Rerun or its viewer are not there; 2 if there is no such bag, or none of
         a twin; 130 after Ctrl-C while a bag is read.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 if an argument is refused, after a line that says which.
 
     """
     arguments = _parse(args)
@@ -116,7 +101,7 @@ def main(args: list[str] | None = None) -> int:
     except ViewerError as error:
         _say(str(error))
         return 1
-    except (BagError, InspectError) as error:
+    except ValueError as error:
         _say(str(error))
         return 2
     except KeyboardInterrupt:
@@ -125,35 +110,22 @@ def main(args: list[str] | None = None) -> int:
 
 def _parse(args: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
-    parser.add_argument('bag', metavar='BAG', help='a bag, an .mcap file, or - for standard input')
-    parser.add_argument(
-        '--save', metavar='FILE.rrd', type=Path, help='write a recording of Rerun, show nothing'
-    )
-    parser.add_argument(
-        '--screenshot', metavar='FILE.png', type=Path, help='write a picture, open no window'
-    )
-    parser.add_argument(
-        '--size', metavar='WxH', type=_size, default=(1600, 1000), help='of it (default 1600x1000)'
-    )
-    parser.add_argument(
-        '--throw', metavar='N', type=int, help='show this throw (default the last whole one)'
-    )
-    parser.add_argument(
-        '--at',
-        metavar='TIME',
-        type=_time,
+    add = parser.add_argument
+    add('bag', metavar='BAG', help='a bag, an .mcap file, or - for standard input')
+    add('--save', metavar='FILE.rrd', type=Path, help='write a recording of Rerun, show nothing')
+    add('--screenshot', metavar='FILE.png', type=Path, help='write a picture, open no window')
+    add('--size', metavar='WxH', type=_size, default='1600x1000', help='of it (%(default)s)')
+    add('--throw', metavar='N', type=int, help='show this throw (default the last whole one)')
+    add(
+        '--at', metavar='TIME', type=_time,
         help='show it at this time of the rig since the throw started, in seconds '
         '(default in the contact)',
-    )
-    parser.add_argument(
-        '--sink',
-        choices=('viewer', 'serve'),
-        default='viewer',
+    )  # fmt: skip
+    add(
+        '--sink', choices=('viewer', 'serve'), default='viewer',
         help='show it in a viewer, or to viewers that connect (default viewer)',
-    )
-    parser.add_argument(
-        '--port', type=_port, default=9876, help='of either, on 127.0.0.1 (default 9876)'
-    )
+    )  # fmt: skip
+    add('--port', type=_port, default=PORT, help='of either, on 127.0.0.1 (default %(default)s)')
     arguments = parser.parse_args(args)
     if arguments.save and arguments.screenshot:
         parser.error('argument --screenshot: not allowed with argument --save')
@@ -166,14 +138,13 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
     return arguments
 
 
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r'(\d+)x(\d+)', text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f'must be as 1600x1000, got {text!r}')
-    width, height = map(int, match.groups())
-    if not (200 <= width <= 8000 and 200 <= height <= 8000):
-        raise argparse.ArgumentTypeError(f'must be from 200 to 8000 each way, got {text!r}')
-    return width, height
+def _size(text: str) -> str:
+    sides = re.fullmatch(r'(\d+)x(\d+)', text)
+    if sides is None or not all(200 <= int(side) <= 8000 for side in sides.groups()):
+        raise argparse.ArgumentTypeError(
+            f'must be as 1600x1000, from 200 to 8000 each way, got {text!r}'
+        )
+    return text
 
 
 def _port(text: str) -> int:
@@ -203,28 +174,26 @@ def _show_bag(arguments: argparse.Namespace) -> int:
     with BagReader(arguments.bag) as reader:
         if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
             topics = ', '.join(channel.topic for channel in reader.channels)
-            raise InspectError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
+            raise ValueError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
         throw = _choose_throw(reader, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
         stream = rerun_canvas.new_stream()
+        draw = partial(_draw, scene, stream, reader)
         if arguments.save:
-            _save_bag(stream, scene, reader, arguments.save)
+            with naming(arguments.save):
+                save_recording(stream, arguments.save, draw)
         elif arguments.screenshot:
-            with tempfile.TemporaryDirectory() as folder:
+            with naming(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                _save_bag(stream, scene, reader, recording)
-                size = '{}x{}'.format(*arguments.size)
-                options = ('--headless', '--window-size', size, recording)
+                save_recording(stream, recording, draw)
+                options = ('--headless', '--window-size', arguments.size, recording)
                 with Viewer(free_port(), *options) as viewer:
                     cursor = _cursor(scene, arguments)
                     picture = viewer.photograph(rerun_canvas.THROW_TIME, cursor)
-            try:
                 arguments.screenshot.write_bytes(picture)
-            except OSError as error:
-                raise InspectError(f'{arguments.screenshot}: {error.strerror}') from None
         elif arguments.sink == 'serve':
             _serve(stream, arguments.port)
-            _draw(scene, stream, reader)
+            draw()
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     signal.pause()
@@ -241,7 +210,7 @@ def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     chosen = [throw for throw in throws if number in (None, throw.number)]
     if number is not None and not chosen:
         known = f'{throws[0].number} to {throws[-1].number}' if throws else 'none'
-        raise InspectError(f'{reader.path}: it has no throw {number}, of throws {known}')
+        raise ValueError(f'{reader.path}: it has no throw {number}, of throws {known}')
     whole = [throw for throw in chosen if throw.has_field] or chosen
     return whole[-1] if whole else None
 
@@ -249,7 +218,7 @@ def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
 def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
     """Draw a whole bag, and say what of it could not be read."""
     scene.connect(stream)
-    with _slow_notice():
+    with slow_notice('inspect'):
         messages = reader.messages()
         while batch := list(itertools.islice(messages, _BATCH)):
             scene.show(batch)
@@ -257,7 +226,7 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
     decoder, path = scene.decoder, reader.path
     damage = f', {decoder.damage}' if decoder.damage else ''
     if scene.is_empty:
-        raise InspectError(f'{path}: nothing of a twin could be read{damage}')
+        raise ValueError(f'{path}: nothing of a twin could be read{damage}')
     if reader.damage:
         _say(f'{reader.damage}; what there is is shown')
     if decoder.damaged:
@@ -270,61 +239,26 @@ def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:
     return scene.moment if scene.moment is None or at is None else at
 
 
-def _save_bag(stream: rr.RecordingStream, scene: Scene, reader: BagReader, path: Path) -> None:
-    from soft_throw_ros.recording import rerun_canvas
-
-    _save(stream, path, is_live=False)
-    _draw(scene, stream, reader)
-    is_written = rerun_canvas.flush(stream, math.inf)
-    stream.disconnect()
-    if not is_written:
-        raise InspectError(f'{path}: it could not be written')
-
-
 def _send_bag(
     stream: rr.RecordingStream, scene: Scene, reader: BagReader, arguments: argparse.Namespace
 ) -> None:
-    """Show a bag in the viewer that is there, or in one that stays."""
+    """Show a bag in the viewer that is there, or in one that stays, at the throw's time."""
     from soft_throw_ros.recording import rerun_canvas
 
-    port = arguments.port
-    if not listens(port):
-        if not has_display():
-            raise ViewerError(
-                'there is no screen for a window; use --save FILE.rrd or --screenshot '
-                f'FILE.png, or start a viewer that listens at 127.0.0.1:{port}'
-            )
-        Viewer(port, *_WINDOW, stays=True)
-    connection = connect(port)
-    if connection is None:
-        raise ViewerError(f'nobody listens at 127.0.0.1:{port} any more')
-    with connection:
-        rerun_canvas.connect_to(stream, port)
-        _draw(scene, stream, reader)
-        while not rerun_canvas.flush(stream, PROBE_TIME):
-            if not is_open(connection):
-                raise ViewerError('the viewer was closed before it had everything')
+    check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
+    send_recording(stream, arguments.port, partial(_draw, scene, stream, reader))
     cursor = _cursor(scene, arguments)
     if cursor is not None:
         recording = f'Recording:{rerun_canvas.APPLICATION}:{stream.get_recording_id()}'
-        go_to(port, recording, rerun_canvas.THROW_TIME, cursor)
+        go_to(arguments.port, recording, rerun_canvas.THROW_TIME, cursor)
     stream.disconnect()
-
-
-def _save(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
-    from soft_throw_ros.recording import rerun_canvas
-
-    try:
-        rerun_canvas.save_to(stream, path, is_live=is_live)
-    except OSError as error:
-        raise InspectError(f'{path}: {error}') from None
 
 
 def _serve(stream: rr.RecordingStream, port: int) -> None:
     from soft_throw_ros.recording import rerun_canvas
 
     if listens(port):
-        raise InspectError(f'somebody listens at 127.0.0.1:{port} already; take another --port')
+        raise ValueError(f'somebody listens at 127.0.0.1:{port} already; take another --port')
     rerun_canvas.serve_at(stream, port)
     _say(f'to see it: rerun {url_of(port)}')
 
@@ -343,7 +277,8 @@ def _show_stream(arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn
         watchdog.watch_pipe(sys.stdin.buffer.fileno())
     if arguments.save or arguments.sink == 'serve':
         if arguments.save:
-            _save(stream, arguments.save, is_live=True)
+            with naming(arguments.save):
+                rerun_canvas.save_to(stream, arguments.save, is_live=True)
         else:
             _serve(stream, arguments.port)
         scene.connect(stream)
@@ -415,7 +350,7 @@ class _ViewerConnection:
 
     def _start(self) -> None:
         try:
-            Viewer(self._port, *_WINDOW, stays=True)
+            Viewer(self._port, *WINDOW, stays=True)
         except ViewerError as error:
             _say(str(error))
 
@@ -453,12 +388,7 @@ class _Watchdog:
     code : int
         Exit code if it comes to that.
     is_gentle : bool
-        Whether a signal does not interrupt what is being done.
-
-    Attributes
-    ----------
-    is_told_to_end : bool
-        Whether a signal has come that did not.
+        Whether a signal only sets `is_told_to_end`, and interrupts nothing.
 
     """
 
@@ -518,19 +448,6 @@ class _Watchdog:
         self._is_ending.set()
         if not self._is_closed.wait(EXIT_TIME):
             os._exit(self._code)
-
-
-@contextlib.contextmanager
-def _slow_notice() -> Iterator[None]:
-    """Say why it takes so long if it does."""
-    text = 'reading; for the first time this takes half a minute longer, for compiling'
-    notice = threading.Timer(SLOW_NOTICE_TIME, _say, (text,))
-    notice.daemon = True
-    notice.start()
-    try:
-        yield
-    finally:
-        notice.cancel()
 
 
 def _say(text: str) -> None:

@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands have in common: the options of a rig, tables for people, and slow notices."""
+"""Options that commands share: the parameters of a rig, and who does the work of a sweep."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 import contextlib
 from dataclasses import replace
-import itertools
-import sys
-import threading
-from typing import NamedTuple
+import multiprocessing
+import signal
 
+from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
 
-_WIDTH = 12  # of a column of numbers
+
+class WorkersLostError(RuntimeError):
+    """Those who do the work are gone."""
 
 
 def _option(name: str) -> str:
@@ -25,6 +27,10 @@ def _option(name: str) -> str:
     return ('--uncertain-' if group == 'uncertainty' else '--') + last.replace('_', '-')
 
 
+def _group(group: str) -> dict[str, str]:
+    return {entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == group}
+
+
 OPTIONS = {
     entry.name: _option(entry.name)
     for entry in TWIN.entries
@@ -32,15 +38,11 @@ OPTIONS = {
 }
 """The parameters that describe a rig, and what their options are called."""
 
-RECOMMENDATION_OPTIONS = {
-    entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == 'recommendation'
-}
-"""The parameters that say what is asked of a layer, and what their options are called."""
+RECOMMENDATION_OPTIONS = _group('recommendation')
+"""Those that say what is asked of a layer."""
 
-UNCERTAINTY_OPTIONS = {
-    entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == 'uncertainty'
-}
-"""The parameters that say how far a rig may be off, and what their options are called."""
+UNCERTAINTY_OPTIONS = _group('uncertainty')
+"""Those that say how far a rig may be off."""
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
@@ -143,72 +145,78 @@ def _format(value: Value) -> str:
     return f'{value:g}' if isinstance(value, float) else str(value)
 
 
-class Row(NamedTuple):
-    """A line of a table: the key of its numbers, its title, its unit, and SI times what it is."""
-
-    key: str
-    title: str
-    unit: str = ''
-    scale: float = 1.0
-
-
-def write_columns(
-    rows: Iterable[Row], columns: Mapping[str, Mapping[str, float] | None]
-) -> Iterator[str]:
-    """
-    Write a table for people, line by line.
-
-    Parameters
-    ----------
-    rows : iterable of Row
-        One without any number is left out.
-    columns : mapping of str to mapping or None
-        The numbers by their keys, under heads whose words, joined by `_`, stand one below the
-        other.
-
-    Yields
-    ------
-    str
-        The heads, then the rows.
-
-    """
-    words = [head.split('_') for head in columns]
-    for heads in itertools.zip_longest(*words, fillvalue=''):
-        yield _line('', '', heads)
-    for row in rows:
-        cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
-        if any(cell != '-' for cell in cells):
-            yield _line(row.title, row.unit, cells)
-
-
-def _line(title: str, unit: str, cells: Iterable[str]) -> str:
-    line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_WIDTH}}' for cell in cells)
-    return line.rstrip()
-
-
-def _cell(value: float | None, scale: float) -> str:
-    if value is None:
-        return '-'
-    return str(value) if isinstance(value, int) else f'{scale * value:#.6g}'
+def add_executor_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--workers` and `--dask`; `open_executor` reads them."""
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument(
+        '--workers', metavar='N', type=_count, default=1,
+        help='share the work out among N processes (default 1: this one)',
+    )  # fmt: skip
+    who.add_argument(
+        '--dask', metavar='ADDRESS',
+        help='have the workers of a Dask scheduler do it, such as tcp://10.0.0.1:8786',
+    )  # fmt: skip
 
 
 @contextlib.contextmanager
-def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
+def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
     """
-    Say on standard error what a command is waiting for, if it takes long.
+    Give what does the work, as the options say: an executor, or None for this very process.
 
-    Parameters
-    ----------
-    command : str
-        Who says it.
-    after : float
-        How long it has to take. [s]
+    Raises
+    ------
+    ValueError
+        If there is no such scheduler, or Dask is not installed.
+    WorkersLostError
+        If the work cannot go on: a process was killed, or the scheduler is gone.
 
     """
-    text = f'{command}: computing; the first run compiles, which takes half a minute'
-    timer = threading.Timer(after, print, (text,), {'file': sys.stderr})
-    timer.start()
+    if arguments.dask is not None:
+        with _dask(arguments.dask) as executor:
+            yield executor
+    elif arguments.workers == 1:
+        yield None
+    else:
+        # Started anew, since threads do not survive a fork, and all at once, with Ctrl-C blocked:
+        # they inherit that, and so it is answered here alone. They finish the block they are at.
+        spawn = multiprocessing.get_context('spawn')
+        with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as executor:
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            for _ in range(arguments.workers):
+                executor.submit(int)
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            try:
+                yield executor
+            except BrokenExecutor:
+                raise WorkersLostError(
+                    'a worker process was killed, perhaps for want of memory'
+                ) from None
+
+
+@contextlib.contextmanager
+def _dask(address: str) -> Iterator[Executor]:
+    """Connect to a Dask scheduler."""
+    require('--dask', 'dask', 'distributed')
+    from distributed import Client
+    from distributed.scheduler import KilledWorker
+
     try:
-        yield
-    finally:
-        timer.cancel()
+        client = Client(address, timeout='10s', set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ValueError(f'--dask {address}: no scheduler answers there ({error})') from None
+    with client, client.get_executor() as executor:
+        try:
+            yield executor
+        except KilledWorker:
+            raise WorkersLostError(
+                'the same work has killed several Dask workers, perhaps for want of memory'
+            ) from None
+        except CancelledError:
+            raise WorkersLostError(f'the Dask scheduler at {address} is gone') from None
+
+
+def _count(text: str) -> int:
+    """Read a whole number above 0."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
+    return int(text)

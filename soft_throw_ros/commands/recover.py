@@ -6,32 +6,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.commands.output import print_text, run_command
 from soft_throw_ros.recording.recovery import recover, Recovery
 
 _SHOWN = 10  # places that are named one by one
 
 
 def main(args: list[str] | None = None) -> int:
-    """
-    Run the command.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Its arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 if all was recovered, 1 if something was not.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 if nothing was, after a line that says why.
-
-    """
+    """Run the command; exit code 0 if all was recovered, 1 if not, 2 if nothing was."""
     parser = argparse.ArgumentParser(
         description='Repair a bag that a crash has cut off, or a disk has damaged: write what is '
         'left into a new bag. The old one is not changed.',
@@ -42,34 +24,28 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--to', metavar='OUT', help='the new bag (default: beside the old one, BAG_recovered)'
     )
-    given = parser.parse_args(args)
-    source = Path(given.bag)
-    try:
-        recovery = recover(source, given.to or _beside(source))
-    except BagError as error:
-        parser.error(str(error))
-    print(describe(recovery), end='')
+    return run_command(parser, _run, args)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    source = Path(arguments.bag)
+    path = source.resolve()  # the new bag is named after the folder, or after a file of it
+    name = path.name if path.is_dir() else path.name.partition('.')[0]
+    recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
+    print_text('\n'.join(_lines(recovery)) + '\n')
     return 1 if recovery.skipped else 0
 
 
-def _beside(source: Path) -> Path:
-    """Name the new bag after the old one, or after a file of it."""
-    path = source.resolve()
-    name = path.name if path.is_dir() else path.name.partition('.')[0]
-    return path.with_name(f'{name}_recovered')
-
-
-def describe(recovery: Recovery) -> str:
+def _lines(recovery: Recovery) -> list[str]:
     """Say what was recovered, and what was not."""
     width = max(map(len, recovery.saved))
     lines = [f'{recovery.target}: {recovery.message_count} messages recovered']
     lines += [f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()]
     skipped = recovery.skipped
     if skipped:
-        size = sum(gap.size for gap in skipped)
         places = '1 place' if len(skipped) == 1 else f'{len(skipped)} places'
-        lines.append(f'{size} bytes skipped, in {places}:')
+        lines.append(f'{sum(gap.size for gap in skipped)} bytes skipped, in {places}:')
         lines += [f'  {gap}' for gap in skipped[:_SHOWN]]
         if len(skipped) > _SHOWN:
             lines.append(f'  and {len(skipped) - _SHOWN} more')
-    return '\n'.join(lines) + '\n'
+    return lines

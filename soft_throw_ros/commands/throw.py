@@ -12,9 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 import csv
 from functools import partial
 import io
-import json
 import math
-import os
 from pathlib import Path
 import sys
 from typing import TypedDict
@@ -26,12 +24,19 @@ from soft_throw_ros.commands.options import (
     number_or_text,
     OPTIONS,
     read_settings,
-    Row,
-    slow_notice,
     UNCERTAINTY_OPTIONS,
+)
+from soft_throw_ros.commands.output import (
+    naming,
+    print_text,
+    Row,
+    run_command,
+    slow_notice,
+    strain_warning,
+    to_json,
     write_columns,
 )
-from soft_throw_ros.configuration import ParameterError, rig_of, Settings, TWIN, Value
+from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
@@ -79,51 +84,9 @@ _ROWS = (
 )
 
 
-class InputError(ValueError):
-    """A file is not what it should be; the message says where, and what was found there."""
-
-
 def main(args: list[str] | None = None) -> int:
-    """
-    Run the command.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Its arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code 0.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 if something is refused, after a line that says what.
-
-    """
-    parser = _parser()
-    arguments = parser.parse_args(args)
-    given = vars(arguments)
-    try:
-        if 'cases' in given:
-            _refuse_beside_cases(parser, given)
-            text = _release_cases_of(given['cases'])
-        else:
-            settings = read_settings(arguments)
-            if 'max_strain' in given:
-                settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
-            with slow_notice('throw'):
-                prediction = predict(settings, given.get('model', MODELS))
-            if 'json' in given:
-                text = json.dumps(prediction, indent=2, allow_nan=False) + '\n'
-            else:
-                text = table(prediction)
-        _write(text, given.get('output'))
-    except (ParameterError, InputError) as error:
-        parser.error(str(error))
-    return 0
+    """Run the command; return exit code 0."""
+    return run_command(_parser(), _run, args)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -135,57 +98,46 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument(
-        '--model',
-        metavar='NAME',
-        action='append',
-        choices=tuple(MODELS),
+        '--model', metavar='NAME', action='append', choices=tuple(MODELS),
         help=f'only this model; may be repeated: {", ".join(MODELS)} (default all)',
-    )
+    )  # fmt: skip
     most = TWIN.by_name['max_strain']
     parser.add_argument(
-        '--max-strain',
-        metavar='NUMBER',
-        type=number_or_text,
+        '--max-strain', metavar='NUMBER', type=number_or_text,
         help=f'{most.meaning}; {most.rule} (default {most.default:g})',
-    )
+    )  # fmt: skip
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
     how.add_argument(
-        '--cases',
-        metavar='FILE',
+        '--cases', metavar='FILE',
         help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
         'te_f and alpha are added to them, without gravity',
-    )
+    )  # fmt: skip
     parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
 
 
-def _refuse_beside_cases(parser: argparse.ArgumentParser, given: Mapping[str, object]) -> None:
-    """Refuse options that have no effect on a file of cases."""
-    other = sorted(given.keys() - {'cases', 'output'})
-    if other:
-        options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
-        option = options.get(other[0], '--' + other[0].replace('_', '-'))
-        parser.error(f'argument {option}: not allowed with argument --cases')
-
-
-def _write(text: str, output: str | None) -> None:
-    if output is not None:
-        try:
-            Path(output).write_text(text, encoding='utf-8')
-        except OSError as error:
-            raise InputError(f'{output}: {error.strerror}') from None
-        return
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader has closed the pipe. Python would complain once more when it exits.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _run(arguments: argparse.Namespace) -> int:
+    given = vars(arguments)
+    if 'cases' in given:
+        text = _compute_cases(given)
+    else:
+        settings = read_settings(arguments)
+        if 'max_strain' in given:
+            settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
+        with slow_notice('throw'):
+            prediction = predict(settings, given.get('model', MODELS))
+        text = to_json(prediction) if 'json' in given else table(prediction)
+    if 'output' in given:
+        with naming(given['output']):
+            Path(given['output']).write_text(text, encoding='utf-8')
+    else:
+        print_text(text)
+    return 0
 
 
 def predict(settings: Settings, names: Iterable[str]) -> Prediction:
@@ -347,10 +299,7 @@ def table(prediction: Prediction) -> str:
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
     if prediction['leaves_linear_range']:
         most = float(prediction['parameters']['max_strain'])  # type: ignore[arg-type]
-        lines.append(
-            f'Strain beyond {1e2 * most:.3g} % leaves the linear range (--max-strain): a real '
-            'layer will do otherwise.'
-        )
+        lines.append(strain_warning(most, '--max-strain'))
     return '\n'.join(lines) + '\n'
 
 
@@ -362,93 +311,66 @@ _CASES = {
 """The columns of a file of cases, and what may stand in them."""
 
 
-def _release_cases_of(path: str) -> str:
-    """Open the file for `release_cases`."""
-    if path == '-':
-        return release_cases(sys.stdin, 'standard input')
-    try:
-        with Path(path).open(encoding='utf-8-sig', newline='') as file:
-            return release_cases(file, path)
-    except OSError as error:
-        raise InputError(f'{path}: {error.strerror}') from None
-
-
-def release_cases(file: Iterable[str], name: str) -> str:
-    """
-    Compute the first release for every row of a CSV file.
-
-    Parameters
-    ----------
-    file : iterable of str
-        Its lines, of which the first names the columns: `mu`, `kappa` and `zeta`, in any order
-        and among others.
-    name : str
-        What to call it if something is wrong.
-
-    Returns
-    -------
-    str
-        CSV with the columns `mu`, `kappa`, `zeta`, `te_f` and `alpha`, row for row.
-
-    Raises
-    ------
-    InputError
-        Naming file, line and value.
-
-    """
-    lines, rows = _read_cases(file, name)
+def _compute_cases(given: Mapping[str, str]) -> str:
+    """Compute the first release for every row of a CSV file, and write them as one."""
+    other = sorted(given.keys() - {'cases', 'output'})
+    if other:
+        options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
+        option = options.get(other[0], '--' + other[0].replace('_', '-'))
+        raise ValueError(f'argument {option}: not allowed with argument --cases')
+    path = given['cases']
+    name = 'standard input' if path == '-' else path
+    with naming(name):
+        if path == '-':
+            rows = _read_cases(sys.stdin, name)
+        else:
+            with Path(path).open(encoding='utf-8-sig', newline='') as file:
+                rows = _read_cases(file, name)
     if not rows:
         print(f'throw: {name} has no rows below its header', file=sys.stderr)
-    mu, kappa, zeta = np.array(rows).reshape(-1, len(_CASES)).T
+    mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
     with slow_notice('throw'):
-        releases = first_releases(
+        found = first_releases(
             mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
         )
-    for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
+    for i in np.flatnonzero(np.isnan(found.ejection_phase)):
         try:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
         except ThrowUnresolvedError as error:
-            raise InputError(f'{name}:{lines[i]}: {error}') from None
+            raise ValueError(f'{name}:{list(rows)[i]}: {error}') from None
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow([*_CASES, 'te_f', 'alpha'])
-    columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
+    columns = np.array([mu, kappa, zeta, found.ejection_phase, found.energy_transfer])
     writer.writerows(columns.T.tolist())
     return text.getvalue()
 
 
-def _read_cases(file: Iterable[str], name: str) -> tuple[list[int], list[list[float]]]:
-    """Return the line and the values of every row."""
-    reader = csv.reader(file)
-    lines: list[int] = []
-    rows: list[list[float]] = []
+def _read_cases(file: Iterable[str], name: str) -> dict[int, list[float]]:
+    """Return the values of every row by its line; the first line names the columns."""
+    reader = csv.DictReader(file)
+    rows: dict[int, list[float]] = {}
     try:
-        header = [column.strip() for column in next(reader, [])]
+        header = [column.strip() for column in reader.fieldnames or ()]
         if any(header.count(column) != 1 for column in _CASES):
-            raise InputError(
+            raise ValueError(
                 f'{name}:1: must name the columns {", ".join(_CASES)}, got {",".join(header)!r}'
                 + ('; columns are separated by commas' if ';' in ''.join(header) else '')
             )
-        places = {column: header.index(column) for column in _CASES}
+        reader.fieldnames = header
         for row in reader:
-            if row:  # the line is not empty
-                where = f'{name}:{reader.line_num}'
-                if len(row) <= max(places.values()):
-                    raise InputError(f'{where}: must have {len(header)} values, got {row}')
-                rows.append(
-                    [_case_value(column, row[place], where) for column, place in places.items()]
-                )
-                lines.append(reader.line_num)
+            where = f'{name}:{reader.line_num}'
+            rows[reader.line_num] = [_case_value(column, row[column], where) for column in _CASES]
     except csv.Error as error:
-        raise InputError(f'{name}:{reader.line_num}: {error}') from None
-    except UnicodeDecodeError:
-        raise InputError(f'{name}: is no UTF-8 text') from None
-    return lines, rows
+        raise ValueError(f'{name}:{reader.line_num}: {error}') from None
+    return rows
 
 
-def _case_value(column: str, text: str, where: str) -> float:
+def _case_value(column: str, text: str | None, where: str) -> float:
     rule, allows = _CASES[column]
+    if text is None:
+        raise ValueError(f'{where}: the row ends before its value of {column}')
     value = number_or_text(text)
     if not isinstance(value, float) or not allows(value):
-        raise InputError(f'{where}: {column} must be a number, {rule}, got {text!r}')
+        raise ValueError(f'{where}: {column} must be a number, {rule}, got {text!r}')
     return value

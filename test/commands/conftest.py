@@ -1,39 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks of the command `design`, run as from a shell."""
+"""Commands, run as from a shell."""
 
 import json
 import re
 
 import pytest
-from soft_throw_ros.commands import design
 
 
-class Task:
-    """A task of the command `design`."""
+class Command:
+    """A command, as the module names it in `COMMAND`: its main, and words that come first."""
 
-    def __init__(self, name, capsys):
-        self._name = name
+    def __init__(self, main, *words, capsys):
+        self._main = main
+        self._words = words
         self._capsys = capsys
+        self.err = ''
 
     def run(self, *args, code=0):
-        """Run it; return what it printed."""
-        assert design.main([self._name, *map(str, args)]) == code
-        return self._capsys.readouterr().out
+        """Run it; return what it printed, and keep what it said on standard error."""
+        assert self._main([*self._words, *map(str, args)]) == code
+        out, self.err = self._capsys.readouterr()
+        return out
 
-    def run_json(self, *args, code=0):
+    def json(self, *args, code=0):
         """Run it with `--json`; return the object that it printed."""
         return json.loads(self.run('--json', *args, code=code))
 
     def refused(self, *args):
         """Run it with something that it refuses; return what it says."""
         with pytest.raises(SystemExit) as end:
-            design.main([self._name, *map(str, args)])
+            self._main([*self._words, *map(str, args)])
         assert end.value.code == 2
         out, err = self._capsys.readouterr()
         assert out == ''
-        usage, message = err.splitlines()[-2:]  # it may have said before that it compiles
-        assert usage.startswith('usage: ')
-        return message.partition('error: ')[2]
+        assert 'Traceback' not in err
+        return err.splitlines()[-1].partition('error: ')[2]
 
     @staticmethod
     def row(printed, title):
@@ -43,6 +44,18 @@ class Task:
 
 
 @pytest.fixture
-def task(request, capsys):
-    """Offer the task that the module names as `TASK`."""
-    return Task(request.module.TASK, capsys)
+def command(request, capsys):
+    """Offer the command that the module names as `COMMAND`."""
+    return Command(*request.module.COMMAND, capsys=capsys)
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a file; return its path."""
+
+    def write(content, name='file'):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write

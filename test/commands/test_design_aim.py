@@ -5,39 +5,30 @@ from dataclasses import replace
 import re
 
 import pytest
-from soft_throw_ros.commands import design_aim
+from soft_throw_ros.commands import design, design_aim
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import predict
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
-TASK = 'aim'
-
-MINE = """\
-jelly:
-  description: Firm jelly
-  source: measured
-  density: 1000.0
-  wave_speed: 22.6
-  loss_tangent: 0.0
-"""
+COMMAND = (design.main, 'aim')
 
 
 def with_amplitude(amplitude):
     return replace(Rig(), engine=replace(Rig().engine, amplitude=amplitude))
 
 
-def test_amplitude_that_is_printed_throws_so_high(task):
-    found = task.run_json('--target-height', 0.15, '--vary', 'amplitude')['aim']
+def test_amplitude_that_is_printed_throws_so_high(command):
+    found = command.json('--target-height', 0.15, '--vary', 'amplitude')['aim']
     assert last_release(with_amplitude(found['amplitude'])).height == pytest.approx(0.15, rel=1e-6)
     assert found['is_reached'] is True
     assert (found['target_height'], found['target_speed']) == (0.15, None)
 
 
-def test_table_has_the_throw_now_the_aimed_one_and_that_with_this_layer(task):
-    printed = task.run('--target-height', 0.15)
+def test_table_has_the_throw_now_the_aimed_one_and_that_with_this_layer(command):
+    printed = command.run('--target-height', 0.15)
     best, this = (aim(Rig(), Target(height=0.15), vary=vary) for vary in ('both', 'amplitude'))
     assert printed.startswith(f'{best.summary}\n\n')
     columns = {
@@ -46,25 +37,25 @@ def test_table_has_the_throw_now_the_aimed_one_and_that_with_this_layer(task):
         'peak strain': [1e2 * each.peak_strain for each in (predict(Rig()), best, this)],
     }
     for title, expected in columns.items():
-        shown = list(map(float, task.row(printed, title)))
+        shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx(expected, rel=1e-5)
     assert prediction_uncertainty(best.rig).describe() in printed
-    alone = task.run('--target-height', 0.15, '--vary', 'amplitude')
-    assert len(task.row(alone, 'amplitude A')) == 2
+    alone = command.run('--target-height', 0.15, '--vary', 'amplitude')
+    assert len(command.row(alone, 'amplitude A')) == 2
 
 
-def test_speed_as_target_takes_the_place_of_the_default_height(task):
-    printed = task.run_json('--target-speed', 1.5, '--gravity', 0)
+def test_speed_as_target_takes_the_place_of_the_default_height(command):
+    printed = command.json('--target-speed', 1.5, '--gravity', 0)
     assert (printed['aim']['target_height'], printed['aim']['target_speed']) == (None, 1.5)
     assert printed['aim']['speed'] == pytest.approx(1.5, rel=1e-9)
     assert printed['aim']['height'] is None  # there is no end to it
     assert printed['parameters']['recommendation.objective'] == 'aim'
 
 
-def test_target_out_of_reach_says_what_would_do_and_ends_with_1(task):
+def test_target_out_of_reach_says_what_would_do_and_ends_with_1(command):
     args = ('--target-height', 0.2, '--vary', 'amplitude', '--max-strain', 0.12)
-    first = task.run(*args, code=design_aim.NOT_REACHED).splitlines()[0]
-    found = task.run_json(*args, code=design_aim.NOT_REACHED)['aim']
+    first = command.run(*args, code=design_aim.NOT_REACHED).splitlines()[0]
+    found = command.json(*args, code=design_aim.NOT_REACHED)['aim']
     assert found['is_reached'] is False
     assert found['peak_strain'] == pytest.approx(0.12, rel=1e-4)
     assert found['summary'] == first
@@ -72,25 +63,6 @@ def test_target_out_of_reach_says_what_would_do_and_ends_with_1(task):
     layer = Layer(thickness=1e-3 * thickness, wave_speed=speed)
     limits = Limits(max_strain=0.12)
     assert aim(replace(Rig(), layer=layer), Target(height=0.2), limits=limits).is_reached
-
-
-def test_layer_is_picked_from_a_library_of_one_s_own(task, tmp_path):
-    path = tmp_path / 'mine.yaml'
-    path.write_text(MINE)
-    args = ('--vary', 'library', '--library', path, '--target-speed', 2)
-    found = task.run_json(*args)['aim']
-    assert (found['layer'], found['wave_speed']) == ('jelly', 22.6)
-    best = aim(Rig(), Target(speed=2.0), vary='both')
-    assert best.amplitude <= found['amplitude'] * 1.00001 < 1.0002 * best.amplitude
-
-
-def test_uncertainties_given_are_those_of_the_prediction(task):
-    args = ('--target-speed', 2, '--vary', 'amplitude', '--uncertain-wave-speed', 1.0)
-    printed = task.run_json(*args)
-    uncertainty = prediction_uncertainty(
-        with_amplitude(printed['aim']['amplitude']), Uncertainties(wave_speed=1.0)
-    )
-    assert printed['uncertainty'] == uncertainty.values()
 
 
 @pytest.mark.parametrize(
@@ -111,5 +83,5 @@ def test_uncertainties_given_are_those_of_the_prediction(task):
         (['--target-height', '1', '--library', 'no.yaml'], 'argument --library: no.yaml'),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_quoted(task, args, message):
-    assert re.search(message, task.refused(*args))
+def test_what_is_refused_is_quoted(command, args, message):
+    assert re.search(message, command.refused(*args))

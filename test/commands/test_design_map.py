@@ -14,16 +14,21 @@ import time
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands import design_map
+from soft_throw_ros.commands import design, design_map, output, rerun_output
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
 
 ROOT = Path(__file__).parents[2]
 
-TASK = 'map'
+COMMAND = (design.main, 'map')
 
 SMALL = ('x=0.2:0.9:30', 'C=1:12:24')
+
+AXES = {
+    'layer.thickness': np.geomspace(2e-3, 0.05, 40),
+    'projectile.mass': np.linspace(1e-3, 5e-3, 30),
+}
 
 # Says aloud what a progress bar would show, so that somebody can press Ctrl-C in the middle.
 LOUD = """
@@ -41,18 +46,18 @@ if __name__ == '__main__':
 """
 
 
-def test_axes_are_read_with_range_count_and_spacing(task, tmp_path):
+def test_axes_are_read_with_range_count_and_spacing(command, tmp_path):
     path = tmp_path / 'map.npz'
-    task.run('mu=0.1:10:5:log', 'engine.damping_ratio', '--output', path)
+    command.run('mu=0.1:10:5:log', 'engine.damping_ratio', '--output', path)
     with np.load(path) as file:
         np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
         np.testing.assert_allclose(file['engine_damping_ratio'], np.linspace(0.0, 0.3, 256))
         assert file['energy_transfer'].shape == (5, 256)
 
 
-def test_options_reach_the_map(task, tmp_path):
+def test_options_reach_the_map(command, tmp_path):
     path = tmp_path / 'map.npz'
-    said = task.run(
+    said = command.run(
         *SMALL, '--model', 'spring_mass', '--density-ratio', 1, '--frequency', 31.1,
         '--output', path,
     )  # fmt: skip
@@ -64,18 +69,9 @@ def test_options_reach_the_map(task, tmp_path):
     assert attributes['engine_frequency'] == 31.1
 
 
-def test_map_without_a_release_says_so_and_can_be_drawn(task, tmp_path):
-    said = task.run(
-        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
-        '--amplitude', 1e-3, '--output', tmp_path / 'map.png',
-    )  # fmt: skip
-    assert 'the projectile leaves nowhere' in said
-    assert (tmp_path / 'map.png').read_bytes().startswith(b'\x89PNG')
-
-
-def test_workers_make_the_same_file(task, tmp_path):
+def test_workers_make_the_same_file(command, tmp_path):
     for workers in (1, 2):
-        task.run(*SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
+        command.run(*SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
     assert (tmp_path / '1.npz').read_bytes() == (tmp_path / '2.npz').read_bytes()
 
 
@@ -95,17 +91,11 @@ def rows(path, entity, component):
     ]
 
 
-def test_recording_has_the_values_and_the_marks(task, tmp_path):
+def test_recording_has_the_values_and_the_marks(command, tmp_path):
     path = tmp_path / 'map.rrd'
     axes = 'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30'
-    task.run(*axes, '--output', path)
-    landscape = compute_landscape(
-        Rig(),
-        {
-            'layer.thickness': np.geomspace(2e-3, 0.05, 40),
-            'projectile.mass': np.linspace(1e-3, 5e-3, 30),
-        },
-    )
+    command.run(*axes, '--output', path)
+    landscape = compute_landscape(Rig(), AXES)
     for name in ('ejection_phase', 'energy_transfer'):
         ((tensor,),) = rows(path, f'/values/{name}', 'Tensor:data')
         assert tensor['names'] == ['Lₛ (mm)', 'm (g)']
@@ -117,7 +107,7 @@ def test_recording_has_the_values_and_the_marks(task, tmp_path):
         assert second.endswith(f', {landscape.optimum.energy_transfer:.3f}')
 
 
-def test_map_is_sent_to_the_viewer_that_is_there(task, monkeypatch):
+def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
     pytest.importorskip('rerun', reason='comes with [rerun]')
     port = free_port()
     monkeypatch.setattr(design_map, 'PORT', port)
@@ -126,16 +116,14 @@ def test_map_is_sent_to_the_viewer_that_is_there(task, monkeypatch):
             client = viewer.client()
         except NoGraphicsError as error:
             pytest.skip(str(error))
-        assert 'largest alpha' in task.run(*SMALL, '--rerun')
+        assert 'largest alpha' in command.run(*SMALL, '--rerun')
         deadline = time.monotonic() + 30.0
         while not client.get_state().recordings:
             assert time.monotonic() < deadline
             time.sleep(0.1)
 
 
-@pytest.fixture
-def picture(tmp_path, monkeypatch):
-    """Draw a map with a rig marked; give the figure and the landscape."""
+def test_picture_has_values_ridge_optimum_and_rig_at_their_places(tmp_path, monkeypatch):
     module = pytest.importorskip('matplotlib.figure', reason='comes with the extra [plot]')
     figures = []
     save = module.Figure.savefig
@@ -144,34 +132,17 @@ def picture(tmp_path, monkeypatch):
         'savefig',
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
-    landscape = compute_landscape(
-        Rig(),
-        {
-            'layer.thickness': np.geomspace(2e-3, 0.05, 40),
-            'projectile.mass': np.linspace(1e-3, 5e-3, 30),
-        },
-    )
     rig = replace(Rig(), layer=Layer(thickness=0.01), projectile=Projectile(mass=2e-3))
-    design_map.draw(landscape, tmp_path / 'map.png', mark=rig)
-    image = pytest.importorskip('matplotlib.image').imread(tmp_path / 'map.png')
-    assert image.shape[2] == 4
-    assert len(np.unique(image.reshape(-1, 4), axis=0)) > 200  # colours
-    return figures[0], landscape
-
-
-def test_picture_has_the_values_at_their_places(picture):
-    figure, landscape = picture
+    landscape = compute_landscape(rig, AXES)
+    design_map.draw(landscape, tmp_path / 'map.png')
+    assert (tmp_path / 'map.png').read_bytes().startswith(b'\x89PNG')
+    (figure,) = figures
     for panel, name in zip(figure.axes, ('ejection_phase', 'energy_transfer'), strict=False):
         (mesh,) = panel.collections
         np.testing.assert_array_equal(mesh.get_array().T, getattr(landscape, name))
-        assert panel.get_xscale() == 'log'
-        assert panel.get_yscale() == 'linear'
+        assert (panel.get_xscale(), panel.get_yscale()) == ('log', 'linear')
         assert panel.get_xlim() == pytest.approx((2.0, 50.0))
         assert panel.get_ylim() == pytest.approx((1.0, 5.0))
-
-
-def test_picture_marks_ridge_optimum_and_rig(picture):
-    figure, landscape = picture
     lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
     place = np.array(landscape.optimum.place)
     np.testing.assert_allclose(lines[r'largest $\alpha$'].get_xydata(), [1e3 * place])
@@ -184,9 +155,19 @@ def test_picture_marks_ridge_optimum_and_rig(picture):
     np.testing.assert_allclose(y[drawn], 1e3 * highest[drawn])
 
 
-def test_map_is_saved_and_summed_up(task, tmp_path):
+def test_map_without_a_release_says_so_and_can_be_drawn(command, tmp_path):
+    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
+    said = command.run(
+        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
+        '--amplitude', 1e-3, '--output', tmp_path / 'map.png',
+    )  # fmt: skip
+    assert 'the projectile leaves nowhere' in said
+    assert (tmp_path / 'map.png').exists()
+
+
+def test_map_is_saved_and_summed_up(command, tmp_path):
     path = tmp_path / 'map.npz'
-    said = task.run(*SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
+    said = command.run(*SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
     rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
     landscape = compute_landscape(
         rig, {'x': np.linspace(0.2, 0.9, 30), 'C': np.linspace(1.0, 12.0, 24)}
@@ -198,12 +179,8 @@ def test_map_is_saved_and_summed_up(task, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_loss_is_for_the_model_that_knows_it(task):
-    assert 'finite_difference' in task.run('mu=0.1:1:4', 'kappa=5:10:4', '--loss-tangent', 0.1)
-
-
-def test_ctrl_c_stops_workers_too_and_leaves_no_file(task, tmp_path):
-    task.run(*SMALL, '--release', 'last')  # so that no worker has to compile
+def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
+    command.run(*SMALL, '--release', 'last')  # so that no worker has to compile
     script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
     script.write_text(LOUD)
     with subprocess.Popen(
@@ -227,9 +204,9 @@ def test_ctrl_c_stops_workers_too_and_leaves_no_file(task, tmp_path):
     assert list(tmp_path.iterdir()) == [script]
 
 
-def test_file_that_cannot_be_written_is_named(task, tmp_path):
+def test_file_that_cannot_be_written_is_named(command, tmp_path):
     (tmp_path / 'map.nc').mkdir()
-    assert str(tmp_path / 'map.nc') in task.refused(*SMALL, '--output', tmp_path / 'map.nc')
+    assert str(tmp_path / 'map.nc') in command.refused(*SMALL, '--output', tmp_path / 'map.nc')
     assert [path.name for path in tmp_path.iterdir()] == ['map.nc']
 
 
@@ -241,18 +218,16 @@ def test_file_that_cannot_be_written_is_named(task, tmp_path):
         (['--output', 'map.png'], 'plot'),
     ],
 )
-def test_what_is_not_installed_is_said_before_the_work(task, monkeypatch, args, extra):
-    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: None)
-    monkeypatch.setattr(design_map, 'compute_landscape', None)
-    assert f"pip installs with 'soft_throw_ros[{extra}]'" in task.refused(*args)
+def test_what_is_not_installed_is_said(command, monkeypatch, args, extra):
+    monkeypatch.setattr(output.importlib.util, 'find_spec', lambda _: None)
+    assert f"pip installs with 'soft_throw_ros[{extra}]'" in command.refused(*args)
 
 
-def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(task, monkeypatch):
+def test_map_without_screen_and_viewer_says_what_to_do(command, monkeypatch):
+    pytest.importorskip('rerun', reason='comes with the extra [rerun]')
     monkeypatch.setattr(design_map, 'PORT', free_port())
-    monkeypatch.setattr(design_map, 'has_display', lambda: False)
-    monkeypatch.setattr(design_map, 'compute_landscape', None)
-    monkeypatch.setattr(design_map.importlib.util, 'find_spec', lambda _: True)
-    assert '--output FILE.rrd' in task.refused('--rerun')
+    monkeypatch.setattr(rerun_output, 'has_display', lambda: False)
+    assert '--output FILE.rrd' in command.refused('--rerun')
 
 
 @pytest.mark.parametrize(
@@ -277,5 +252,5 @@ def test_map_without_screen_and_viewer_says_what_to_do_before_the_work(task, mon
         (['--output', 'no_such/map.nc'], 'no_such/map.nc: there is no folder no_such'),
     ],
 )
-def test_what_is_refused_is_quoted(task, args, message):
-    assert re.search(message, task.refused(*args))
+def test_what_is_refused_is_quoted(command, args, message):
+    assert re.search(message, command.refused(*args))

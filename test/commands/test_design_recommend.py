@@ -13,7 +13,7 @@ from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.requests import limits_of, objective_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
-TASK = 'recommend'
+COMMAND = (design.main, 'recommend')
 
 MINE = """\
 jelly:
@@ -34,8 +34,8 @@ def mine(tmp_path):
     return path
 
 
-def test_table_is_what_is_recommended_beside_what_is_there(task):
-    printed = task.run('--vary', 'thickness')
+def test_table_is_what_is_recommended_beside_what_is_there(command):
+    printed = command.run('--vary', 'thickness')
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())
     assert printed.startswith(f'{best.summary}\n\n')
     assert printed.endswith(f'\n\n{best.remarks}\n')
@@ -47,7 +47,7 @@ def test_table_is_what_is_recommended_beside_what_is_there(task):
         ('work of the plate', 'plate_work', 1e3),
     ):
         expected = [getattr(each, name) for each in (now, best, best.by_wave_speed, best.by_both)]
-        shown = list(map(float, task.row(printed, title)))
+        shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
     assert prediction_uncertainty(best.rig).describe() in printed
     _, table = printed.split('around the recommended layer')
@@ -60,8 +60,8 @@ def test_table_is_what_is_recommended_beside_what_is_there(task):
         assert more == pytest.approx(item.elasticity, abs=0.006)
 
 
-def test_json_has_everything_to_the_last_digit(task):
-    printed = task.run_json('--mass', 2e-3, '--vary', 'wave_speed')
+def test_json_has_everything_to_the_last_digit(command):
+    printed = command.json('--mass', 2e-3, '--vary', 'wave_speed')
     rig = Rig(projectile=Projectile(mass=2e-3))
     best = recommend(rig, vary='wave_speed')
     found = printed['recommendation']
@@ -75,16 +75,16 @@ def test_json_has_everything_to_the_last_digit(task):
     assert printed['uncertainty'] == prediction_uncertainty(best.rig).values()
 
 
-def test_layer_that_throws_nothing_is_null_in_json(task):
-    found = task.run_json('--mass', 1.0)['recommendation']
+def test_layer_that_throws_nothing_is_null_in_json(command):
+    found = command.json('--mass', 1.0)['recommendation']
     assert found['now'] is None
     assert found['now_score'] == 0.0
-    shown = task.row(task.run('--mass', 1.0), 'energy transfer alpha')
+    shown = command.row(command.run('--mass', 1.0), 'energy transfer alpha')
     assert shown[0] == '-'
     assert float(shown[1]) == pytest.approx(found['energy_transfer'], rel=1e-5)
 
 
-def test_options_are_what_is_asked(task):
+def test_options_are_what_is_asked(command):
     options = {
         'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
         'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
@@ -96,16 +96,16 @@ def test_options_are_what_is_asked(task):
         objective=Robust(uncertainties=Uncertainties(wave_speed=0.6, mass=0.05), quantile=0.05),
         limits=Limits(thickness_max=0.012),
     )
-    found = task.run_json(*args)['recommendation']
+    found = command.json(*args)['recommendation']
     assert (found['thickness'], found['score']) == (best.thickness, best.score)
     args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
     objective = Versatile(masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
-    found = task.run_json(*args)['recommendation']
+    found = command.json(*args)['recommendation']
     assert found['score'] == recommend(Rig(), objective=objective).score
 
 
-def test_layer_is_picked_from_a_library_of_one_s_own(task, mine):
-    found = task.run_json('--vary', 'library', '--library', mine)['recommendation']
+def test_layer_is_picked_from_a_library_of_one_s_own(command, mine):
+    found = command.json('--vary', 'library', '--library', mine)['recommendation']
     ranks = {item['layer']: item['score'] for item in found['candidates']}
     assert found['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
     layers = library(mine).layers
@@ -114,17 +114,17 @@ def test_layer_is_picked_from_a_library_of_one_s_own(task, mine):
         expected = predict(rig_of(settings)).energy_transfer
         assert ranks[name] == pytest.approx(expected, rel=1e-6)
     assert list(ranks.values()) == sorted(ranks.values(), reverse=True)
-    _, table = task.run('--vary', 'library', '--library', mine).split('from the library')
+    _, table = command.run('--vary', 'library', '--library', mine).split('from the library')
     assert re.search(rf'^jelly_40.0mm +40.0 +{found["score"]:.3f}$', table, re.MULTILINE)
 
 
-def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(task, tmp_path):
+def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(command, tmp_path):
     path = tmp_path / 'rig.yaml'
     path.write_text(
         'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
         '  recommendation: {vary: thickness, thickness_max: 0.03, max_strain: 0.12}}}\n'
     )
-    printed = task.run_json('--config', path, '--max-strain', 0.11)
+    printed = command.json('--config', path, '--max-strain', 0.11)
     settings = {
         **TWIN.defaults(), 'engine.frequency': 58.0, 'recommendation.vary': 'thickness',
         'recommendation.thickness_max': 0.03, 'recommendation.max_strain': 0.11,
@@ -137,15 +137,6 @@ def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(task, tmp_pa
     )
     assert printed['recommendation']['thickness'] == best.thickness
     assert printed['recommendation']['peak_strain'] <= 0.11 * (1.0 + 1e-9)
-
-
-def test_help_lists_only_what_is_taken(capsys):
-    with pytest.raises(SystemExit):
-        design.main(['recommend', '--help'])
-    shown = re.sub(r'\s+', ' ', capsys.readouterr().out)
-    assert "one of 'peak', 'robust', 'versatile' (default peak)" in shown
-    assert "'aim'" not in shown
-    assert "'amplitude'" not in shown
 
 
 @pytest.mark.parametrize(
@@ -169,14 +160,5 @@ def test_help_lists_only_what_is_taken(capsys):
         (['--gravity', '30', '--amplitude', '1e-5'], 'gravity .19 of the largest'),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_quoted(task, args, message):
-    assert re.search(message, task.refused(*args))
-
-
-def test_broken_library_is_refused_with_its_line(task, tmp_path):
-    path = tmp_path / 'mine.yaml'
-    path.write_text(MINE.replace('1050.0', 'heavy'))
-    assert re.match(
-        rf"argument --library: {path}:4: density .* got 'heavy'",
-        task.refused('--library', path, '--vary', 'library'),
-    )
+def test_what_is_refused_is_quoted(command, args, message):
+    assert re.search(message, command.refused(*args))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `identify`."""
 
-import json
 from pathlib import Path
 import re
 import sys
@@ -16,13 +15,11 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import USUAL
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.twin.results import State
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-MEASURED = '/twin/measured_joint_states'
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
+COMMAND = (identify.main,)
 OF_SAMPLE = (SAMPLE, '--unit', 'mm', '--thickness', 12e-3)
 RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
@@ -31,46 +28,12 @@ RIG = Rig(
 """What the sample says that it is of."""
 
 
-def run(capsys, *args):
-    """Run the command; return what it printed, and what it had to doubt."""
-    assert identify.main([str(arg) for arg in args]) == 0
-    return capsys.readouterr()
-
-
-def run_json(capsys, *args):
-    return json.loads(run(capsys, '--json', *args).out)
-
-
-def refused(capsys, *args):
-    """Run the command, which refuses something; return what it says."""
-    with pytest.raises(SystemExit) as end:
-        identify.main([str(arg) for arg in args])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    assert 'Traceback' not in err
-    return err.splitlines()[-1].partition('error: ')[2]
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write a file; return its path."""
-
-    def write(lines, name='tracks.csv'):
-        path = tmp_path / name
-        text = '\n'.join(lines) if isinstance(lines, list) else lines
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return path
-
-    return write
-
-
 def value(found, name):
     return found['found'][name]['value'], found['found'][name]['error']
 
 
-def test_sample_gives_its_rig(capsys):
-    found = run_json(capsys, *OF_SAMPLE)
+def test_sample_gives_its_rig(command):
+    found = command.json(*OF_SAMPLE)
     truth = (58.0, 0.05, 1.8e-3, 6.9)
     assert list(found['found']) == list(USUAL)
     for name, expected in zip(USUAL, truth, strict=True):
@@ -90,13 +53,13 @@ def test_sample_gives_its_rig(capsys):
         assert apart < 3.0 * averaged[name]['error']
 
 
-def test_readme_shows_what_is_printed_of_the_sample(capsys, tmp_path, monkeypatch):
+def test_readme_shows_what_is_printed_of_the_sample(command, tmp_path, monkeypatch):
     root = SAMPLE.parents[2]
     text = (root / 'README.md').read_text(encoding='utf-8')
-    (command,) = re.findall(r"make identify ARGS='(.*synthetic_throw.*)'", text)
+    (call,) = re.findall(r"make identify ARGS='(.*synthetic_throw.*)'", text)
     monkeypatch.chdir(root)
-    args = command.replace('my_rig.yaml', str(tmp_path / 'my_rig.yaml')).split()
-    printed = run(capsys, *args).out.splitlines()[:4]
+    args = call.replace('my_rig.yaml', str(tmp_path / 'my_rig.yaml')).split()
+    printed = command.run(*args).splitlines()[:4]
     shown = re.findall(r'^    ((?:engine|layer)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
     # The last digits may depend on the processor
     for line, other in zip(printed, shown, strict=True):
@@ -106,15 +69,15 @@ def test_readme_shows_what_is_printed_of_the_sample(capsys, tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize(('body', 'row'), [('plate', 40), ('projectile', 0), ('projectile', 80)])
-def test_sample_that_is_3_mm_off_is_listed_and_left_out(capsys, write, body, row):
-    clean = run_json(capsys, *OF_SAMPLE)
+def test_sample_that_is_3_mm_off_is_listed_and_left_out(command, write, body, row):
+    clean = command.json(*OF_SAMPLE)
     lines = SAMPLE.read_text().splitlines()
     cells = lines[4 + row].split(',')
     column = 1 + ('plate', 'projectile').index(body)
     cells[column] = str(float(cells[column]) + 3.0)
     lines[4 + row] = ','.join(cells)
-    path = write(lines)
-    found = run_json(capsys, path, *OF_SAMPLE[1:])
+    path = write('\n'.join(lines))
+    found = command.json(path, *OF_SAMPLE[1:])
     (residual,) = (each for each in found['fit']['residuals'] if each['outliers'])
     (outlier,) = residual['outliers']
     assert (residual['track'], outlier['time']) == (body, float(cells[0]))
@@ -123,28 +86,28 @@ def test_sample_that_is_3_mm_off_is_listed_and_left_out(capsys, write, body, row
         best, error = value(clean, name)
         assert value(found, name)[0] == pytest.approx(best, abs=error)
     assert found['warnings'] == []
-    printed = run(capsys, path, *OF_SAMPLE[1:]).out
+    printed = command.run(path, *OF_SAMPLE[1:])
     assert f'left out as outliers of {body}: {float(cells[0]):g} s' in printed
 
 
-def test_fit_is_described_alike_by_options_and_file(capsys, write):
+def test_fit_is_described_alike_by_options_and_file(command, write):
     path = write('parameters: {projectile.mass: 0.0012 +- 1 %}\nheights: absolute', 'fit.yaml')
-    by_file = run_json(capsys, *OF_SAMPLE, '--fit-file', path)
-    by_option = run_json(
-        capsys, *OF_SAMPLE, '--heights', 'absolute', '--fit', 'projectile.mass=0.0012 +- 1 %'
+    by_file = command.json(*OF_SAMPLE, '--fit-file', path)
+    by_option = command.json(
+        *OF_SAMPLE, '--heights', 'absolute', '--fit', 'projectile.mass=0.0012 +- 1 %'
     )
     assert by_file == by_option
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
     path.write_text('heights: [')
-    assert refused(capsys, *OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
+    assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
 
 
-def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
+def test_parameter_file_is_one_of_the_twin(command, tmp_path):
     path = tmp_path / 'rig.yaml'
-    printed = run(capsys, *OF_SAMPLE, '--mass', 1.3e-3, '--output', path).out
-    found = run_json(capsys, *OF_SAMPLE, '--mass', 1.3e-3)
+    printed = command.run(*OF_SAMPLE, '--mass', 1.3e-3, '--output', path)
+    found = command.json(*OF_SAMPLE, '--mass', 1.3e-3)
     settings = files.read(path)
     rig = rig_of(settings)
     assert rig.engine.frequency == pytest.approx(value(found, 'engine.frequency')[0], rel=1e-5)
@@ -155,80 +118,57 @@ def test_parameter_file_is_one_of_the_twin(capsys, tmp_path):
     assert 'rate' not in path.read_text()  # what does not describe the rig stays as it was
     for line in printed.splitlines()[:4]:  # and says how sure it is
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
-    assert throw.main(['--config', str(path), '--json']) == 0
-    predicted = json.loads(capsys.readouterr().out)['models']['travelling_wave']
+    predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
     assert predicted['energy_transfer'] == pytest.approx(
         found['ejection']['energy_transfer']['value'], rel=1e-4
     )
 
 
-def test_more_can_be_fitted_and_less(capsys):
-    found = run_json(
-        capsys, SAMPLE, '--unit', 'mm', '--heights', 'absolute', '--fit', 'layer.thickness',
-        '--hold', 'engine.damping_ratio', '--damping-ratio', 0.05,
-    )  # fmt: skip
-    assert set(found['found']) == {*USUAL, 'layer.thickness'} - {'engine.damping_ratio'}
-    thickness, error = value(found, 'layer.thickness')
-    assert thickness == pytest.approx(12e-3, abs=4.0 * error)
-    assert error < 2e-5
-    assert found['held']['engine.damping_ratio'] == 0.05
-
-
-@pytest.mark.parametrize('suffix', ['.png', '.pdf'])
-def test_figure_is_drawn(capsys, tmp_path, suffix):
+def test_figure_is_drawn(command, tmp_path):
     pytest.importorskip('matplotlib')
-    path = tmp_path / f'figure{suffix}'
-    run(capsys, *OF_SAMPLE, '--figure', path)
-    assert path.read_bytes()[:4] in (b'\x89PNG', b'%PDF')
-    assert path.stat().st_size > 10_000
+    path = tmp_path / 'figure.png'
+    command.run(*OF_SAMPLE, '--figure', path)
+    assert path.read_bytes().startswith(b'\x89PNG')
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_figure_without_matplotlib_says_what_to_install(capsys, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
-    message = refused(capsys, *OF_SAMPLE, '--figure', tmp_path / 'figure.png')
+def test_figure_without_matplotlib_says_what_to_install(command, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    message = command.refused(*OF_SAMPLE, '--figure', tmp_path / 'figure.png')
     assert "a figure needs what pip installs with 'soft_throw_ros[plot]'" in message
 
 
-def test_plate_alone_gives_the_engine(capsys, write, tmp_path):
+def test_plate_alone_gives_the_engine(command, write, tmp_path):
     rows = [line.rpartition(',')[0] for line in SAMPLE.read_text().splitlines()[4:]]
-    path = write(rows)
-    output = tmp_path / 'rig.yaml'
-    found = run_json(
-        capsys, path, '--unit', 'mm', '--output', output, '--figure', tmp_path / 'a.svg'
-    )
+    path, output = write('\n'.join(rows)), tmp_path / 'rig.yaml'
+    found = command.json(path, '--unit', 'mm', '--output', output)
     assert list(found['found']) == list(USUAL[:3])
     assert value(found, 'engine.frequency')[0] == pytest.approx(58.0, rel=5e-3)
     assert found['ejection'] is None
     assert files.read(output)['engine.frequency'] == pytest.approx(58.0, rel=5e-3)
-    assert 'layer.wave_speed cannot be found' in refused(
-        capsys, path, '--unit', 'mm', '--fit', 'layer.wave_speed'
+    assert 'layer.wave_speed cannot be found' in command.refused(
+        path, '--unit', 'mm', '--fit', 'layer.wave_speed'
     )
 
 
 def ringing(thickness, seed):
-    """Lines of a free layer's ends in mm."""
+    """Text of a free layer's ends in mm."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 0.05, 2e-4)
     rings = np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
     noise = rng.normal(size=(2, time.size)) * 1e-5
     bottom, top = 0.1 + noise[0], 0.1 + thickness + 5e-4 * rings + noise[1]
-    return [
-        't;bottom;top',
-        *(
-            f'{a:.4f};{1e3 * b:.4f};{1e3 * c:.4f}'
-            for a, b, c in zip(time, bottom, top, strict=True)
-        ),
-    ]
+    rows = zip(time, 1e3 * bottom, 1e3 * top, strict=True)
+    return '\n'.join(['t;bottom;top', *(f'{t:.4f};{a:.4f};{b:.4f}' for t, a, b in rows)])
 
 
-def test_free_layers_give_the_wave_speed(capsys, write, tmp_path):
+def test_free_layers_give_the_wave_speed(command, write, tmp_path):
     thicknesses = (5.6e-3, 16.8e-3, 29.1e-3)
     args = ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
     for thickness in thicknesses:
         path = write(ringing(thickness, seed=1), f'{thickness}.csv')
         args += ['--free-layer', thickness, path]
-    found = run_json(capsys, *args, '--fit', 'layer.loss_tangent', '--figure', tmp_path / 'a.png')
+    found = command.json(*args, '--fit', 'layer.loss_tangent', '--figure', tmp_path / 'a.png')
     speed, error = value(found, 'layer.wave_speed')
     assert speed == pytest.approx(7.8, abs=4.0 * error)
     assert error < 0.02
@@ -240,15 +180,16 @@ def test_free_layers_give_the_wave_speed(capsys, write, tmp_path):
     assert settings['layer.loss_tangent'] == pytest.approx(
         value(found, 'layer.loss_tangent')[0], rel=1e-2
     )
-    rows = [line.split() for line in run(capsys, *args).out.splitlines() if ' mm ' in line]
+    rows = [line.split() for line in command.run(*args).splitlines() if ' mm ' in line]
     assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
 
 
-def test_free_layers_of_two_materials_are_doubted(capsys, write):
+def test_free_layers_of_two_materials_are_doubted(command, write):
     args = ['--unit', 'mm']
     for thickness, truth in ((10e-3, 10e-3), (20e-3, 24e-3)):
         args += ['--free-layer', thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
-    assert 'not proportional to the thicknesses' in run(capsys, *args).err
+    command.run(*args)
+    assert 'not proportional to the thicknesses' in command.err
 
 
 class Bag:
@@ -258,28 +199,20 @@ class Bag:
         self.writer = BagWriter(folder, distribution='jazzy')
 
     def add(self, topic, times, plate, projectile, names=('plate', 'projectile')):
+        """Write positions; of what is not seen there is none."""
         channel = Channel(topic=topic, type='sensor_msgs/msg/JointState', schema='float64 x')
-        encode = JointStateEncoder('rig', names).encode
-        begin = 1_700_000_000_000_000_000
-        for time, low, high in zip(times, plate, projectile, strict=True):
-            stamp = begin + round(1e9 * time)
-            state = State(low, high, 0.0, 0.0, 0.0, 0.0)
-            self.writer.write(Message(channel, encode(stamp, state), stamp, stamp))
-        return self
-
-    def add_measured(self, times, plate, projectile):
-        """Write what a camera may publish: positions, and what is not seen is not there."""
-        channel = Channel(topic=MEASURED, type='sensor_msgs/msg/JointState', schema='float64 x')
-        for time, low, high in zip(times, plate, projectile, strict=True):
+        for time, *both in zip(times, plate, projectile, strict=True):
             stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
-            heights = {'plate': low} if np.isnan(high) else {'projectile': high, 'plate': low}
+            seen = {
+                name: each for name, each in zip(names, both, strict=True) if not np.isnan(each)
+            }
             state = TYPES.types['sensor_msgs/msg/JointState'](
                 header=TYPES.types['std_msgs/msg/Header'](
                     stamp=TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp, 10**9)),
                     frame_id='camera',
                 ),
-                name=list(heights),
-                position=np.array(list(heights.values())),
+                name=list(seen),
+                position=np.array(list(seen.values())),
                 velocity=np.zeros(0),
                 effort=np.zeros(0),
             )
@@ -292,13 +225,13 @@ class Bag:
         return self.writer.folder
 
 
-def recorded(starts=(0.2, 0.8), noise=2e-5, rigs=None):
+def recorded(starts=(0.2, 0.8), noise=2e-5):
     """A record of throws, after each of which all is put back."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, starts[-1] + 0.6, 5e-4)
     heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
-    for start, rig in zip(starts, rigs or [RIG] * len(starts), strict=True):
-        history = follow(rig, until=0.25)
+    history = follow(RIG, until=0.25)
+    for start in starts:
         since = time - start
         thrown = (since > 0.0) & (since < 0.25)
         heights[0, thrown] = Underdamped.of(RIG.engine).position(since[thrown])
@@ -306,64 +239,63 @@ def recorded(starts=(0.2, 0.8), noise=2e-5, rigs=None):
     return time, heights + noise * rng.normal(size=heights.shape)
 
 
-def test_bag_gives_its_throws(capsys, tmp_path):
+def test_bag_gives_its_throws(command, tmp_path):
     time, (plate, projectile) = recorded()
     folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
-    found = run_json(capsys, folder, '--thickness', 12e-3)
+    found = command.json(folder, '--thickness', 12e-3)
     assert [each['name'] for each in found['throws']] == ['bag, throw 1', 'bag, throw 2']
     assert [each['start_time'] for each in found['throws']] == pytest.approx([0.2, 0.8], abs=1e-4)
     speed, error = value(found, 'layer.wave_speed')
     assert speed == pytest.approx(6.9, abs=4.0 * error)
     assert error < 0.05
-    one_file = run_json(capsys, next(folder.glob('*.mcap')), '--thickness', 12e-3)
+    one_file = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3)
     assert one_file['found'] == found['found']
 
 
-def test_bag_with_several_rigs_is_asked_for_one(capsys, tmp_path):
+def test_of_several_rigs_the_measured_one_comes_first_and_others_are_asked_for(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     bag = Bag(tmp_path / 'bag')
     bag.add('/a/joint_states', time, plate, projectile)
     bag.add('/b/joint_states', time, 0.5 * plate, projectile, names=('plate', 'other'))
     bag.add('/c/joint_states', time, plate, projectile, names=('arm', 'hand'))
     folder = bag.close()
-    message = refused(capsys, folder)
-    assert message == (
-        f'{folder}: no topic of its own has positions of a joint plate; those that have: '
-        '/a/joint_states, /b/joint_states (choose with --topic)'
-    )
-    found = run_json(capsys, folder, '--topic', '/b/joint_states')
+    message = command.refused(folder)
+    assert message.startswith(f'{folder}: ')
+    assert '/a/joint_states, /b/joint_states (choose with --topic)' in message
+    found = command.json(folder, '--topic', '/b/joint_states')
     assert value(found, 'engine.amplitude')[0] == pytest.approx(0.9e-3, rel=0.02)
-    assert 'no topic /c/joint_states has positions' in refused(
-        capsys, folder, '--topic', '/c/joint_states'
-    )
+    assert '/c/joint_states' in command.refused(folder, '--topic', '/c/joint_states')
+    bag = Bag(tmp_path / 'measured')
+    bag.add('/twin/joint_states', time, 2.0 * plate, projectile)
+    bag.add('/twin/measured_joint_states', time, plate, projectile, names=('plate', 'other'))
+    found = command.json(bag.close())
+    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
-def test_bag_of_an_exact_twin_gives_its_rig(capsys, tmp_path):
+def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     # Without noise, and with few samples per period, in which the flight is the smoothest part
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4, 2.0, 2.6), noise=0.0)
     every = slice(None, None, 2)
     folder = Bag(tmp_path / 'bag').add(
         '/twin/joint_states', time[every], plate[every], projectile[every]
     ).close()  # fmt: skip
-    result = run(capsys, folder, '--thickness', 12e-3)
-    assert result.err == ''
-    assert 'tracks that are fitted better' in result.out
-    assert 'no running averages: bag, throw 1: running averages need at least 20' in result.out
-    assert 'nor of 4 more throws' in result.out
-    last = run_json(capsys, folder, '--thickness', 12e-3, '--last', 1)
+    printed = command.run(folder, '--thickness', 12e-3)
+    assert command.err == ''
+    assert 'no running averages: bag, throw 1: running averages need at least 20' in printed
+    last = command.json(folder, '--thickness', 12e-3, '--last', 1)
     assert last['sources'] == ['bag, throw 5']
     for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         assert value(last, name)[0] == pytest.approx(expected, rel=1e-4)
 
 
-def test_throw_of_a_bag_that_is_none_is_left_out(capsys, tmp_path):
+def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
     plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
     plate[(time > 0.83) & (time < 1.4)] = 0.0
     folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
-    result = run(capsys, folder, '--thickness', 12e-3, '--json')
-    assert json.loads(result.out)['sources'] == ['bag, throw 1', 'bag, throw 3']
-    assert result.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
+    found = command.json(folder, '--thickness', 12e-3)
+    assert found['sources'] == ['bag, throw 1', 'bag, throw 3']
+    assert command.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
 
 
 @pytest.mark.parametrize(
@@ -371,7 +303,7 @@ def test_throw_of_a_bag_that_is_none_is_left_out(capsys, tmp_path):
     [(-0.002, 2e-5), (0.015, 4e-4)],
     ids=['never at rest', 'hardly to be seen'],
 )
-def test_throw_that_looks_like_several_is_one(capsys, write, start, noise):
+def test_throw_that_looks_like_several_is_one(command, write, start, noise):
     time = np.arange(0.0, 0.1, 2e-4)
     plate = Underdamped.of(RIG.engine).position(time - start)
     projectile = follow(RIG, until=time[-1] - start).projectile_position(time - start)
@@ -379,20 +311,19 @@ def test_throw_that_looks_like_several_is_one(capsys, write, start, noise):
         size=(2, time.size)
     )
     lines = [f'{t:.4f},{low:.7f},{high:.7f}' for t, low, high in zip(time, *seen, strict=True)]
-    found = run_json(capsys, write(lines), '--thickness', 12e-3)
-    assert found['sources'] == ['tracks.csv']
+    found = command.json(write('\n'.join(lines)), '--thickness', 12e-3)
+    assert found['sources'] == ['file']
     for name, truth in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         best, error = value(found, name)
         assert best == pytest.approx(truth, abs=4.0 * error)
 
 
-def test_projectile_that_is_not_seen_is_left_out(capsys, tmp_path):
+def test_projectile_that_is_not_seen_is_left_out(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     projectile[projectile > 0.04] = np.nan  # beyond what the camera sees
     projectile[50:60] = np.nan
-    found = run_json(
-        capsys,
-        Bag(tmp_path / 'bag').add_measured(time, plate, projectile).close(),
+    found = command.json(
+        Bag(tmp_path / 'bag').add('/twin/measured_joint_states', time, plate, projectile).close(),
         '--thickness',
         12e-3,
     )
@@ -400,15 +331,6 @@ def test_projectile_that_is_not_seen_is_left_out(capsys, tmp_path):
     assert samples['projectile'] < samples['plate']
     speed, error = value(found, 'layer.wave_speed')
     assert speed == pytest.approx(6.9, abs=4.0 * error)
-
-
-def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2,))
-    bag = Bag(tmp_path / 'bag')
-    bag.add('/twin/joint_states', time, 2.0 * plate, projectile)
-    bag.add('/twin/measured_joint_states', time, plate, projectile, names=('plate', 'other'))
-    found = run_json(capsys, bag.close())
-    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -455,16 +377,12 @@ def test_measured_topic_of_a_bag_comes_first(capsys, tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line(capsys, args, message):
-    assert refused(capsys, *args).startswith(message)
+def test_what_is_wrong_is_said_in_one_line(command, args, message):
+    assert command.refused(*args).startswith(message)
 
 
-def test_wrong_unit_without_a_header_is_noticed(capsys, write):
+def test_wrong_unit_without_a_header_is_noticed(command, write):
     rows = [line for line in SAMPLE.read_text().splitlines() if line[0].isdigit()]
-    message = refused(capsys, write(rows), '--hold', 'layer.wave_speed')
+    message = command.refused(write('\n'.join(rows)), '--hold', 'layer.wave_speed')
     assert message.startswith('found, but not for the twin: engine.amplitude must be a number')
     assert message.endswith('is the unit of heights right (--unit)?')
-
-
-def test_folder_that_is_no_bag_is_refused(capsys, tmp_path):
-    assert str(tmp_path) in refused(capsys, tmp_path)

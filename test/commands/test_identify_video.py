@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `identify` with videos, rendered from throws and layers whose truth is known."""
 
-import json
 from pathlib import Path
 import re
 import runpy
@@ -17,6 +16,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig
 av = pytest.importorskip('av', reason='comes with the extra [video]')
 imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
 pytest.importorskip('skimage', reason='comes with the extra [video]')
+COMMAND = (identify.main,)
 CAMERA = runpy.run_path(str(Path(__file__).parents[1] / 'identification/rendering.py'))
 RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
@@ -29,23 +29,6 @@ PIXEL = 1e-4
 
 AS_TAKEN = ('--rate', RATE, '--scale', 12e-3, 120)
 PERIOD = 2.0 * 8e-3 / 7.8
-
-
-def run(capsys, *args):
-    """Run the command; return what it printed as JSON."""
-    assert identify.main([*map(str, args), '--json']) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys, *args):
-    """Run the command, which refuses something; return what it says."""
-    with pytest.raises(SystemExit) as end:
-        identify.main([str(arg) for arg in args])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    assert 'Traceback' not in err
-    return err.splitlines()[-1].partition('error: ')[2]
 
 
 def write_video(path, pictures):
@@ -117,10 +100,10 @@ def assert_is_the_rig(found):
     assert found['warnings'] == []
 
 
-def test_video_gives_the_rig_that_was_filmed(capsys, throw_video, tmp_path):
+def test_video_gives_the_rig_that_was_filmed(command, throw_video, tmp_path):
     tracks = tmp_path / 'tracks.csv'
-    found = run(
-        capsys, '--video', throw_video, *AS_TAKEN, '--thickness', 12e-3, '--tracks', tracks
+    found = command.json(
+        '--video', throw_video, *AS_TAKEN, '--thickness', 12e-3, '--tracks', tracks
     )
     assert_is_the_rig(found)
     samples = {each['track']: each['samples'] for each in found['fit']['residuals']}
@@ -132,29 +115,29 @@ def test_video_gives_the_rig_that_was_filmed(capsys, throw_video, tmp_path):
     assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
     assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
     assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
-    again = run(capsys, tracks, '--thickness', 12e-3)
+    again = command.json(tracks, '--thickness', 12e-3)
     for name, value in found['found'].items():
         assert again['found'][name]['value'] == pytest.approx(
             value['value'], abs=0.2 * value['error']
         )
 
 
-def test_folder_of_pictures_is_read_by_their_numbers(capsys, throw_pictures, tmp_path):
+def test_folder_of_pictures_is_read_by_their_numbers(command, throw_pictures, tmp_path):
     folder = tmp_path / 'pictures'
     folder.mkdir()
     (folder / 'notes.txt').write_text('no picture')
     for number, picture in enumerate(throw_pictures):
         colours = np.stack([picture] * 3, axis=-1)
         imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else picture)
-    assert_is_the_rig(run(capsys, '--video', folder, *AS_TAKEN, '--thickness', 12e-3))
+    assert_is_the_rig(command.json('--video', folder, *AS_TAKEN, '--thickness', 12e-3))
 
 
-def test_spots_are_on_what_is_said(capsys, throw_video):
-    found = run(
-        capsys, '--video', throw_video, *AS_TAKEN, '--spots', 'plate, none, none', '--to', 0.04
+def test_spots_are_on_what_is_said(command, throw_video):
+    found = command.json(
+        '--video', throw_video, *AS_TAKEN, '--spots', 'plate, none, none', '--to', 0.04
     )
     assert list(found['found']) == ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude']
-    message = refused(capsys, '--video', throw_video, *AS_TAKEN, '--spots', 'plate,projectile')
+    message = command.refused('--video', throw_video, *AS_TAKEN, '--spots', 'plate,projectile')
     assert message.startswith(
         f'{throw_video}: 3 dark round spots are seen, at column 22 row 315, column 22 row 240, '
     )
@@ -162,8 +145,8 @@ def test_spots_are_on_what_is_said(capsys, throw_video):
 
 
 @pytest.mark.parametrize('line', [(), ('--line', 30, 2, 107)], ids=['spots', 'line'])
-def test_free_layer_is_read_off_a_video(capsys, layer_video, line):
-    found = run(capsys, '--free-layer', 8e-3, layer_video, *AS_TAKEN, *line)
+def test_free_layer_is_read_off_a_video(command, layer_video, line):
+    found = command.json('--free-layer', 8e-3, layer_video, *AS_TAKEN, *line)
     (layer,) = found['layers']
     without_loss = PERIOD * np.sqrt(1.0 - (50.0 * PERIOD / (2.0 * np.pi)) ** 2)
     assert layer['period']['value'] == pytest.approx(
@@ -172,12 +155,11 @@ def test_free_layer_is_read_off_a_video(capsys, layer_video, line):
     assert layer['period']['error'] < 2e-3 * PERIOD
 
 
-def test_space_time_picture_shows_edges_and_period(capsys, layer_video, tmp_path):
+def test_space_time_picture_shows_edges_and_period(command, layer_video, tmp_path):
     pytest.importorskip('matplotlib')
     path, tracks = tmp_path / 'line.png', tmp_path / 'ends.csv'
     line = ('--line', 30, 2, 107)
-    found = run(
-        capsys, '--free-layer', 8e-3, layer_video, *AS_TAKEN, *line, '--space-time', path,
+    found = command.json('--free-layer', 8e-3, layer_video, *AS_TAKEN, *line, '--space-time', path,
         '--tracks', tracks,
     )  # fmt: skip
     picture = imageio.imread(path)[..., :3].astype(float)
@@ -188,16 +170,16 @@ def test_space_time_picture_shows_edges_and_period(capsys, layer_video, tmp_path
     top = np.array([row[0] for row in rows if row.size])
     assert top.size > 1150
     assert np.ptp(top) == pytest.approx(12.0 / 106 * 610, rel=0.25)
-    assert run(capsys, '--free-layer', 8e-3, tracks)['layers'][0]['period'][
+    assert command.json('--free-layer', 8e-3, tracks)['layers'][0]['period'][
         'value'
     ] == pytest.approx(found['layers'][0]['period']['value'], rel=1e-6)
 
 
-def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, monkeypatch):
-    for name in ('imageio', 'imageio.plugins.pyav', 'skimage.measure'):
+def test_video_without_its_libraries_says_what_to_install(command, throw_video, monkeypatch):
+    for name in ('imageio', 'av', 'skimage'):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, name, None)
-            message = refused(capsys, '--video', throw_video, *AS_TAKEN)
+            message = command.refused('--video', throw_video, *AS_TAKEN)
         assert message.startswith("a video needs what pip installs with 'soft_throw_ros[video]': ")
 
 
@@ -253,6 +235,6 @@ def test_video_without_its_libraries_says_what_to_install(capsys, throw_video, m
         (('--video', 'VIDEO', *AS_TAKEN, '--tracks', 'no/a.csv'), 'argument --tracks: there is'),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_video_is_said_in_one_line(capsys, throw_video, args, message):
+def test_what_is_wrong_with_a_video_is_said_in_one_line(command, throw_video, args, message):
     args = [throw_video if arg == 'VIDEO' else arg for arg in args]
-    assert refused(capsys, *args).startswith(message.replace('VIDEO', str(throw_video)))
+    assert command.refused(*args).startswith(message.replace('VIDEO', str(throw_video)))

@@ -16,8 +16,6 @@ import time
 from typing import Any
 import warnings
 
-from hypothesis import given, HealthCheck, settings
-from hypothesis import strategies as st
 import pytest
 from soft_throw_ros import recording
 from soft_throw_ros.commands import inspect_bag
@@ -72,7 +70,7 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
         code = end.code
     out, err = capsys.readouterr()
     assert out == ''
-    return code, [line for line in err.splitlines() if 'for compiling' not in line]
+    return code, [line for line in err.splitlines() if 'compiles' not in line]
 
 
 def rows(path: Path) -> dict[str, int]:
@@ -160,12 +158,6 @@ def test_throw_and_time_to_show_can_be_chosen(
         assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
 
 
-def test_throw_that_is_not_there_is_refused(capsys, bag, tmp_path) -> None:
-    code, (line,) = run(capsys, bag, '--throw', '7', '--save', tmp_path / 'scene.rrd')
-    assert code == 2
-    assert 'no throw 7' in line
-
-
 def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch) -> None:
     for name in ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET'):
         monkeypatch.delenv(name, raising=False)
@@ -184,18 +176,6 @@ def test_without_rerun_it_says_how_to_get_it(capsys, bag, monkeypatch) -> None:
     code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
     assert code == 1
     assert 'soft_throw_ros[rerun]' in line
-
-
-def test_it_runs_without_ros() -> None:
-    code = (
-        'import sys; import soft_throw_ros.recording.rerun_view; '
-        'import soft_throw_ros.commands.inspect_bag; '
-        'print([name for name in sys.modules if name.split(".")[0] in ("rclpy", "std_msgs")])'
-    )
-    done = subprocess.run(
-        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout == '[]\n'
 
 
 @pytest.mark.parametrize('content', [None, b'', b'some text', b'SQLite format 3\0' + bytes(100)])
@@ -242,32 +222,6 @@ def test_messages_that_cannot_be_read_are_counted(capsys, twin, tmp_path) -> Non
     assert '/twin/phase' in line
 
 
-@pytest.fixture(scope='module')
-def small(twin, tmp_path_factory) -> bytes:
-    """A bag with something of everything."""
-    some = [message for message in twin.messages if message.channel.topic != '/twin/joint_states']
-    folder = write(tmp_path_factory.mktemp('bags') / 'small', [*twin.messages[:20], *some[-12:]])
-    return (folder / 'small_0.mcap').read_bytes()
-
-
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_damaged_bags_are_shown_in_part_or_refused(capsys, small, tmp_path, data) -> None:
-    damaged = bytearray(small)
-    for _ in range(data.draw(st.integers(0, 4))):
-        damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    begin = data.draw(st.integers(0, len(damaged)) | st.just(0) | st.just(0))
-    end = data.draw(st.integers(begin, len(damaged)) | st.just(len(damaged)))
-    path = tmp_path / 'damaged.mcap'
-    path.write_bytes(damaged[begin:end])
-    code, lines = run(capsys, path, '--save', tmp_path / 'scene.rrd')
-    assert code in (0, 2)
-    assert len(lines) <= 2
-    assert all(line.startswith('inspect: ') for line in lines)
-    if damaged[begin:end] == small:
-        assert (code, lines) == (0, [])
-
-
 @pytest.mark.parametrize(
     ('args', 'words'),
     [
@@ -278,6 +232,7 @@ def test_damaged_bags_are_shown_in_part_or_refused(capsys, small, tmp_path, data
         (['--save', 'a.rrd', '--screenshot', 'a.png'], '--screenshot'),
         (['--sink', 'printer'], 'printer'),
         (['--throw', 'last'], 'last'),
+        (['--throw', '7', '--save', 'a.rrd'], 'no throw 7'),
         (['--at', 'nan'], 'nan'),
         (['--save', '.'], 'inspect: .: '),
     ],
@@ -396,35 +351,26 @@ def test_viewer_that_comes_back_gets_what_still_holds(start, twin) -> None:
         assert process.end() == 0
 
 
-@pytest.mark.parametrize('how', ['end', signal.SIGINT, signal.SIGTERM])
-def test_stopped_viewer_does_not_hold_up_the_end(start, twin, how) -> None:
-    """It takes nothing any more, so that Rerun would wait for it for ever."""
-    with viewer_at(free_port()) as viewer:
-        process = start('--port', viewer.port)
-        process.wait_for_line('connected')
-        half = len(twin.messages) // 2
+@pytest.mark.parametrize('how', [None, signal.SIGINT, signal.SIGTERM], ids=str)
+@pytest.mark.parametrize('is_stopped', [True, False], ids=['stopped viewer', 'no viewer'])
+def test_neither_stopped_nor_missing_viewer_holds_up_the_end(start, twin, how, is_stopped) -> None:
+    """A stopped one takes nothing any more, so that Rerun would wait for it for ever."""
+    half = len(twin.messages) // 2
+    with contextlib.ExitStack() as stack:
+        port = free_port()
+        viewer = stack.enter_context(viewer_at(port)) if is_stopped else None
+        process = start('--port', port)
+        process.wait_for_line('connected' if viewer else 'no viewer at')
         process.feed(twin.messages[:half])
-        wait_until(lambda: '/twin/position' in entities(viewer))
-        os.killpg(viewer.pid, signal.SIGSTOP)
+        if viewer:
+            wait_until(lambda: '/twin/position' in entities(viewer))
+            os.killpg(viewer.pid, signal.SIGSTOP)
         process.feed(twin.messages[half:])
-        if how == 'end':
+        if how is None:
             assert process.end() == 0
         else:
             process.process.send_signal(how)
             assert process.wait() == 0
-
-
-@pytest.mark.parametrize('how', ['end', signal.SIGINT, signal.SIGTERM])
-def test_stream_without_a_viewer_ends_quietly(start, twin, how) -> None:
-    process = start('--port', free_port())
-    process.wait_for_line('no viewer at')
-    process.feed(twin.messages)
-    if how == 'end':
-        assert process.end() == 0
-    else:
-        process.process.send_signal(how)
-        assert process.wait() == 0
-    assert len(process.lines) == 1
 
 
 def test_stream_of_a_whole_bag_becomes_a_whole_recording(bag, tmp_path) -> None:

@@ -10,6 +10,7 @@ from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
+COMMAND = (recover.main,)
 CHANNELS = [
     Channel(topic=topic, type='std_msgs/msg/String', schema='string data')
     for topic in ('/a', '/longer')
@@ -25,26 +26,6 @@ def bag(tmp_path):
             if number % 100 == 99:
                 writer.flush()
     return tmp_path / 'run'
-
-
-def run(capsys, *args):
-    """Run the command; return its exit code and what it printed."""
-    code = recover.main([str(arg) for arg in args])
-    out, err = capsys.readouterr()
-    assert err == ''
-    return code, out
-
-
-def refused(capsys, *args):
-    """Run the command, which refuses something; return what it says."""
-    with pytest.raises(SystemExit) as end:
-        recover.main([str(arg) for arg in args])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    usage, message = err.splitlines()
-    assert usage.startswith('usage: ')
-    return message.partition('error: ')[2]
 
 
 def all_of(target):
@@ -63,19 +44,18 @@ def damage(bag, chunk):
     return index.chunk_start_offset, index.chunk_length
 
 
-def test_bag_that_lacks_only_its_end_is_recovered_as_a_whole(capsys, bag):
+def test_bag_that_lacks_only_its_end_is_recovered_as_a_whole(command, bag):
     (path,) = bag.glob('*.mcap')
     path.write_bytes(path.read_bytes()[:-37])  # footer
-    assert run(capsys, bag) == (0, all_of(f'{bag}_recovered'))
+    assert command.run(bag) == all_of(f'{bag}_recovered')
     with BagReader(f'{bag}_recovered') as recovered:
         assert recovered.message_count == 300
         assert recovered.damage == ''
 
 
-def test_what_is_lost_is_told_by_place_number_and_exit_code(capsys, bag, tmp_path):
+def test_what_is_lost_is_told_by_place_number_and_exit_code(command, bag, tmp_path):
     offset, size = damage(bag, 1)
-    code, out = run(capsys, bag, '--to', tmp_path / 'out/whole')
-    assert code == 1
+    out = command.run(bag, '--to', tmp_path / 'out/whole', code=1)
     first, *_, total, gap = out.splitlines()
     assert first.startswith(f'{tmp_path}/out/whole: 200 messages')
     assert total.startswith(f'{size} bytes')
@@ -83,36 +63,35 @@ def test_what_is_lost_is_told_by_place_number_and_exit_code(capsys, bag, tmp_pat
         assert part in gap
 
 
-def test_many_places_are_summed_up(capsys, tmp_path):
+def test_many_places_are_summed_up(command, tmp_path):
     with BagWriter(tmp_path / 'run', distribution='', compression='none') as writer:
         for number in range(30):
             writer.write(Message(CHANNELS[0], b'x' * 50, number, number, number))
             writer.flush()
     sizes = [damage(tmp_path / 'run', chunk)[1] for chunk in range(0, 30, 2)]
-    code, out = run(capsys, tmp_path / 'run')
-    assert code == 1
+    out = command.run(tmp_path / 'run', code=1)
     assert f'{sum(sizes)} bytes' in out
     assert out.count('checksum') == 10
     assert out.endswith('and 5 more\n')
 
 
 def test_single_file_and_the_folder_we_are_in_are_recovered_beside_themselves(
-    capsys, bag, tmp_path, monkeypatch
+    command, bag, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(bag)
-    assert run(capsys, '.') == (0, all_of(f'{bag}_recovered'))
+    assert command.run('.') == all_of(f'{bag}_recovered')
     path = (bag / 'run_0.mcap').rename(tmp_path / 'alone.mcap')
-    assert run(capsys, path) == (0, all_of(f'{tmp_path}/alone_recovered'))
+    assert command.run(path) == all_of(f'{tmp_path}/alone_recovered')
 
 
-def test_what_cannot_be_done_is_one_line(capsys, bag, tmp_path):
+def test_what_cannot_be_done_is_one_line(command, bag, tmp_path):
     (tmp_path / 'text').write_text('hello')
     for name in ('missing', 'text'):
-        assert f'{tmp_path}/{name}' in refused(capsys, tmp_path / name)
-    assert str(tmp_path) in refused(capsys, bag, '--to', tmp_path)
+        assert f'{tmp_path}/{name}' in command.refused(tmp_path / name)
+    assert str(tmp_path) in command.refused(bag, '--to', tmp_path)
     for chunk in range(3):
         damage(bag, chunk)
-    assert 'run_0.mcap' in refused(capsys, bag)
+    assert 'run_0.mcap' in command.refused(bag)
     assert not Path(f'{bag}_recovered').exists()
     with BagWriter(tmp_path / 'live', distribution=''):
-        assert f'{tmp_path}/live' in refused(capsys, tmp_path / 'live')
+        assert f'{tmp_path}/live' in command.refused(tmp_path / 'live')

@@ -2,18 +2,15 @@
 """The command `throw`."""
 
 import csv
-import json
 import math
 from pathlib import Path
 import re
 import subprocess
 import sys
-import time
 
 import pytest
-from soft_throw_ros.commands import options, throw
-from soft_throw_ros.commands.options import OPTIONS
-from soft_throw_ros.configuration import files, LAYERS, TWIN
+from soft_throw_ros.commands import throw
+from soft_throw_ros.configuration import files, LAYERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
@@ -21,45 +18,14 @@ from soft_throw_ros.core.throw import simulate
 
 ROOT = Path(__file__).parents[2]
 
+COMMAND = (throw.main,)
 EXACT = ('--model', 'travelling_wave')
 OF_ONE_THROW = ('travelling_wave', 'finite_difference', 'finite_difference_elastic')
 """Models of the same throw, which differ by their errors only."""
 
 
-def run(capsys, *args):
-    """Run the command; return what it printed."""
-    assert throw.main([str(arg) for arg in args]) == 0
-    return capsys.readouterr().out
-
-
-def run_json(capsys, *args):
-    return json.loads(run(capsys, '--json', *args))
-
-
-def refused(capsys, *args):
-    """Run the command, which refuses something; return what it says."""
-    with pytest.raises(SystemExit) as end:
-        throw.main([str(arg) for arg in args])
-    assert end.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ''
-    return err.splitlines()[-1].partition('error: ')[2]
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write a file; return its path."""
-
-    def write(text, name='cases.csv'):
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return path
-
-    return write
-
-
-def test_json_has_the_models_to_the_last_digit(capsys):
-    printed = run_json(capsys, '--thickness', 0.01)
+def test_json_has_the_models_to_the_last_digit(command):
+    printed = command.json('--thickness', 0.01)
     assert tuple(printed['models']) == tuple(throw.MODELS)
     assert tuple(printed['notes']) == (*throw.MODELS, 'uncertainty')
     rig = Rig(layer=Layer(thickness=0.01))
@@ -87,9 +53,9 @@ def test_json_has_the_models_to_the_last_digit(capsys):
     ],
     ids=lambda args: ' '.join(map(str, args)),
 )
-def test_models_of_one_throw_agree_on_every_line(capsys, args):
+def test_models_of_one_throw_agree_on_every_line(command, args):
     asked = [word for name in OF_ONE_THROW for word in ('--model', name)]
-    models = run_json(capsys, '--model', 'closed_form', *asked, *args)['models']
+    models = command.json('--model', 'closed_form', *asked, *args)['models']
     first = models['closed_form']
     for name in OF_ONE_THROW:
         assert models[name].keys() == models['travelling_wave'].keys()
@@ -97,8 +63,8 @@ def test_models_of_one_throw_agree_on_every_line(capsys, args):
         assert {key: models[name][key] for key in first} == pytest.approx(first, rel=3e-4)
 
 
-def test_internal_loss_is_for_cells_and_shows_its_heat(capsys):
-    models = run_json(capsys, '--loss-tangent', 0.05)
+def test_internal_loss_is_for_cells_and_shows_its_heat(command):
+    models = command.json('--loss-tangent', 0.05)
     for name in ('closed_form', 'travelling_wave'):
         assert models['models'][name] is None
         assert '0.05' in models['notes'][name]
@@ -108,9 +74,9 @@ def test_internal_loss_is_for_cells_and_shows_its_heat(capsys):
     assert found['heat'] > 0.0
 
 
-def test_table_has_the_models_side_by_side_as_in_the_json(capsys):
-    lines = run(capsys).splitlines()
-    models = run_json(capsys)['models']
+def test_table_has_the_models_side_by_side_as_in_the_json(command):
+    lines = command.run().splitlines()
+    models = command.json()['models']
     assert max(map(len, lines)) <= 100
     head = [line.ljust(100) for line in lines[2:5]]
     columns = [28 + 12 * n for n in range(len(models))]
@@ -126,56 +92,45 @@ def test_table_has_the_models_side_by_side_as_in_the_json(capsys):
         assert numbers == pytest.approx(expected, rel=5e-6)
 
 
-def test_uncertainty_of_the_rig_is_shown(capsys):
+def test_uncertainty_of_the_rig_is_shown(command):
     """Energy does not jump near the paper's thickness, so that a derivative tells as much."""
     only = ('thickness', 'wave-speed', 'mass', 'frequency', 'damping-ratio')
     nothing = [word for name in only for word in (f'--uncertain-{name}', 0)]
     exact = [*EXACT, '--gravity', 0]
     asked = [*exact, *nothing, '--uncertain-thickness', 1e-5]
-    printed = run_json(capsys, *asked)
+    printed = command.json(*asked)
     found = printed['uncertainty']
     lower, upper = (
-        run_json(capsys, *exact, '--thickness', 0.0168 + change)['models']['travelling_wave']
+        command.json(*exact, '--thickness', 0.0168 + change)['models']['travelling_wave']
         for change in (-0.95e-5, 0.95e-5)
     )
     for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
         low, high = sorted((lower[name], upper[name]))
         assert found[f'{name}.low'] == pytest.approx(low, rel=1e-5)
         assert found[f'{name}.high'] == pytest.approx(high, rel=1e-5)
-    assert printed['notes']['uncertainty'] in run(capsys, *asked)
+    assert printed['notes']['uncertainty'] in command.run(*asked)
 
 
-def test_uncertainty_that_is_too_large_says_so_and_leaves_the_models(capsys):
-    printed = run_json(capsys, *EXACT, '--thickness', 0.002, '--uncertain-thickness', 0.002)
+def test_uncertainty_that_is_too_large_says_so_and_leaves_the_models(command):
+    printed = command.json(*EXACT, '--thickness', 0.002, '--uncertain-thickness', 0.002)
     assert printed['uncertainty'] is None
     assert '0.002' in printed['notes']['uncertainty']
     assert printed['models']['travelling_wave'] is not None
 
 
 @pytest.mark.parametrize(('args', 'warns'), [([], True), (['--max-strain', 0.2], False)])
-def test_table_warns_beyond_the_linear_range_only(capsys, args, warns):
-    assert ('linear range' in run(capsys, *EXACT, *args)) is warns
+def test_table_warns_beyond_the_linear_range_only(command, args, warns):
+    assert ('linear range' in command.run(*EXACT, *args)) is warns
 
 
-def test_every_parameter_of_the_rig_is_an_option(capsys):
-    with pytest.raises(SystemExit) as end:
-        throw.main(['--help'])
-    assert end.value.code == 0
-    shown = ''.join(capsys.readouterr().out.split())
-    for entry in TWIN.entries:
-        if entry.group in ('engine', 'layer', 'projectile') or entry.name == 'gravity':
-            assert f'{OPTIONS[entry.name]}{entry.unit.upper()}' in shown
-    assert len(set(OPTIONS.values())) == len(OPTIONS)
-
-
-def test_options_replace_what_the_file_says(capsys, write):
+def test_options_replace_what_the_file_says(command, write):
     path = write('twin: {ros__parameters: {gravity: 0.0, layer.name: gelatin_2.0mm}}', 'a.yaml')
-    printed = run_json(capsys, '--config', path, *EXACT)['parameters']
+    printed = command.json('--config', path, *EXACT)['parameters']
     assert printed['gravity'] == 0.0
     assert printed['layer.thickness'] == LAYERS['gelatin_2.0mm']['layer.thickness']
-    printed = run_json(capsys, '--config', path, '--thickness', 0.01, *EXACT)['parameters']
+    printed = command.json('--config', path, '--thickness', 0.01, *EXACT)['parameters']
     assert (printed['layer.name'], printed['layer.thickness']) == ('custom', 0.01)
-    assert run(capsys, '--config', files.default_file(), *EXACT) == run(capsys, *EXACT)
+    assert command.run('--config', files.default_file(), *EXACT) == command.run(*EXACT)
 
 
 @pytest.mark.parametrize(
@@ -197,16 +152,11 @@ def test_options_replace_what_the_file_says(capsys, write):
         (('--cases', 'a.csv', *EXACT), 'argument --model: '),
     ],
 )
-def test_what_is_refused_is_quoted(capsys, args, message):
-    assert re.search(message, refused(capsys, *args))
+def test_what_is_refused_is_quoted(command, args, message):
+    assert re.search(message, command.refused(*args))
 
 
-def test_bad_file_is_named_with_its_line(capsys, write):
-    path = write('twin:\n  ros__parameters:\n    gravity: -1\n', 'bad.yaml')
-    assert refused(capsys, '--config', path).startswith(f'{path}:3: gravity must be')
-
-
-def test_cases_get_a_release_row_for_row(capsys, write):
+def test_cases_get_a_release_row_for_row(command, write):
     cases = [(0.2342, 8.242, 0.0), (0.63, 7.3, 0.064), (30.0, 0.5, 0.3)]
     path = write(
         # another order, another column, spaces, an empty line, the mark of a spreadsheet
@@ -214,7 +164,7 @@ def test_cases_get_a_release_row_for_row(capsys, write):
         + ''.join(f'"a, b",{kappa},{zeta} ,{mu}\r\n' for mu, kappa, zeta in cases)
         + '\r\n'
     )
-    rows = list(csv.DictReader(run(capsys, '--cases', path).splitlines()))
+    rows = list(csv.DictReader(command.run('--cases', path).splitlines()))
     assert [tuple(float(row[name]) for name in ('mu', 'kappa', 'zeta')) for row in rows] == cases
     for row, (mu, kappa, zeta) in zip(rows, cases, strict=True):
         exact = first_release(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
@@ -222,12 +172,10 @@ def test_cases_get_a_release_row_for_row(capsys, write):
         assert float(row['alpha']) == pytest.approx(exact.energy_transfer, rel=1e-12)
 
 
-def test_no_cases_give_no_rows_and_a_hint(capsys, write):
+def test_no_cases_give_no_rows_and_a_hint(command, write):
     path = write('mu,kappa,zeta\n')
-    assert throw.main(['--cases', str(path)]) == 0
-    out, err = capsys.readouterr()
-    assert out == 'mu,kappa,zeta,te_f,alpha\n'
-    assert f'{path} has no rows' in err
+    assert command.run('--cases', path) == 'mu,kappa,zeta,te_f,alpha\n'
+    assert f'{path} has no rows' in command.err
 
 
 @pytest.mark.parametrize(
@@ -238,7 +186,7 @@ def test_no_cases_give_no_rows_and_a_hint(capsys, write):
         ('mu,kappa,zeta\n1,inf,0\n', r":2: kappa must be .* got 'inf'"),
         ('mu,kappa,zeta\n1,2,nan\n', r":2: zeta must be .* got 'nan'"),
         ('mu,kappa,zeta\n1,2,1\n', r":2: zeta must be .* got '1'"),
-        ('mu,kappa,zeta\n1,2\n', r":2: .* got \['1', '2'\]"),
+        ('mu,kappa,zeta\n1,2\n', r':2: .* zeta'),
         ('mu,kappa\n1,2\n', r":1: .* mu, kappa, zeta, got 'mu,kappa'$"),
         ('mu;kappa;zeta\n1;2;0\n', r":1: .* got 'mu;kappa;zeta'; .* commas"),
         ('', r':1: must name the columns'),
@@ -247,25 +195,16 @@ def test_no_cases_give_no_rows_and_a_hint(capsys, write):
         ('mu,kappa,zeta\n1,2,0\n1e6,1e5,0\n1e7,1e5,0\n', r':3: .* 1e\+06'),
     ],
 )
-def test_bad_case_is_named_with_file_line_and_value(capsys, write, text, message):
+def test_bad_case_is_named_with_file_line_and_value(command, write, text, message):
     path = write(text)
-    assert re.match(re.escape(str(path)) + message, refused(capsys, '--cases', path))
+    assert re.match(re.escape(str(path)) + message, command.refused('--cases', path))
 
 
-def test_output_goes_to_the_file(capsys, write, tmp_path):
+def test_output_goes_to_the_file(command, write, tmp_path):
     path = tmp_path / 'result'
     cases = write('mu,kappa,zeta\n1,2,0\n')
-    assert run(capsys, '--cases', cases, '--output', path) == ''
+    assert command.run('--cases', cases, '--output', path) == ''
     assert math.isfinite(float(path.read_text().splitlines()[1].split(',')[-1]))
-
-
-def test_slow_command_says_what_it_waits_for_and_a_fast_one_nothing(capsys):
-    with options.slow_notice('throw'):
-        pass
-    assert capsys.readouterr().err == ''
-    with options.slow_notice('throw', after=0.01):
-        time.sleep(0.2)
-    assert capsys.readouterr().err.startswith('throw: computing')
 
 
 def test_reader_that_has_seen_enough_gets_no_traceback():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who does the work of a sweep: this process, others, a Dask cluster."""
+"""Options of a rig, and who does the work of a sweep: this process, others, a Dask cluster."""
 
 import argparse
 import os
@@ -7,13 +7,21 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
-from soft_throw_ros.commands.executors import (
+from soft_throw_ros.commands import design, output
+from soft_throw_ros.commands.options import (
     add_executor_options,
+    add_rig_options,
     open_executor,
+    OPTIONS,
+    read_settings,
     WorkersLostError,
 )
+from soft_throw_ros.configuration import TWIN
+
+COMMAND = (design.main,)
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,6 +78,30 @@ def open_with(*args):
     return open_executor(parser.parse_args(args))
 
 
+def test_every_parameter_of_the_rig_is_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser)
+    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig} - {'model'}
+    assert OPTIONS.keys() == of_rig
+    assert len(set(OPTIONS.values())) == len(OPTIONS)
+    assert all(option in parser.format_help() for option in OPTIONS.values())
+    assert read_settings(parser.parse_args([])) == TWIN.defaults()
+
+
+def test_design_without_a_known_task_names_those_there_are(command):
+    assert "'mop'" in command.refused('mop')
+    assert 'TASK' in command.refused()
+
+
+def test_slow_command_says_what_it_waits_for_and_a_fast_one_nothing(capsys):
+    with output.slow_notice('throw'):
+        pass
+    assert capsys.readouterr().err == ''
+    with output.slow_notice('throw', after=0.01):
+        time.sleep(0.2)
+    assert capsys.readouterr().err.startswith('throw: computing')
+
+
 def test_one_worker_is_this_process():
     with open_with() as executor:
         assert executor is None
@@ -115,7 +147,7 @@ def test_map_is_whole_and_the_same_though_a_dask_worker_is_killed(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_dask_that_does_not_answer_is_quoted(monkeypatch):
+def test_dask_that_does_not_answer_is_quoted():
     pytest.importorskip('distributed', reason='comes with the extra [dask]')
     with (
         pytest.raises(ValueError, match='--dask nowhere: no scheduler answers there'),

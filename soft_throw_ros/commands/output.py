@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands have in common on their way out: refusals, notices, tables and JSON."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping
+import contextlib
+from dataclasses import fields, is_dataclass
+import importlib.util
+import itertools
+import json
+import math
+import os
+import sys
+import threading
+from typing import NamedTuple
+
+import numpy as np
+
+_WIDTH = 12  # of a column of numbers
+
+
+def run_command(
+    parser: argparse.ArgumentParser,
+    run: Callable[[argparse.Namespace], int],
+    args: list[str] | None = None,
+) -> int:
+    """
+    Parse arguments and run a command with them.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+    run : callable
+        Returns the exit code; a ValueError is a refusal.
+    args : list of str, optional
+        Those of the process by default.
+
+    Raises
+    ------
+    SystemExit
+        With exit code 2 if something is refused, after a line that says what.
+
+    """
+    arguments = parser.parse_args(args)
+    try:
+        exit_code = run(arguments)
+    except ValueError as error:
+        parser.error(str(error))
+    return exit_code
+
+
+@contextlib.contextmanager
+def naming(path: object) -> Iterator[None]:
+    """Refuse in one line that names it a file that cannot be read or written."""
+    try:
+        yield
+    except UnicodeDecodeError:
+        raise ValueError(f'{path}: is no UTF-8 text') from None
+    except OSError as error:
+        raise ValueError(f'{path}: {error.strerror or error}') from None
+
+
+def require(what: str, extra: str, *modules: str) -> None:
+    """Refuse what needs modules that are not installed; an extra of the package has them."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise ValueError(
+                f"{what} needs what pip installs with 'soft_throw_ros[{extra}]': "
+                f'there is no module {name}'
+            )
+
+
+@contextlib.contextmanager
+def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
+    """Say on standard error what a command is waiting for, if it takes longer than that. [s]"""
+    text = f'{command}: computing; the first run compiles, which takes half a minute'
+    timer = threading.Timer(after, print, (text,), {'file': sys.stderr, 'flush': True})
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def print_text(text: str) -> None:
+    """Print it; a reader that has closed the pipe, as `| head` does, has seen enough."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Python would complain once more when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def to_json(data: object) -> str:
+    """Write dataclasses, named tuples and arrays as JSON; what is not finite becomes null."""
+    return json.dumps(_plain(data), indent=2, allow_nan=False) + '\n'
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if hasattr(value, '_asdict'):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Row(NamedTuple):
+    """A line of a table: the key of its numbers, its title, its unit, and SI times what it is."""
+
+    key: str
+    title: str
+    unit: str = ''
+    scale: float = 1.0
+
+
+def write_columns(
+    rows: Iterable[Row], columns: Mapping[str, Mapping[str, float] | None]
+) -> Iterator[str]:
+    """
+    Write a table for people, line by line.
+
+    Parameters
+    ----------
+    rows : iterable of Row
+        One without any number is left out.
+    columns : mapping of str to mapping or None
+        The numbers by their keys, under heads whose words, joined by `_`, stand one below the
+        other.
+
+    """
+    words = [head.split('_') for head in columns]
+    for heads in itertools.zip_longest(*words, fillvalue=''):
+        yield _line('', '', heads)
+    for row in rows:
+        cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
+        if any(cell != '-' for cell in cells):
+            yield _line(row.title, row.unit, cells)
+
+
+def strain_warning(max_strain: float, where: str) -> str:
+    """Say that a throw is beyond the strain up to which a layer is linear. [-]"""
+    return (
+        f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range ({where}): a real layer '
+        'will do otherwise.'
+    )
+
+
+def _line(title: str, unit: str, cells: Iterable[str]) -> str:
+    line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_WIDTH}}' for cell in cells)
+    return line.rstrip()
+
+
+def _cell(value: float | None, scale: float) -> str:
+    if value is None:
+        return '-'
+    return str(value) if isinstance(value, int) else f'{scale * value:#.6g}'
