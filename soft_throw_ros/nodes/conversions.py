@@ -20,7 +20,7 @@ from rclpy.qos import (
 from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
+from soft_throw_ros.twin.results import Accuracy, Comparison, Release, ThrowResult
 from std_msgs.msg import Header
 
 _SECOND = 1_000_000_000
@@ -41,9 +41,9 @@ _RELEASE = {
 }
 """The attributes of a release by the keys that they have in a status."""
 
-_COMPARISON = 'residual.'
+_COMPARISON, _ACCURACY = 'residual.', 'accuracy.'
 
-_STRUCTURED = ('rig', 'first', 'last', 'models', 'lead', 'comparison')
+_STRUCTURED = ('rig', 'first', 'last', 'models', 'lead', 'accuracy', 'comparison')
 """What of a result is not one value, or may be none."""
 
 
@@ -119,7 +119,8 @@ def throw_result_to_msg(
     """
     Make a status of what a throw gave; what has not happened, or is not known, is left out.
 
-    It is a warning if the layer left its linear range, or the plate was not measured.
+    It is a warning if the layer left its linear range, the plate was not measured, or too many of
+    its samples had jumped.
 
     """
     names = (item.name for item in fields(result) if item.name not in _STRUCTURED)
@@ -133,11 +134,13 @@ def throw_result_to_msg(
     values |= uncertainty or {}
     if result.lead is not None:
         values['lead'] = result.lead
-    if result.comparison is not None:
-        differences = asdict(result.comparison).items()
-        values |= {f'{_COMPARISON}{key}': value for key, value in differences if value is not None}
+    for prefix, part in ((_ACCURACY, result.accuracy), (_COMPARISON, result.comparison)):
+        if part is not None:
+            known = asdict(part).items()
+            values |= {f'{prefix}{key}': value for key, value in known if value is not None}
     values |= rig_to_values(result.rig)
-    is_bad = not (result.is_linear and result.is_valid)
+    is_clean = result.accuracy is None or result.accuracy.is_clean
+    is_bad = not (result.is_linear and result.is_valid and is_clean)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
 
 
@@ -152,11 +155,14 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
         for key in values
         if key.endswith(time)
     }
-    differences = {
-        key.removeprefix(_COMPARISON): value
-        for key, value in values.items()
-        if key.startswith(_COMPARISON)
-    }
+    accuracy, differences = (
+        {
+            key.removeprefix(prefix): value
+            for key, value in values.items()
+            if key.startswith(prefix)
+        }
+        for prefix in (_ACCURACY, _COMPARISON)
+    )
     names = (item.name for item in fields(ThrowResult) if item.name not in _STRUCTURED)
     return ThrowResult(
         **{name: values[name] for name in names},
@@ -165,6 +171,7 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
         last=releases.pop('last_', None),
         models={prefix.removesuffix('.'): release for prefix, release in releases.items()},
         lead=values.get('lead'),
+        accuracy=Accuracy(**accuracy) if accuracy else None,
         comparison=Comparison(**differences) if differences else None,
     )
 

@@ -6,7 +6,11 @@ Samples are put in the order of their stamps. What is older than the newest stam
 time to wait for stragglers (the watermark) is complete, and is smoothed there, see
 `soft_throw_ros.core.smoothing`, at times an eighth of the window apart. So the plate is known up
 to a quarter of the window, the time to wait and at most an eighth of the window behind the newest
-sample. What comes for a time that has been smoothed already is late, and is refused.
+sample. What comes for a time that is complete already is late, and is refused.
+
+Complete samples are held against where those before them say that the plate must be: a body that
+is not accelerated by more than twice what the engine can do gets no farther. Those that have
+jumped are left out, see `JumpFilter`.
 """
 
 from __future__ import annotations
@@ -31,6 +35,11 @@ PAST = SECOND  # how far behind the clock a stamp may be [ns]
 FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
 PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
 STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
+_STRONGEST = 2.0  # acceleration that counts as possible, in those of the engine [-]
+_MOST_IN_A_ROW = 3  # samples that have jumped, after which it is the sensor that has
+_SURE = 6.0  # standard errors that are no noise
+_TRACKING = 1.05  # factor by which a running median is corrected at a time
+TYPICAL = 0.6745  # median of the magnitude of standard normal numbers
 _KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
 _LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
 
@@ -70,6 +79,47 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
     )
 
 
+class JumpFilter:
+    """
+    Tells which positions of a body have jumped.
+
+    The next one is expected on the line through the last two, but for what the `acceleration`
+    [m/s2] makes of it, and six standard errors, by the `noise` [m] or what was typical lately.
+    Three in a row that are elsewhere are where the body is: the zero of the sensor has moved.
+    """
+
+    def __init__(self, acceleration: float, noise: float) -> None:
+        self._acceleration = acceleration
+        self._noise = noise
+        self._typical = TYPICAL  # median of such distances, relative to their standard error
+        self._last: tuple[float, float] | None = None  # time and position
+        self._before: tuple[float, float] | None = None
+        self._jumped: list[tuple[float, float]] = []  # since the last one that has not
+
+    def accepts(self, time: float, position: float) -> bool:
+        """Take the next position, and tell whether it is where the body can be."""
+        new = (time, position)
+        if self._last is None or self._before is None:
+            self._before, self._last = self._last, new
+            return True
+        (earlier, low), (last, high) = self._before, self._last
+        part = (time - last) / (last - earlier)
+        distance = abs(position - high - part * (high - low))
+        noise = self._noise * math.sqrt(1.0 + (1.0 + part) ** 2 + part**2)
+        excess = distance - 0.5 * self._acceleration * (time - last) * (time - earlier)
+        is_jump = excess > _SURE / TYPICAL * self._typical * noise
+        self._typical *= _TRACKING if excess > self._typical * noise else 1.0 / _TRACKING
+        self._typical = max(self._typical, TYPICAL)
+        if is_jump:
+            self._jumped.append(new)
+            if len(self._jumped) < _MOST_IN_A_ROW:
+                return False
+            self._last = self._jumped[-2]
+        self._jumped.clear()
+        self._before, self._last = self._last, new
+        return True
+
+
 class PlateEstimator:
     """
     Samples in their order, and the motion of the plate through them.
@@ -86,6 +136,15 @@ class PlateEstimator:
         Where samples that are refused are counted, by reason: 'not finite', 'out of range',
         'future', 'past', 'doubled' and 'late'.
 
+    Attributes
+    ----------
+    jumped : int
+        Samples that were taken, and left out since plate or projectile cannot have been there.
+    newest_ns : float
+        Stamp of the newest sample, minus infinity if there is none. [ns]
+    complete_ns : float
+        Until when samples are complete, by the last call of `advance`. [ns]
+
     """
 
     def __init__(
@@ -100,13 +159,15 @@ class PlateEstimator:
         self.origin_ns = origin_ns
         self.refused: Counter[str] = Counter() if refused is None else refused
         self._samples = list(samples)
+        self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
         self._next = 0  # time at which to smooth, in spacings
-        self._used_ns = -math.inf  # what is not later has been used
-
-    @property
-    def newest_ns(self) -> float:
-        """Stamp of the newest sample, minus infinity if there is none. [ns]"""
-        return self._samples[-1].stamp_ns if self._samples else -math.inf
+        self.jumped = 0
+        self.complete_ns = -math.inf
+        self._smoothed_ns = -math.inf  # what is not later has been in a window
+        plate = config.plate
+        acceleration = _STRONGEST * plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+        self._plate_filter = JumpFilter(acceleration, config.position_noise)
+        self._projectile_filter = JumpFilter(acceleration, config.position_noise)
 
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> list[Sample]:
         """Return the samples from one time to before another, as far back as they are kept."""
@@ -132,6 +193,7 @@ class PlateEstimator:
             taken.append(sample)
             if sample.stamp_ns > self.newest_ns:
                 self._samples.append(sample)
+                self.newest_ns = sample.stamp_ns
             else:
                 self._samples.insert(bisect_left(self._samples, sample), sample)
         return taken
@@ -151,7 +213,29 @@ class PlateEstimator:
         index = bisect_left(self._samples, (stamp_ns,))
         if index < len(self._samples) and self._samples[index].stamp_ns == stamp_ns:
             return 'doubled'
-        return 'late' if stamp_ns <= self._used_ns else ''
+        return 'late' if stamp_ns <= self.complete_ns else ''
+
+    def _complete(self, until_ns: int) -> None:
+        """Leave out what has jumped of the samples that are complete now."""
+        if until_ns <= self.complete_ns:
+            return
+        first = bisect_left(self._samples, (self.complete_ns + 1,))
+        end = bisect_left(self._samples, (until_ns + 1,))
+        kept = []
+        assert self.origin_ns is not None
+        for sample in self._samples[first:end]:
+            time = (sample.stamp_ns - self.origin_ns) / SECOND
+            if not self._plate_filter.accepts(time, sample.plate):
+                self.jumped += 1
+                continue
+            at = sample.projectile
+            if math.isnan(at) or self._projectile_filter.accepts(time, at):
+                kept.append(sample)
+            else:
+                self.jumped += 1
+                kept.append(sample._replace(projectile=math.nan))
+        self._samples[first:end] = kept
+        self.complete_ns = until_ns
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, as far as it is known."""
@@ -162,7 +246,8 @@ class PlateEstimator:
         config, spacing = self.config, state_spacing_ns(self.config)
         behind = round(BEHIND * config.smoothing_window_ns)
         ahead = round(AHEAD * config.smoothing_window_ns)
-        complete_ns = min(self._samples[-1].stamp_ns, now_ns) - config.wait_ns
+        complete_ns = min(int(self.newest_ns), now_ns) - config.wait_ns
+        self._complete(complete_ns)
         end = (complete_ns - ahead - self.origin_ns) // spacing + 1
         begin = max(self._next, end - _LONGEST_STEP)
         if begin >= end:
@@ -172,8 +257,8 @@ class PlateEstimator:
         first = bisect_left(self._samples, (at_ns[0] - behind,))
         last = bisect_left(self._samples, (at_ns[-1] + ahead + 1,))
         samples = self._samples[max(first - 1, 0) : last]
-        before_ns, self._used_ns = self._used_ns, int(at_ns[-1]) + ahead
-        kept_ns = self._used_ns - _KEPT_WINDOWS * config.smoothing_window_ns
+        before_ns, self._smoothed_ns = self._smoothed_ns, int(at_ns[-1]) + ahead
+        kept_ns = self._smoothed_ns - _KEPT_WINDOWS * config.smoothing_window_ns
         del self._samples[: bisect_left(self._samples, (kept_ns,))]
         if len(samples) < FEWEST:
             return NO_STATES

@@ -5,24 +5,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.onset import find_onset, Onset, REST_WINDOWS
+from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
 from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, PlateStates, Sample
 from soft_throw_ros.twin.results import State
 
-RISE = 0.125  # part of the plate's period in which it gets to the speed of a start [-]
+_LEAST_RISE = 0.02  # of the plate's amplitude, which is looked at closely [-]
 _SURE, _QUIET = 6.0, 4.0  # standard errors that are no noise, and that are nothing else
 
 
 @dataclass
 class SampleCounts:
-    """Samples that were taken, of these after later ones, and refused, by reason."""
+    """Samples taken, of these after later ones and left out, and those refused, by reason."""
 
     taken: int = 0
     out_of_order: int = 0
+    jumped: int = 0
     refused: Counter[str] = field(default_factory=Counter)
 
 
@@ -45,13 +46,16 @@ class PlateMonitor:
         Samples in their order, and the motion through them.
     is_armed : bool
         Whether the plate is at rest, so that a throw starts when it jumps up.
+    trusts_engine : bool
+        Whether the engine has moved it in the last throw as it should.
 
     Notes
     -----
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
     speed of a start, or four standard errors, and no more when it has been for `RISE` of its
     period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it. The time of the start is found a window later, see `find_onset`.
+    it. The time of the start is found a window later, see `find_onset`; or at once, if the plate
+    does as the engine should, see `find_engine_start`.
 
     """
 
@@ -59,6 +63,7 @@ class PlateMonitor:
         self, config: MeasurementConfig, counts: SampleCounts, onset: Onset | None = None
     ) -> None:
         self._counts = counts
+        self.trusts_engine = onset is None or onset.trusts_engine
         self.estimator = PlateEstimator(
             config,
             origin_ns=None if onset is None else onset.onset_ns,
@@ -68,12 +73,13 @@ class PlateMonitor:
         self._wait_for_rest()
         # heights of the plate at rest and last seen, and of the plate when it last was slow: the
         # projectile goes with it then
-        self._rest = self._height = self._carried = math.nan if onset is None else onset.plate_rest
+        self._rest = self._height = self._carried = math.nan if onset is None else onset.rest.plate
         self._speed = self._carried_speed = 0.0
 
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and measure as `config` says from now on."""
         if config != self.estimator.config:
+            self.trusts_engine |= config.plate != self.estimator.config.plate
             self.estimator = PlateEstimator(config, refused=self._counts.refused)
         self._wait_for_rest()
 
@@ -96,10 +102,27 @@ class PlateMonitor:
 
     def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
         """Return how the plate has moved since the last call, and if a throw has begun, how."""
+        before_ns, jumped = self.estimator.complete_ns, self.estimator.jumped
         motion = self.estimator.advance(now_ns)
+        self._counts.jumped += self.estimator.jumped - jumped
         if motion.times.size:
             self._see(motion)
-        return motion, self._detect(motion)
+        onset = self._detect(motion)
+        if onset is None and self.estimator.complete_ns > before_ns and self._may_have_started():
+            onset = find_engine_start(self.estimator)
+        if onset is not None:
+            self.is_armed = False
+            onset = replace(onset, trusts_engine=self.trusts_engine)
+        return motion, onset
+
+    def _may_have_started(self) -> bool:
+        """Tell whether the last sample is above the plate at rest, if that is trusted to say."""
+        if not (self.is_armed and self.trusts_engine):
+            return False
+        config, end_ns = self.estimator.config, self.estimator.complete_ns
+        last = self.estimator.samples(end_ns - config.smoothing_window_ns, end_ns + 1)
+        least = max(_SURE * config.position_noise, _LEAST_RISE * config.plate.amplitude)
+        return bool(last) and last[-1].plate - self._height > least
 
     def _detect(self, motion: PlateStates) -> Onset | None:
         """Take in how the plate moves, and tell if it has begun to."""
