@@ -80,7 +80,12 @@ class Twin(RealTimeNode):
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
-        self.measurement = Measurement(self, session)
+        self.measurement = Measurement(
+            self,
+            session,
+            now=lambda: self._current_clock().now(),
+            clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
+        )
         self.drive(session)
         self._diagnostics = Diagnostics(
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()

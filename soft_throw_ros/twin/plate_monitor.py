@@ -10,9 +10,18 @@ import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
-from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, PlateStates, Sample
+from soft_throw_ros.twin.plate_estimator import (
+    least_rate,
+    PlateEstimator,
+    PlateStates,
+    Sample,
+)
 from soft_throw_ros.twin.results import State
 
+MOST_RISE = 100.0  # of the plate, in amplitudes of the engine: more is another unit [-]
+_FALL = 0.5  # part of the plate's peak speed at which nobody lowers it [-]
+_EARLY = 0.1  # rise of a projectile, in amplitudes of the engine, that is no noise [-]
+_LAST_BEFORE = 3  # samples before the onset
 _LEAST_RISE = 0.02  # of the plate's amplitude, which is looked at closely [-]
 _SURE, _QUIET = 6.0, 4.0  # standard errors that are no noise, and that are nothing else
 
@@ -71,6 +80,9 @@ class PlateMonitor:
             refused=counts.refused,
         )
         self._wait_for_rest()
+        self._problems: list[str] = []  # that have not been told
+        self._told: set[str] = set()  # in this throw
+        self._lowest, self._highest = math.inf, -math.inf  # of the smoothed heights
         # heights of the plate at rest and last seen, and of the plate when it last was slow: the
         # projectile goes with it then
         self._rest = self._height = self._carried = math.nan if onset is None else onset.rest.plate
@@ -81,6 +93,7 @@ class PlateMonitor:
         if config != self.estimator.config:
             self.trusts_engine |= config.plate != self.estimator.config.plate
             self.estimator = PlateEstimator(config, refused=self._counts.refused)
+            self._told.clear()
         self._wait_for_rest()
 
     def _wait_for_rest(self) -> None:
@@ -110,10 +123,57 @@ class PlateMonitor:
         onset = self._detect(motion)
         if onset is None and self.estimator.complete_ns > before_ns and self._may_have_started():
             onset = find_engine_start(self.estimator)
-        if onset is not None:
-            self.is_armed = False
-            onset = replace(onset, trusts_engine=self.trusts_engine)
-        return motion, onset
+        if onset is None:
+            return motion, None
+        self.is_armed = False
+        if self._has_swapped(onset):
+            self._tell(
+                'names',
+                'the projectile has moved before the plate: if the names of the two joints are '
+                'swapped in ~/measured_joint_states, swap them; no throw is followed',
+            )
+            return motion, None
+        return motion, replace(onset, trusts_engine=self.trusts_engine)
+
+    def problems(self) -> tuple[str, ...]:
+        """Return what is wrong with the samples in sentences, each once in a throw."""
+        found, self._problems = tuple(self._problems), []
+        return found
+
+    def _tell(self, kind: str, problem: str) -> None:
+        if kind not in self._told:
+            self._told.add(kind)
+            self._problems.append(problem)
+
+    def _has_swapped(self, onset: Onset) -> bool:
+        """Tell whether the projectile has gone up before the plate, which no wave can do."""
+        rest, plate = onset.rest, self.estimator.config.plate
+        begin_ns = onset.onset_ns - self.estimator.config.smoothing_window_ns
+        before = self.estimator.samples(begin_ns, onset.onset_ns)[-_LAST_BEFORE:]
+        rises = [sample.projectile - rest.projectile for sample in before]
+        least = max(_SURE * rest.noise, _EARLY * plate.amplitude)
+        return len(rises) == _LAST_BEFORE and all(rise > least for rise in rises)
+
+    def _check_heights(self, time: float) -> None:
+        """Find heights that are in millimetres, or count downwards, by how the plate moves."""
+        plate, window = self.estimator.config.plate, self.estimator.config.smoothing_window
+        self._lowest = min(self._lowest, self._height)
+        self._highest = max(self._highest, self._height)
+        rise = self._highest - self._lowest
+        if rise > MOST_RISE * plate.amplitude:
+            self._tell(
+                'units',
+                f'the plate moves by {rise:.3g} m, {rise / plate.amplitude:.0f} times '
+                'engine.amplitude: if heights are in millimetres, divide them by 1000',
+            )
+        since_rest = time - self._last_quiet_time
+        is_falling = self._speed < -_FALL * plate.peak_velocity
+        if self.is_armed and is_falling and since_rest < REST_WINDOWS * window:
+            self._tell(
+                'direction',
+                f'the plate has jumped down, at {-self._speed:.3g} m/s: if heights count '
+                'downwards, change their sign; no throw is followed',
+            )
 
     def _may_have_started(self) -> bool:
         """Tell whether the last sample is above the plate at rest, if that is trusted to say."""
@@ -162,6 +222,7 @@ class PlateMonitor:
     def _see(self, motion: PlateStates) -> None:
         """Keep where the plate is."""
         self._height, self._speed, _ = motion.states[-1].tolist()
+        self._check_heights(float(motion.times[-1]))
         if math.isnan(self._rest):
             self._rest = self._carried = self._height
         self._carried_speed = 0.0

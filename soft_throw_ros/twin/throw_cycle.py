@@ -351,6 +351,7 @@ class ThrowCycle:
         motion = NO_STATES
         if onset is None:
             motion, onset = monitor.advance(now_ns)
+            self._notices += monitor.problems()
             if onset is not None and not self._is_fast_enough(monitor):
                 onset = None
         if onset is not None:

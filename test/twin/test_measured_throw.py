@@ -287,6 +287,25 @@ def test_throw_with_many_samples_that_jumped_is_marked(start, rigs) -> None:
     assert release.first.speed == pytest.approx(simulate(run.rig).ejection_speed, rel=5e-3)
 
 
+@pytest.mark.parametrize(
+    ('change', 'advice'),
+    [
+        (lambda item: (1e3 * (item.plate - 0.3), math.nan), 'divide them by 1000'),
+        (lambda item: (-item.plate, -item.projectile), 'change their sign'),
+        (lambda item: (item.projectile, item.plate), 'swap them'),
+    ],
+)
+def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, advice) -> None:
+    run = start(**MEASURED)
+    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6, duration=0.1)
+    changed = [(item, *change(item)) for item in samples]
+    run.send(item._replace(plate=plate, projectile=top) for item, plate, top in changed)
+    run.receive()
+    (notice,) = [text for text in run.notices() if advice in text]
+    assert notice
+    assert not run.results('release')
+
+
 def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
     run = start(**MEASURED)
     other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
