@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.smoothing import factorise, solve
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -139,6 +140,68 @@ def _add(normal: Floats, right: Floats, row: Floats, error: float, noise: float)
             normal[i, j] += weight * row[i] * row[j]
 
 
+@_jit
+def _fit(
+    times: Floats,
+    heights: Floats,
+    speeds: Floats,
+    engine: Floats,
+    expected: Floats,
+    weights: Floats,
+    x: Floats,
+    covariance: Floats,
+    left_out: NDArray[np.bool_],
+) -> tuple[float, float]:
+    """Go on to the best unknowns `x`, see `_add_up`; NaN if there are none."""
+    normal, right, scale = np.empty((5, 5)), np.empty(5), np.empty(5)
+    total, last = 0.0, 0.0
+    for _ in range(_MOST_STEPS):
+        normal[:] = 0.0
+        for i in range(5):
+            normal[i, i] = weights[i]
+            right[i] = weights[i] * (expected[i] - x[i])
+        total, last = _add_up(
+            times, heights, speeds, engine, x, covariance, normal, right, left_out
+        )
+        for i in range(5):
+            scale[i] = 1.0 / math.sqrt(normal[i, i])
+        for i in range(5):  # units differ by ten orders of magnitude
+            right[i] *= scale[i]
+            for j in range(5):
+                normal[i, j] *= scale[i] * scale[j]
+        if not factorise(normal):
+            return math.nan, math.nan
+        for i in range(5):
+            column = covariance[i]
+            column[:] = 0.0
+            column[i] = 1.0
+            solve(normal, column)
+        solve(normal, right)
+        has_converged = True
+        for i in range(5):
+            has_converged &= right[i] * right[i] < _CONVERGED * _CONVERGED * covariance[i, i]
+            x[i] += scale[i] * right[i]
+            for j in range(5):
+                covariance[i, j] *= scale[i] * scale[j]
+        x[DAMPING] = max(x[DAMPING], -engine[2])
+        if x[AMPLITUDE] <= -1.0 or x[FREQUENCY] <= -1.0 or engine[2] + x[DAMPING] >= 1.0:
+            return math.nan, math.nan
+        if has_converged:
+            break
+    return total, last
+
+
+@_jit
+def damped_states(
+    times: Floats, amplitude: float, omega: float, zeta: float, states: Floats
+) -> None:
+    """Write height, velocity and acceleration of a damped step at times since its start."""
+    for n in range(times.size):
+        height, speed = _shape(times[n], omega, zeta)
+        states[n, 0], states[n, 1] = amplitude * height, amplitude * speed
+        states[n, 2] = amplitude * omega * (omega * (1.0 - height) - 2.0 * zeta * speed)
+
+
 @dataclass(frozen=True)
 class EngineEstimate:
     """
@@ -167,11 +230,10 @@ class EngineEstimate:
 
     def states(self, times: Floats) -> Floats:
         """Return height above rest, velocity and acceleration at times since the start."""
-        plate = self.plate
-        height, speed = plate.position(times), plate.velocity(times)
+        plate, states = self.plate, np.empty((times.size, 3))
         omega = 2.0 * math.pi * plate.frequency
-        force = omega**2 * (plate.amplitude - height) - 2.0 * plate.damping_ratio * omega * speed
-        return np.stack((height, speed, force), axis=1)
+        damped_states(times, plate.amplitude, omega, plate.damping_ratio, states)
+        return states
 
 
 class EngineFit:
@@ -238,36 +300,22 @@ class EngineFit:
         """Fit samples from before the start to now; None if they are few or do not fit."""
         if len(samples) < FEWEST:
             return None
-        columns = np.array(samples, dtype=np.float64)
-        stamps = np.array([sample.stamp_ns - self.origin_ns for sample in samples])
-        times = stamps / SECOND
-        heights, speeds = columns[:, 1].copy(), columns[:, 2].copy()
+        origin_ns = self.origin_ns
+        times, heights, speeds = np.array(
+            [((stamp_ns - origin_ns) / SECOND, at, speed) for stamp_ns, at, speed, _ in samples]
+        ).T.copy()
         left_out = np.zeros(times.size, dtype=np.bool_)
-        for _ in range(_MOST_STEPS):
-            normal, right = np.diag(self._weights), self._weights * (self._expected - self._x)
-            total, last = _add_up(
-                times,
-                heights,
-                speeds,
-                self._engine,
-                self._x,
-                self._covariance,
-                normal,
-                right,
-                left_out,
-            )
-            scale = 1.0 / np.sqrt(normal.diagonal())  # units differ by ten orders of magnitude
-            inverse = np.linalg.inv(normal * scale * scale[:, None])
-            self._covariance = inverse * scale * scale[:, None]
-            step = self._covariance @ right
-            self._x = self._x + step
-            amplitude, damping = 1.0 + self._x[AMPLITUDE], self._engine[2] + self._x[DAMPING]
-            if not (amplitude > 0.0 and damping < 1.0 and 1.0 + self._x[FREQUENCY] > 0.0):
-                self.has_failed = True
-                return None
-            self._x[DAMPING] = max(self._x[DAMPING], -self._engine[2])
-            if (step**2 < _CONVERGED**2 * self._covariance.diagonal()).all():
-                break
+        total, last = _fit(
+            times,
+            heights,
+            speeds,
+            self._engine,
+            self._expected,
+            self._weights,
+            self._x,
+            self._covariance,
+            left_out,
+        )
         self._judge(left_out, total, last)
         moved = int((times > self._x[START]).sum())
         if self.has_failed or moved < FEWEST:
@@ -286,7 +334,8 @@ class EngineFit:
         moved = (self._x - self._expected)[known] ** 2
         told = 1.0 / self._weights[known] - self._covariance.diagonal()[known]
         self.has_failed = (
-            longest >= _MOST_IN_A_ROW
+            math.isnan(total)
+            or longest >= _MOST_IN_A_ROW
             or bool((moved > _CHANCE**2 * told + 1e-3 / self._weights[known]).any())
             or total > largest_by_chance(count)
             or last > largest_by_chance(min(count, _LAST))
@@ -303,7 +352,7 @@ class EngineFit:
                 damping_ratio=zeta + x[DAMPING],
             ),
             rest=x[REST],
-            covariance=self._covariance,
+            covariance=self._covariance.copy(),
             moved=moved,
         )
 
@@ -316,7 +365,6 @@ def largest_by_chance(count: int) -> float:
 
 def warm_up() -> None:
     """Compile or load the kernel."""
-    series, five, square = np.zeros(2), np.ones(5), np.eye(5)
-    _add_up(
-        series, series, series, 0.1 * five, 0.0 * five, square, square, five, np.zeros(2, np.bool_)
-    )
+    two, five, square = np.zeros(2), np.ones(5), np.eye(5)
+    _fit(two, two, two, 0.1 * five, 0.0 * five, five, 0.0 * five, square, np.zeros(2, np.bool_))
+    damped_states(two, 1.0, 1.0, 0.0, np.empty((2, 3)))

@@ -58,6 +58,7 @@ LOST = PAST  # after so long without samples, what comes then is too old, and th
 FEWEST_ALOFT = 8  # samples of the projectile in flight that tell its errors
 # relative errors of a release by that of the smoothed velocity, as trials have them [-]
 _TIME, _SPEED, _TRANSFER = 1.0, 0.4, 1.4
+_APART = 0.99  # least distance of states that are joined, of those smoothed [-]
 _FIRST_WINDOWS = 1.5  # after which it is found when a smoothed plate has started [-]
 REST_SPEED = 0.5  # what is slower than this part of the speed of a start is at rest [-]
 
@@ -114,9 +115,7 @@ class MeasuredThrow(OngoingThrow):
             self._smoothed.add(motion)
             self._follow_engine()
             if not self._follows_engine:
-                if not self._times:
-                    self._start_ns = self._smoothed.start_ns
-                self._append(*self._smoothed.take(self._joined(), self._start_ns))
+                self._follow_smoothed()
         known = max(self._stepper.horizon, 0.0)
         events, residual = self._follow_plate(known, config.max_events)
         if self._follows_engine and self.events:
@@ -166,12 +165,15 @@ class MeasuredThrow(OngoingThrow):
         self._times, self._states = [], []
         self.events = []
 
-    def _joined(self) -> float:
-        """Return after what time the plate may be joined to what the stepper knows of it. [s]"""
+    def _follow_smoothed(self) -> None:
+        """Go on with what the samples alone tell of the plate."""
         if not self._times:
-            return -math.inf
-        spacing = state_spacing_ns(self._estimator.config) / SECOND
-        return self._times[-1] + (0.5 * spacing if self._estimate is None else spacing)
+            beginning = self._smoothed.begin()
+            if beginning is None:
+                return
+            self._start_ns, times, states = beginning
+            self._append(times, states)
+        self._append(*self._smoothed.take(self._times[-1], self._start_ns))
 
     def _append(self, times: Floats, states: Floats) -> None:
         """Have the model know of the plate, at times since the start."""
@@ -339,57 +341,46 @@ class MeasuredThrow(OngoingThrow):
 
 
 class SmoothedPlate:
-    """
-    What the plate has done by its samples alone, at times since the onset.
-
-    It begins when there are samples enough to tell when the plate has started. Over the first
-    window it is fitted apart, see `first_states`.
-
-    Attributes
-    ----------
-    start_ns : int
-        When the plate has started, by those samples. [ns]
-
-    """
+    """What the plate has done by its samples alone."""
 
     def __init__(self, onset: Onset, estimator: PlateEstimator) -> None:
         self._onset = onset
         self._estimator = estimator
-        self.start_ns = onset.onset_ns
-        self._motions: list[PlateStates] = []  # before it begins
-        self._times = np.empty(0)
-        self._states = np.empty((0, 3))
+        self._motions: list[PlateStates] = []  # that have not been taken
         self._errors: list[float] = []  # of velocities [m/s]
 
     def add(self, motion: PlateStates) -> None:
-        """Take how the plate has moved since the last call."""
+        """Take how the plate has moved since the last call, by the clock of the estimator."""
         if motion.times.size:
             self._motions.append(motion)
             self._errors += motion.errors.tolist()
+
+    def begin(self) -> tuple[int, Floats, Floats] | None:
+        """
+        Return when the plate has started, and times and states since, over the first window.
+
+        They are fitted apart, see `first_states`; None if there are too few samples yet.
+        """
         onset, config = self._onset, self._estimator.config
-        if not self._times.size:
-            end_ns = onset.onset_ns + round(_FIRST_WINDOWS * config.smoothing_window_ns)
-            if self._estimator.complete_ns < end_ns:
-                return
-            begin_ns = onset.onset_ns - config.smoothing_window_ns
-            samples = self._estimator.samples(begin_ns, end_ns + 1)
-            self.start_ns += find_start(samples, onset.onset_ns, onset.rest.plate, config)
-            times, self._states = first_states(samples, self.start_ns, onset.rest.plate, config)
-            self._times = times + (self.start_ns - onset.onset_ns) / SECOND
-        for known in self._motions:
-            later = known.times > self._times[-1] + 0.5 * state_spacing_ns(config) / SECOND
-            states = known.states[later] - [onset.rest.plate, 0.0, 0.0]
-            self._times = np.concatenate((self._times, known.times[later]))
-            self._states = np.concatenate((self._states, states))
-        self._motions.clear()
+        window_ns, rest = config.smoothing_window_ns, onset.rest.plate
+        end_ns = onset.onset_ns + round(_FIRST_WINDOWS * window_ns)
+        if self._estimator.complete_ns < end_ns:
+            return None
+        samples = self._estimator.samples(onset.onset_ns - window_ns, end_ns + 1)
+        start_ns = onset.onset_ns + find_start(samples, onset.onset_ns, rest, config)
+        return start_ns, *first_states(samples, start_ns, rest, config)
 
     def take(self, after: float, start_ns: int) -> tuple[Floats, Floats]:
-        """Return times since a start, and states, after a time, and keep the last one only."""
-        times = self._times + (self._onset.onset_ns - start_ns) / SECOND
-        later = times > after
-        times, states = np.maximum(times[later], 0.0), self._states[later]
-        self._times, self._states = self._times[-1:], self._states[-1:]
-        return times, states
+        """Return times since a start, and states, after a time, which are taken once."""
+        shift = (self._onset.onset_ns - start_ns) / SECOND
+        after += _APART * state_spacing_ns(self._estimator.config) / SECOND
+        times, states = [np.empty(0)], [np.empty((0, 3))]
+        for known in self._motions:
+            later = known.times + shift > after
+            times.append(known.times[later] + shift)
+            states.append(known.states[later] - [self._onset.rest.plate, 0.0, 0.0])
+        self._motions.clear()
+        return np.concatenate(times), np.concatenate(states)
 
     def release_errors(self, time: float, peak_plate_speed: float) -> ReleaseErrors:
         """Return about how well a release at a time after the start is known by it."""

@@ -126,7 +126,10 @@ def _forecaster(config: TwinConfig) -> EngineForecaster | None:
 
     def throw(engine: Engine) -> tuple[float, float] | None:
         rig = dataclasses.replace(config.rig, engine=engine)
-        stepper = stepper_of(dataclasses.replace(config, rig=rig, motion='underdamped'))
+        try:
+            stepper = stepper_of(dataclasses.replace(config, rig=rig, motion='underdamped'))
+        except ValueError:  # the rig is at the limit of what can be stepped
+            return None
         _ejection_time(stepper)
         events = stepper.events()
         return (events[0].time, events[0].velocity) if events else None
