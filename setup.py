@@ -38,8 +38,10 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(map(str, Path('config').glob('*.yaml')))),
-        (f'share/{NAME}/urdf', ['urdf/soft_throw.urdf']),
+        *(
+            (f'share/{NAME}/{folder}', sorted(map(str, Path(folder).glob('*.*'))))
+            for folder in ('config', 'launch', 'rviz', 'urdf')
+        ),
     ],
     entry_points={'console_scripts': scripts},
     python_requires='>=3.10',
