@@ -110,7 +110,8 @@ class ThrowCycle:
         self._throw_requested_at = step
         self._phase = Phase.RETURNING  # until this very step, so that nothing delays it
         self._phases = ()
-        self.schedule = journal.entry_schedule(entry) or self.schedule
+        if 'schedule' in entry:
+            self.schedule = journal.decode_schedule(entry['schedule'])
         if self.monitor is not None:
             self._onset = journal.decode_onset(entry.get('onset'))
 
@@ -194,7 +195,7 @@ class ThrowCycle:
         if step < min(self._throw_requested_at, self._throw_due):
             if has_returned:
                 self._enter(Phase.REST)
-        elif has_returned or not self._staged.is_pending:
+        elif has_returned or not self._staged.pending:
             self._begin_throw(step)
         else:
             self._put_back(step)
@@ -205,13 +206,14 @@ class ThrowCycle:
         self._start = step
         self._layer_start, self._layer_row = step, -1
         self.set_throw_due()
-        self._journal.begin_throw(
+        self._journal.begin(
+            'throw',
             step,
             self._staged.settings,
             throw=self.throws,
             pending=self._staged.pending,
-            schedule=self.schedule,
-            onset=onset,
+            schedule=journal.encode_schedule(self.schedule),
+            **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
         if onset is None:
             self._throw = ScheduledThrow(
@@ -273,8 +275,7 @@ class ThrowCycle:
 
     def _put_back(self, step: int) -> None:
         """Begin the way back to rest, with whatever has waited in effect."""
-        if self._staged.is_pending:
-            self._commit(step)
+        self._commit(step)
         config = self._staged.config
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
@@ -285,6 +286,8 @@ class ThrowCycle:
 
     def _commit(self, step: int) -> None:
         """Put in effect what has waited; the period goes on as long as it was for the rig."""
+        if not self._staged.pending:
+            return
         passed = (step - self._start) * self._prepared.tick
         self._staged.commit()
         self._start = step - round(passed / self._prepared.tick)
@@ -328,7 +331,7 @@ class ThrowCycle:
 
     def _report(self, step: int, result: ThrowResult) -> None:
         self._results += (result,)
-        self._journal.result(step, result)
+        self._journal.write_result(step, result)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
         """Wait for the next jump of the plate, if it is measured."""
@@ -354,8 +357,7 @@ class ThrowCycle:
         if onset is not None:
             if self._throw is not None:
                 self._end_throw(step, self._throw, 'next')
-            if self._staged.is_pending:
-                self._commit(step)
+            self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)
                 assert self.monitor is not None
