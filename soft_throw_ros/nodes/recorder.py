@@ -382,39 +382,29 @@ class Recorder(RunnableNode):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         recording = self.recording
+        status = partial(status_to_msg, self.get_fully_qualified_name())
         if recording is None:
-            return [self._status_of('bag', self._message(), is_recording=False)]
+            return [status('bag', self._message(), {'is_recording': False})]
+        values = {
+            'is_recording': True,
+            'bag': recording.bag or '',
+            'messages': recording.received,
+            'topics': len(list(recording.subscriptions)),
+        }
+        message, error = self._message(), recording.error
         losses = recording.losses()
         lost = sum(losses.values())
         statuses = [
-            self._status_of(
-                'bag',
-                recording.error or self._message(),
-                warn=bool(recording.error),
-                is_recording=True,
-                bag=recording.bag or '',
-                messages=recording.received,
-                topics=len(list(recording.subscriptions)),
-            ),
-            self._status_of('losses', f'{lost} messages lost', warn=lost > 0, lost=lost, **losses),
+            status('bag', error or message, values, warn=bool(error)),
+            status('losses', f'{lost} messages lost', {'lost': lost, **losses}, warn=lost > 0),
         ]
         stream = recording.live_stream
         if stream is not None:
-            statuses.append(
-                self._status_of(
-                    'viewer',
-                    stream.error or f'{stream.dropped} messages not shown',
-                    warn=bool(stream.error or stream.dropped),
-                    dropped=stream.dropped,
-                    starts=stream.starts,
-                )
-            )
+            message = stream.error or f'{stream.dropped} messages not shown'
+            values = {'dropped': stream.dropped, 'starts': stream.starts}
+            is_bad = bool(stream.error or stream.dropped)
+            statuses.append(status('viewer', message, values, warn=is_bad))
         return statuses
-
-    def _status_of(
-        self, task: str, message: str, *, warn: bool = False, **values: Any
-    ) -> DiagnosticStatus:
-        return status_to_msg(self.get_fully_qualified_name(), task, message, values, warn=warn)
 
 
 def _check(settings: Settings) -> None:

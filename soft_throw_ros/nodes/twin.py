@@ -224,8 +224,8 @@ class Twin(RealTimeNode):
             response.message = str(refusal)
         else:
             response.success = True
-            topic = self.outgoing[TWIN_TOPICS.throw_result].topic_name
-            response.message = f'the result comes on {topic}'
+            topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
+            response.message = f'the result comes on {topic.name}'
         return response
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

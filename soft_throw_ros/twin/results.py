@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -95,6 +95,10 @@ class Comparison:
         """Whether the model is as good as it should be."""
         return self.position_rms <= self.threshold
 
+    def values(self) -> dict[str, float]:
+        """Return what is known, by name."""
+        return {name: item for name, item in vars(self).items() if item is not None}
+
     def describe(self) -> str:
         """Say it for people to read."""
         rms, threshold = 1e6 * self.position_rms, 1e6 * self.threshold
@@ -169,8 +173,8 @@ class ThrowResult:
         if self.lead is not None:
             values['lead'] = self.lead
         if self.comparison is not None:
-            compared = asdict(self.comparison).items()
-            values |= {f'residual.{name}': item for name, item in compared if item is not None}
+            compared = self.comparison.values().items()
+            values |= {f'residual.{name}': item for name, item in compared}
         return values
 
     @classmethod
