@@ -72,6 +72,7 @@ class Calibrator(RunnableNode):
         self._twin = full_name(self, settings['twin'])
         self._rig = full_name(self, settings['rig']) if settings['rig'] else ''
         self._measured = _Measured(self, self._twin)
+        self.at_end(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
         self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
         self._set = {
@@ -89,18 +90,12 @@ class Calibrator(RunnableNode):
         self._is_busy = False
         self._closing = threading.Event()
         self._worker = LatestOnlyWorker(self._identify, self._on_identified)
+        self.at_end(self._worker.close, _STOP_TIMEOUT)
+        self.at_end(self._closing.set)
 
     def start(self) -> None:
         """Watch."""
         self.get_logger().info('ready')
-
-    def destroy_node(self) -> None:
-        """Stop waiting, and let go of everything."""
-        if hasattr(self, '_worker'):  # else it was not finished, since a parameter was refused
-            self._closing.set()
-            self._worker.close(_STOP_TIMEOUT)
-            self._measured.close()
-        super().destroy_node()
 
     # in the executor's thread
 

@@ -16,7 +16,7 @@ import sys
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -78,7 +78,6 @@ class RawSubscription:
         self.is_shared = False
         self._node = node
         self._gaps = 0
-        self._earlier = 0
         self._lost_by_event = 0
         self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
         self._type = load_type(channel.type)
@@ -108,11 +107,6 @@ class RawSubscription:
     def lost(self) -> int:
         """How many messages did not come, though they were published."""
         return self._gaps if self._has_numbers else self._lost_by_event
-
-    @property
-    def earlier(self) -> int:
-        """How many messages were published before the first that came: it joined late."""
-        return self._earlier if self._has_numbers else 0
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -154,11 +148,8 @@ class RawSubscription:
     def _count(self, sequence: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
-        last = self._last_numbers.get(publisher)
-        if last is None:
-            self._earlier += sequence - 1
-        elif sequence > last + 1:
-            self._gaps += sequence - last - 1
+        last = self._last_numbers.get(publisher, sequence)  # what came before it joined is no loss
+        self._gaps += max(sequence - last - 1, 0)
         self._last_numbers[publisher] = sequence
 
 
@@ -198,7 +189,7 @@ class RawSubscriptions:
                     refused.append(topic)
         return refused
 
-    def drain(self, clock: Clock) -> list[Message]:
+    def drain(self) -> list[Message]:
         """
         Return what has come since the last call, in the order in which it was received.
 
@@ -206,16 +197,15 @@ class RawSubscriptions:
         before it goes.
 
         """
-        now = None
-        if isinstance(clock, ROSClock) and clock.ros_time_is_active:
-            now = clock.now().nanoseconds
-            if not now:
-                return []
+        clock = self._node.get_clock()
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        now = clock.now().nanoseconds
+        if is_simulated and not now:
+            return []
         messages = [message for subscription in self for message in subscription.drain()]
-        if now is not None:
+        if is_simulated:
             return [message._replace(log_time=now, publish_time=now) for message in messages]
-        messages.sort(key=lambda message: message.log_time)
-        return messages
+        return sorted(messages, key=lambda message: message.log_time)
 
     def close(self) -> None:
         """Unsubscribe from everything; what was counted stays."""

@@ -39,7 +39,7 @@ from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
-from std_srvs.srv import Trigger
+from soft_throw_ros.twin.session import RequestRejected
 
 DRAIN_TIME = 0.01
 """How often messages are taken. [s]"""
@@ -73,7 +73,6 @@ class Recording:
         self.writer: WriterThread | None = None
         self.live_stream: LiveStream | None = None
         self._settings = settings
-        self._clock = recorder.get_clock()
         self._began = time.monotonic()
         self._twins: dict[str, Any] = {}
         if settings['storage'] == 'mcap':
@@ -142,9 +141,6 @@ class Recording:
                 self.writer.add_metadata(
                     'losses', _texts({'total': sum(losses.values()), **losses})
                 )
-                counts = {item.channel.topic: item.earlier for item in self.subscriptions}
-                if earlier := {topic: count for topic, count in counts.items() if count}:
-                    self.writer.add_metadata('published before recording', _texts(earlier))
                 self.writer.close()
         finally:
             if self.live_stream is not None:
@@ -182,7 +178,7 @@ class Recording:
         self._take()
 
     def _take(self) -> None:
-        messages = self.subscriptions.drain(self._clock)
+        messages = self.subscriptions.drain()
         if not messages:
             return
         if self.live_stream is not None:
@@ -245,6 +241,7 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None
+        self.at_end(self.close)
         self._is_bag_gone = False
         self._last = 'nothing has been recorded yet'
         when = ', when recording is started again'
@@ -285,11 +282,6 @@ class Recorder(RunnableNode):
             self.end()
             self._is_bag_gone = bag is not None and not bag.exists()
 
-    def destroy_node(self) -> None:
-        """Finish what is being recorded, and let go of everything."""
-        self.close()
-        super().destroy_node()
-
     def begin(self) -> None:
         """
         Record.
@@ -321,28 +313,18 @@ class Recorder(RunnableNode):
         self._report()
         self.get_logger().info(self._last)
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        stop = RECORDER_SERVICES.stop.name
+    def _on_start(self) -> str:
         if self.recording is not None:
-            response.message = f'already {self._message()}; call {stop} first'
-            return response
-        try:
-            self.begin()
-        except ParameterError as error:
-            response.message = str(error)
-        else:
-            response.success = True
-            response.message = self._message()
-        return response
+            stop = RECORDER_SERVICES.stop.name
+            raise RequestRejected(f'already {self._message()}; call {stop} first')
+        self.begin()
+        return self._message()
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self) -> str:
         if self.recording is None:
-            response.message = f'nothing is being recorded; {self._last}'
-        else:
-            self.end()
-            response.success = True
-            response.message = self._last
-        return response
+            raise RequestRejected(f'nothing is being recorded; {self._last}')
+        self.end()
+        return self._last
 
     def _on_discovery(self) -> None:
         recording = self.recording

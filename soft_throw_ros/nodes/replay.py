@@ -48,28 +48,15 @@ def main(args: list[str] | None = None) -> int:
         With exit code 2 if an argument is refused, after a line that says which.
 
     """
-    own, of_ros = _split(sys.argv[1:] if args is None else args)
-    given = _parse(own)
+    given = _parse(sys.argv[1:] if args is None else args)
     try:
         with BagReader(given.bag) as reader:
-            return _check(reader) if given.check else _play(reader, given, of_ros)
+            return _check(reader) if given.check else _play(reader, given)
     except (BagError, CheckError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-
-
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Tell our arguments from those for ROS, which stand between --ros-args and --."""
-    own: list[str] = []
-    of_ros: list[str] = []
-    is_of_ros = False
-    for argument in arguments:
-        is_of_ros = is_of_ros or argument == '--ros-args'
-        (of_ros if is_of_ros else own).append(argument)
-        is_of_ros = is_of_ros and argument != '--'
-    return own, of_ros
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -110,6 +97,9 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         default=False,
         help='compare the bag with what its journal gives; exit code 1 if that is not the same',
     )
+    parser.add_argument(
+        '--ros-args', nargs=argparse.REMAINDER, default=[], help='what follows is for ROS'
+    )
     given = parser.parse_args(arguments)
     if given.check and (options := sorted(_options(given))):
         parser.error(f'argument --{options[0]}: not allowed with argument --check')
@@ -118,7 +108,11 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _options(given: argparse.Namespace) -> dict[str, Any]:
     """Return what is said about playing, as `Player` takes it."""
-    return {name: value for name, value in vars(given).items() if name not in ('bag', 'check')}
+    return {
+        name: value
+        for name, value in vars(given).items()
+        if name not in ('bag', 'check', 'ros_args')
+    }
 
 
 def _positive(text: str) -> float:
@@ -138,7 +132,7 @@ def _not_negative(text: str) -> float:
     return value
 
 
-def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]) -> int:
+def _play(reader: BagReader, given: argparse.Namespace) -> int:
     options = _options(given)
     topics = {channel.topic for channel in reader.channels}
     unknown = sorted(set(options.get('topics', ())) - topics)
@@ -159,7 +153,7 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
     return run(
         'replay',
         lambda arguments: Player(reader, **options),  # noqa: ARG005  it has no parameters
-        arguments,
+        ['--ros-args', *given.ros_args],
         usage=_USAGE % {'prog': 'replay'},
     )
 

@@ -9,10 +9,12 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from soft_throw_ros.configuration import interface
+from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
 from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.twin.session import RequestRejected
+from std_srvs.srv import Trigger
 
 _MANY = 8  # joints, from which on arrays are quicker than single values
 
@@ -46,9 +48,18 @@ def create_subscription(node: Node, topic: Topic, on_message: Callable[[Any], No
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
 
 
-def create_service(node: Node, service: Service, on_request: Callable[[Any, Any], Any]) -> None:
-    """Let a node offer a service."""
-    node.create_service(load_type(service.type), service.name, on_request)
+def create_service(node: Node, service: Service, act: Callable[[], str]) -> None:
+    """Let a node offer a service; `act` says what it has done, or raises why it has not."""
+
+    def on_request(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = act()
+            response.success = True
+        except (RequestRejected, ParameterError) as refusal:
+            response.message = str(refusal)
+        return response
+
+    node.create_service(Trigger, service.name, on_request)
 
 
 class Publishers:

@@ -14,8 +14,9 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from soft_throw_ros.configuration.interface import REPLAY_SERVICES, resolve
 from soft_throw_ros.nodes.conversions import msg_to_time
-from soft_throw_ros.nodes.player import PAUSE, Player, RESUME, STEP
+from soft_throw_ros.nodes.player import Player
 from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -26,6 +27,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 SECOND = 1_000_000_000
+PAUSE, RESUME, STEP = REPLAY_SERVICES
 BEGIN = 1_700_000_000 * SECOND
 EVERYTHING = QoSProfile(depth=5000)
 
@@ -199,10 +201,10 @@ def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
 
 
 @pytest.fixture
-def call(ros: Any, listener: Listener) -> Callable[[str], Trigger.Response]:
+def call(ros: Any, listener: Listener) -> Callable[[Any], Trigger.Response]:
     """Give a function that calls a service of the player."""
     return lambda service: ros.call(
-        listener.create_client(Trigger, service.replace('~', '/replay')), Trigger.Request()
+        listener.create_client(Trigger, resolve(service.name, '/replay')), Trigger.Request()
     )
 
 
