@@ -13,7 +13,7 @@ import numpy as np
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
-from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -135,7 +135,7 @@ class Diagnostics:
         return self._status(
             'model',
             f'throw {result.throw}: {result.comparison.describe()}',
-            {'throw': result.throw, **result.comparison.values()},
+            {'throw': result.throw, **known_values(result.comparison)},
             warn=not result.comparison.is_within_threshold,
         )
 

@@ -78,6 +78,7 @@ class RawSubscription:
         self.is_shared = False
         self._node = node
         self._gaps = 0
+        self._earlier = 0
         self._lost_by_event = 0
         self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
         self._type = load_type(channel.type)
@@ -107,6 +108,11 @@ class RawSubscription:
     def lost(self) -> int:
         """How many messages did not come, though they were published."""
         return self._gaps if self._has_numbers else self._lost_by_event
+
+    @property
+    def earlier(self) -> int:
+        """How many messages were published before the first that came: it joined late."""
+        return self._earlier if self._has_numbers else 0
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -148,8 +154,11 @@ class RawSubscription:
     def _count(self, sequence: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
-        last = self._last_numbers.get(publisher, sequence)  # what came before it joined is no loss
-        self._gaps += max(sequence - last - 1, 0)
+        last = self._last_numbers.get(publisher)
+        if last is None:
+            self._earlier += sequence - 1
+        elif sequence > last + 1:
+            self._gaps += sequence - last - 1
         self._last_numbers[publisher] = sequence
 
 

@@ -141,6 +141,9 @@ class Recording:
                 self.writer.add_metadata(
                     'losses', _texts({'total': sum(losses.values()), **losses})
                 )
+                counts = {item.channel.topic: item.earlier for item in self.subscriptions}
+                if earlier := {topic: count for topic, count in counts.items() if count}:
+                    self.writer.add_metadata('published before recording', _texts(earlier))
                 self.writer.close()
         finally:
             if self.live_stream is not None:
@@ -186,30 +189,29 @@ class Recording:
         if self.writer is not None:
             self.writer.put(messages)
             for message in messages:
-                found = find_topic(message.channel.topic, message.channel.type)
-                if found is not None and found.topic == TWIN_TOPICS.journal:
-                    self._read_journal(self.writer, found.node, message)
+                if message.channel.type == TWIN_TOPICS.journal.type:
+                    self._read_journal(self.writer, message)
 
-    def _read_journal(self, writer: WriterThread, node: str, message: Message) -> None:
+    def _read_journal(self, writer: WriterThread, message: Message) -> None:
         """Write down what a twin tells of itself, at first and on change."""
         channel = message.channel
-        try:
-            text = decode(channel.type, channel.schema, message.data)
-            entry = journal.decode(text.data)
-            settings, versions = entry['settings'], entry['versions']
-        except (MessageError, journal.JournalError, AttributeError, KeyError):
-            return  # an entry that has none, or somebody else's topic
-        told = (settings, versions)
-        if self._twins.get(channel.topic) == told or not all(isinstance(x, dict) for x in told):
+        found = find_topic(channel.topic, channel.type)
+        if found is None or found.topic != TWIN_TOPICS.journal:
             return
-        if channel.topic not in self._twins:
+        try:
+            entry = journal.decode(decode(channel.type, channel.schema, message.data).data)
+            settings, versions = journal.checked_settings(entry, 'settings'), entry['versions']
+        except (MessageError, journal.JournalError, KeyError):
+            return  # an entry that has none, or somebody else's topic
+        node = found.node
+        if node not in self._twins:
+            name = f'{node.strip("/").replace("/", "_")}.yaml'
             text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
-            writer.attach(
-                f'{node.strip("/").replace("/", "_")}.yaml', text.encode(), 'application/yaml'
-            )
-        self._twins[channel.topic] = told
-        writer.add_metadata(f'parameters of {node}', _texts(settings))
-        writer.add_metadata(f'versions of {node}', _texts(versions))
+            writer.attach(name, text.encode(), 'application/yaml')
+        if self._twins.get(node) != (settings, versions):
+            self._twins[node] = settings, versions
+            writer.add_metadata(f'parameters of {node}', _texts(settings))
+            writer.add_metadata(f'versions of {node}', _texts(versions))
 
     def _inspect_command(self) -> list[str]:
         """Return what shows the stream."""

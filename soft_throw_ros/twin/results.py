@@ -95,10 +95,6 @@ class Comparison:
         """Whether the model is as good as it should be."""
         return self.position_rms <= self.threshold
 
-    def values(self) -> dict[str, float]:
-        """Return what is known, by name."""
-        return {name: item for name, item in vars(self).items() if item is not None}
-
     def describe(self) -> str:
         """Say it for people to read."""
         rms, threshold = 1e6 * self.position_rms, 1e6 * self.threshold
@@ -172,9 +168,9 @@ class ThrowResult:
                 values |= {prefix + name: getattr(release, _RELEASE[name]) for name in _RELEASE}
         if self.lead is not None:
             values['lead'] = self.lead
-        if self.comparison is not None:
-            compared = self.comparison.values().items()
-            values |= {f'residual.{name}': item for name, item in compared}
+        for part, (prefix, _) in _PARTS.items():
+            known = known_values(getattr(self, part))
+            values |= {prefix + name: value for name, value in known.items()}
         return values
 
     @classmethod
@@ -187,11 +183,14 @@ class ThrowResult:
             prefix: Release(**{_RELEASE[name]: values[prefix + name] for name in _RELEASE})
             for prefix in prefixes
         }
-        compared = {
-            name.removeprefix('residual.'): value
-            for name, value in values.items()
-            if name.startswith('residual.')
-        }
+        parts: dict[str, Any] = {}  # of several types
+        for part, (prefix, kind) in _PARTS.items():
+            known = {
+                name.removeprefix(prefix): value
+                for name, value in values.items()
+                if name.startswith(prefix)
+            }
+            parts[part] = kind(**known) if known else None
         return cls(
             **{name: values[name] for name in _SIMPLE},
             rig=rig,
@@ -199,7 +198,7 @@ class ThrowResult:
             last=releases.pop('last_', None),
             models={prefix.removesuffix('.'): release for prefix, release in releases.items()},
             lead=values.get('lead'),
-            comparison=Comparison(**compared) if compared else None,
+            **parts,
         )
 
     def describe(self) -> str:
@@ -226,10 +225,18 @@ class ThrowResult:
         return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
 
 
+def known_values(part: object) -> dict[str, Any]:  # texts, truths and numbers
+    """Return what is known of a part of a result, by name; nothing if there is no such part."""
+    return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
+
+
+_PARTS = {'comparison': ('residual.', Comparison)}
+"""What of a result may be there, with values of its own, and how their names begin."""
+
 _SIMPLE = tuple(
     item.name
     for item in fields(ThrowResult)
-    if item.name not in ('rig', 'first', 'last', 'models', 'lead', 'comparison')
+    if item.name not in ('rig', 'first', 'last', 'models', 'lead', *_PARTS)
 )
 """What of a result is one value that is always there."""
 
