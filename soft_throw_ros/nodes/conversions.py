@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
@@ -19,8 +19,9 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.time import Time
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.configuration.interface import FRAME
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
@@ -132,11 +133,8 @@ def rig_to_values(rig: Rig) -> dict[str, float]:
 
 def values_to_rig(values: Mapping[str, Any]) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
-    parts: dict[str, Any] = {
-        part: kind(**{item.name: values[f'{part}.{item.name}'] for item in fields(kind)})
-        for part, kind in (('engine', Engine), ('layer', Layer), ('projectile', Projectile))
-    }
-    return Rig(**parts, gravity=values['gravity'])
+    named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
+    return rig_of({**named, 'engine.motion': 'underdamped'})
 
 
 def _text(value: Any) -> str:

@@ -48,15 +48,25 @@ def main(args: list[str] | None = None) -> int:
         With exit code 2 if an argument is refused, after a line that says which.
 
     """
-    given = _parse(sys.argv[1:] if args is None else args)
+    own, of_ros = _split(sys.argv[1:] if args is None else args)
+    given = _parse(own)
     try:
         with BagReader(given.bag) as reader:
-            return _check(reader) if given.check else _play(reader, given)
+            return _check(reader) if given.check else _play(reader, given, of_ros)
     except (BagError, CheckError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Tell our arguments from those for ROS, which stand between --ros-args and --."""
+    if '--ros-args' not in arguments:
+        return arguments, []
+    begin = arguments.index('--ros-args')
+    end = arguments.index('--', begin) if '--' in arguments[begin:] else len(arguments)
+    return [*arguments[:begin], *arguments[end + 1 :]], arguments[begin:end]
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -97,9 +107,6 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         default=False,
         help='compare the bag with what its journal gives; exit code 1 if that is not the same',
     )
-    parser.add_argument(
-        '--ros-args', nargs=argparse.REMAINDER, default=[], help='what follows is for ROS'
-    )
     given = parser.parse_args(arguments)
     if given.check and (options := sorted(_options(given))):
         parser.error(f'argument --{options[0]}: not allowed with argument --check')
@@ -132,7 +139,7 @@ def _not_negative(text: str) -> float:
     return value
 
 
-def _play(reader: BagReader, given: argparse.Namespace) -> int:
+def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]) -> int:
     options = _options(given)
     topics = {channel.topic for channel in reader.channels}
     unknown = sorted(set(options.get('topics', ())) - topics)
@@ -153,7 +160,7 @@ def _play(reader: BagReader, given: argparse.Namespace) -> int:
     return run(
         'replay',
         lambda arguments: Player(reader, **options),  # noqa: ARG005  it has no parameters
-        ['--ros-args', *given.ros_args],
+        arguments,
         usage=_USAGE % {'prog': 'replay'},
     )
 
