@@ -165,14 +165,11 @@ class Session:
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if self._cycle.request_throw(self.step):
+            refusal = self._cycle.request_throw(self.step)
+            if refusal is None:
                 self._journal.write('input', self.step, input='throw')
                 return
-            reason, seconds = self._cycle.occupation(self.step)
-        # finding out how long may take milliseconds, for which no step is held up
-        raise RequestRejected(
-            reason if seconds is None else f'{reason}: ready in {seconds():.2f} s'
-        )
+        raise RequestRejected(refusal())  # which may take milliseconds: no step is held up
 
     def reset(self) -> None:
         """Break off a throw under way, put things back, and count the period from here."""

@@ -115,36 +115,31 @@ class ThrowCycle:
         if self.monitor is not None:
             self._onset = journal.decode_onset(entry.get('onset'))
 
-    def request_throw(self, step: int) -> bool:
-        """Have a throw start; return whether the rig is at rest, without which it does not."""
-        if self._phase is not Phase.REST or self._throw_requested_at < math.inf:
-            return False
-        self._throw_requested_at = step
-        return True
-
-    def occupation(self, step: int) -> tuple[str, Callable[[], float] | None]:
+    def request_throw(self, step: int) -> Callable[[], str] | None:
         """
-        Tell why no throw can be requested now, and what finds out how long that lasts.
+        Have a throw start; or return what says why not, and how long it is until one can.
 
-        That may take as long as a throw takes to compute, and is in seconds of the clock; there is
-        none if it is just for this step.
+        To find that out may take as long as a throw takes to compute.
         """
-        prepared, throw, config = self._prepared, self._throw, self._staged.config
-        rate = config.state_rate
         if self._phase is Phase.REST:
-            return f'throw {self.throws + 1} is about to start', None
-        if throw is None:
-            steps = max(self._return[1] - step, 0)
-            return 'the rig is being put back', lambda: steps / rate
+            if self._throw_requested_at < math.inf:
+                return lambda: f'throw {self.throws + 1} is about to start'
+            self._throw_requested_at = step
+            return None
+        prepared, throw, config = self._prepared, self._throw, self._staged.config
         elapsed = (step - self._start) * prepared.tick
-        longest = self._throw_due - step
-        returning = prepared.return_ticks(config.throw_period)
+        longest = (self._return[1] if throw is None else self._throw_due) - step
 
-        def seconds() -> float:
-            left = time_until_over(prepared, elapsed, max_events=config.max_events)
-            return float(min(left / prepared.tick + returning, longest)) / rate
+        def refusal() -> str:
+            reason, ticks = 'the rig is being put back', max(longest, 0)
+            if throw is not None:
+                left = time_until_over(prepared, elapsed, max_events=config.max_events)
+                returning = prepared.return_ticks(config.throw_period)
+                reason = f'throw {throw.number} is under way'
+                ticks = min(left / prepared.tick + returning, longest)
+            return f'{reason}: ready in {ticks / config.state_rate:.2f} s'
 
-        return f'throw {throw.number} is under way', seconds
+        return refusal
 
     def reset(self, step: int) -> None:
         """Break off a throw under way, put things back, and count the period from here."""
