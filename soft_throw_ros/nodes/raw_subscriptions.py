@@ -16,7 +16,7 @@ import sys
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -198,7 +198,7 @@ class RawSubscriptions:
                     refused.append(topic)
         return refused
 
-    def drain(self, clock: Clock) -> list[Message]:
+    def drain(self) -> list[Message]:
         """
         Return what has come since the last call, in the order in which it was received.
 
@@ -206,16 +206,15 @@ class RawSubscriptions:
         before it goes.
 
         """
-        now = None
-        if isinstance(clock, ROSClock) and clock.ros_time_is_active:
-            now = clock.now().nanoseconds
-            if not now:
-                return []
+        clock = self._node.get_clock()
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        now = clock.now().nanoseconds
+        if is_simulated and not now:
+            return []
         messages = [message for subscription in self for message in subscription.drain()]
-        if now is not None:
+        if is_simulated:
             return [message._replace(log_time=now, publish_time=now) for message in messages]
-        messages.sort(key=lambda message: message.log_time)
-        return messages
+        return sorted(messages, key=lambda message: message.log_time)
 
     def close(self) -> None:
         """Unsubscribe from everything; what was counted stays."""

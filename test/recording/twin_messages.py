@@ -113,7 +113,7 @@ class TwinMessages:
     def change(self, **request: Any) -> None:
         """Change settings."""
         self.session.change(_named(request))
-        self._advise({**self.session._staged._wanted})
+        self._advise(self.session.wanted)
 
     def _channel(self, name: str, kind: str) -> Channel:
         schema = find_schema(kind, [sys.prefix])
