@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 import difflib
 import math
 from typing import Any
@@ -268,19 +269,18 @@ def rig_of(settings: Settings) -> Rig:
     True
 
     """
-    values = dict(settings)
-    if values['engine.motion'] == 'harmonic':
-        values['engine.damping_ratio'] = 0.0
-    parts: dict[str, dict[str, Any]] = {'engine': {}, 'layer': {}, 'projectile': {}}
-    for name, value in values.items():
-        group, _, field = name.partition('.')
-        if group in parts and name not in ('engine.motion', 'layer.name', 'layer.library'):
-            parts[group][field] = value
+    if settings['engine.motion'] == 'harmonic':
+        settings = {**settings, 'engine.damping_ratio': 0.0}
+
+    def values(part: type) -> dict[str, Any]:
+        group = part.__name__.lower()
+        return {item.name: settings[f'{group}.{item.name}'] for item in fields(part)}
+
     return Rig(
-        engine=Engine(**parts['engine']),
-        layer=Layer(**parts['layer']),
-        projectile=Projectile(**parts['projectile']),
-        gravity=values['gravity'],
+        engine=Engine(**values(Engine)),
+        layer=Layer(**values(Layer)),
+        projectile=Projectile(**values(Projectile)),
+        gravity=settings['gravity'],
     )
 
 

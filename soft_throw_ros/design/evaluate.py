@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
@@ -49,12 +49,50 @@ class Ratios(NamedTuple):
     projectile over what it needs through the layer. [-]
     """
 
-    mass_ratio: ArrayLike
-    speed_ratio: ArrayLike
-    damping_ratio: ArrayLike = 0.0
-    gravity_ratio: ArrayLike = 0.0
-    loss_tangent: ArrayLike = 0.0
-    crossing_ratio: ArrayLike = 0.0
+    mass_ratio: Floats | float
+    speed_ratio: Floats | float
+    damping_ratio: Floats | float = 0.0
+    gravity_ratio: Floats | float = 0.0
+    loss_tangent: Floats | float = 0.0
+    crossing_ratio: Floats | float = 0.0
+
+    @classmethod
+    def of(cls, rig: Rig, **changes: Floats | float) -> Ratios:
+        """
+        Return what decides throws of a rig in which some values are others.
+
+        Parameters
+        ----------
+        rig : Rig
+            With a layer of one material.
+        **changes : ndarray or float
+            Fields of the engine and of the layer, `mass` of the projectile, and `gravity`; they
+            broadcast against each other. [SI]
+
+        Raises
+        ------
+        ValueError
+            If the layer is not of one material.
+
+        """
+        engine, layer, projectile = rig.engine, require_uniform(rig).layer, rig.projectile
+        values = {**vars(engine), **vars(layer), 'mass': projectile.mass, 'gravity': rig.gravity}
+        values |= changes
+        mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
+        section = 0.25 * math.pi * values['diameter'] ** 2
+        omega = 2.0 * math.pi * frequency
+        spring = projectile.youngs_modulus * section / projectile.length
+        with np.errstate(divide='ignore'):  # a layer that an error leaves nothing of
+            speed_ratio = values['wave_speed'] / (thickness * frequency)
+            mass_ratio = mass / (values['density'] * section * thickness)
+        return cls(
+            mass_ratio=mass_ratio,
+            speed_ratio=speed_ratio,
+            damping_ratio=values['damping_ratio'],
+            gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
+            loss_tangent=values['loss_tangent'],
+            crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
+        )
 
 
 def first_throws(
@@ -87,12 +125,11 @@ def first_throws(
     Returns
     -------
     FirstThrows
-        Of arrays with the common shape, NaN where there is no release.
+        Of arrays with the common shape; NaN where there is no release, or no layer: where an
+        error takes more of a layer than there is, a ratio is negative or infinite.
 
     Raises
     ------
-    ValueError
-        If a ratio is out of its range.
     SearchCancelledError
         If `cancelled` says so.
 
@@ -121,7 +158,8 @@ def first_throws(
 
 def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Sort throws by the method that they need, and cut them into batches."""
-    every = ~_are_held(cases[0], cases[1], cases[3])
+    exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
+    every = exist & ~_are_held(cases[0], cases[1], cases[3])
     if model == 'travelling_wave':
         has_loss = cases[4] > 0.0
         is_strong = cases[3] > _STRONG_GRAVITY
@@ -148,7 +186,7 @@ def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) ->
     times the plate's at most, q being the ratio of their frequencies, here of the layer's lowest
     mode. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the largest seen.
     """
-    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(mass_ratio + 4.0 / math.pi**2)
+    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(np.abs(mass_ratio) + 4.0 / math.pi**2)
     return is_stiff & (gravity_ratio > 4.0)
 
 

@@ -10,7 +10,7 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
 COMMAND = (design.main, 'aim')
