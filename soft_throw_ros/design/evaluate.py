@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
 from soft_throw_ros.core.throw import apex_height, simulate, ThrowUnfinishedError
@@ -178,16 +179,46 @@ def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, N
             yield method, indices[start : start + size]
 
 
+def _stiffness(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
+    """Return about the lowest frequency of projectile and layer over the plate's, q."""
+    with np.errstate(invalid='ignore'):  # no layer has no frequency
+        return speed_ratio / (2.0 * math.pi * np.sqrt(np.abs(mass_ratio) + 4.0 / math.pi**2))
+
+
 def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) -> NDArray[np.bool_]:
     """
     Tell which projectiles gravity holds for sure, which a stepper takes longest to find out.
 
     A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
-    times the plate's at most, q being the ratio of their frequencies, here of the layer's lowest
-    mode. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the largest seen.
+    times the plate's at most. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the
+    largest seen.
     """
-    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(np.abs(mass_ratio) + 4.0 / math.pi**2)
-    return is_stiff & (gravity_ratio > 4.0)
+    return (_stiffness(mass_ratio, speed_ratio) > 2.0) & (gravity_ratio > 4.0)
+
+
+def highest_transfers(ratios: Ratios) -> Floats:
+    r"""
+    Bound the energy transfers of stiff layers, which take longest to compute.
+
+    On a spring the projectile is faster than the plate by :math:`A \omega / (q - 1)` at most,
+    q > 1 being the ratio of their frequencies. Waves add to it: of 200,000 random throws from
+    layers with q > 1.2, with and without gravity and damping, none had more than 1.45 times that.
+
+    Parameters
+    ----------
+    ratios : Ratios
+        Arrays of one shape.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape; infinite for layers that are not stiff. [-]
+
+    """
+    stiffness = _stiffness(np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio))
+    excess = 1.5 / np.maximum(stiffness - 1.0, 1e-9)
+    fastest = peak_velocity_ratios(np.asarray(ratios.damping_ratio))
+    return np.where(stiffness > 1.2, (1.0 + excess / fastest) ** 2, math.inf)
 
 
 def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:

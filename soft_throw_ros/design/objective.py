@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import FirstThrows
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, highest_transfers, Ratios
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
@@ -285,7 +285,8 @@ class LayerScore:
         # A layer is out as soon as more of its throws are too low than the quantile leaves aside.
         spare = math.ceil(self._objective.quantile * (size - 1))
         transfers = np.full((count, size), math.inf)
-        alive = np.arange(count)
+        highest = highest_transfers(Ratios(*ratios)).max(axis=1)
+        alive = np.flatnonzero(highest >= least[:, 0])
         stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
         for start, stop in itertools.pairwise(stages):
             columns = self._order[start:stop]

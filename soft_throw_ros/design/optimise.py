@@ -158,7 +158,8 @@ def _climb(
             is_close = is_known & (heights >= worth * highest)
             chosen &= maximum_filter(is_close, size=4 * stride - 1)
         worth = max(1.0 - max(stride * slope, _UNSURE), 0.0)  # in the next round
-        heights[chosen] = at(grid[chosen], np.full(np.count_nonzero(chosen), worth * highest))
+        least = (1.0 - _CLOSE) * highest if np.isinf(slope) else worth * highest
+        heights[chosen] = at(grid[chosen], np.full(np.count_nonzero(chosen), least))
         is_known |= chosen
         highest = max(highest, heights.max())
     return heights

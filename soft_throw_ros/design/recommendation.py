@@ -32,6 +32,7 @@ Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 _EQUAL = 1e-9  # relative; of scores so close the present layer is kept
 _DRAFT_ERROR = 2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is searched again ...
 _NEARBY = 0.03  # within this part of thickness and wave speed
+_HOLDING = 1.0  # gravity over the plate's acceleration, beyond which few layers throw well
 _MAX_CANDIDATES = 5  # materials that are shown
 
 
@@ -383,7 +384,7 @@ class _Search(NamedTuple):
             starts=tuple(Optimum(*layer, float(score(*layer, least=least)[0])) for layer in known),
             tolerance=tolerance or (5e-4 if has_loss else 1e-5),
             least=least,
-            is_whole=self.limits.of_loads,
+            is_whole=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING,
         )
 
     def finish(self, space: SearchSpace, best: Optimum | None) -> _Found | None:

@@ -10,6 +10,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.evaluate import (
     first_throws,
+    highest_transfers,
     last_release,
     Ratios,
     SearchCancelledError,
@@ -87,6 +88,17 @@ def test_ratios_are_those_of_a_rig_with_these_values():
         rig.mass_ratio, rig.speed_ratio, 0.1, rig.gravity_ratio, 0.2, rig.crossing_ratio
     )
     assert found == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize('gravity', [0.0, 0.1])
+def test_no_stiff_layer_gives_more_than_the_highest_transfer(gravity):
+    random = np.random.default_rng(1)
+    mu = np.exp(random.uniform(np.log(0.01), np.log(30.0), 5000))
+    kappa = 2.0 * np.pi * np.exp(random.uniform(0.0, 3.0, mu.size)) * np.sqrt(mu + 0.4)
+    ratios = Ratios(mu, kappa, random.choice([0.0, 0.064, 0.6], mu.size), gravity)
+    found, highest = first_throws(ratios).energy_transfer, highest_transfers(ratios)
+    assert np.all(found[np.isfinite(found)] <= highest[np.isfinite(found)])
+    assert np.isfinite(highest).mean() > 0.9
 
 
 def test_search_is_given_up_between_batches():
