@@ -207,6 +207,8 @@ class _Shown(NamedTuple):
     def of(cls, axis: LandscapeAxis) -> _Shown:
         unit, factor = _UNITS.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
         title = axis.quantity.symbol + (f' ({unit})' if unit else '')
+        if axis.name in TWIN.by_name:
+            title = f'{axis.name.rpartition(".")[2].replace("_", " ")} {title}'
         return cls(title, factor * axis.values, factor)
 
     @property

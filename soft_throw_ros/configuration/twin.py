@@ -153,11 +153,13 @@ _ENTRIES = (
     row('recommended.score', math.nan, 'Energy transfer factor that counts for the objective'),
     row('recommended.ejection_time', math.nan, 'Ejection time t_e it gives', unit='s'),
     row('recommended.ejection_speed', math.nan, 'Ejection speed V_e it gives', unit='m/s'),
-    row('recommended.peak_strain', math.nan, 'Largest strain of the layer it gives'),
+    row('recommended.peak_strain', math.nan,
+         'Largest strain of the layer up to the first release'),
     row('recommended.peak_acceleration', math.nan,
-         'Largest acceleration of the projectile it gives', unit='m/s2'),
-    row('recommended.peak_force', math.nan, 'Largest force on the plate it gives', unit='N'),
-    row('recommended.plate_work', math.nan, 'Work of the plate in one throw it takes', unit='J'),
+         'Largest acceleration of the projectile up to the first release', unit='m/s2'),
+    row('recommended.peak_force', math.nan,
+         'Largest force on the plate up to the first release', unit='N'),
+    row('recommended.plate_work', math.nan, 'Work of the plate up to the first release', unit='J'),
 )  # fmt: skip
 
 

@@ -98,7 +98,7 @@ def test_recording_has_the_values_and_the_marks(command, tmp_path):
     landscape = compute_landscape(Rig(), AXES)
     for name in ('ejection_phase', 'energy_transfer'):
         ((tensor,),) = rows(path, f'/values/{name}', 'Tensor:data')
-        assert tensor['names'] == ['Lₛ (mm)', 'm (g)']
+        assert tensor['names'] == ['thickness Lₛ (mm)', 'mass m (g)']
         np.testing.assert_array_equal(
             np.reshape(tensor['buffer'], tensor['shape']), getattr(landscape, name)
         )
@@ -171,6 +171,10 @@ def test_map_is_saved_and_summed_up(command, tmp_path):
     x, c = landscape.optimum.place
     assert f'{landscape.optimum.energy_transfer:.4f} at x {x:.5g}, C {c:.5g}' in said
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_loss_is_for_the_model_that_knows_it(command):
+    assert 'finite_difference' in command.run('mu=0.1:1:4', 'kappa=5:10:4', '--loss-tangent', 0.1)
 
 
 def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
