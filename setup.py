@@ -61,7 +61,6 @@ setup(
         'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
         'plot': ['matplotlib'],
         'video': ['av', 'imageio', 'scikit-image>=0.20'],
-        'xarray': ['xarray'],
         'test': [
             'av',
             'colcon-common-extensions',
