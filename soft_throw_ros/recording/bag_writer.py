@@ -16,9 +16,10 @@ import os
 from pathlib import Path
 import shutil
 from typing import Any
+import zlib
 
 from mcap.data_stream import RecordBuilder
-from mcap.records import Attachment
+from mcap.records import Attachment, Chunk
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import CompressionType, Writer
@@ -314,11 +315,20 @@ class BagWriter:
         self._writer, self._add_message = writer, writer.add_message
 
     def _define(self, writer: Writer, output: _Output, channel: Channel) -> None:
-        """Define a channel: for its chunk, and once more outside of it."""
+        """Define a channel: for the chunk of its messages, and before in one of its own."""
         builder = RecordBuilder()
         for record in register_channel(writer, channel, self._schemas):
             record.write(builder)
             self._ids[channel] = record.id
+        data = builder.end()
+        Chunk(
+            compression='',
+            data=data,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        ).write(builder)
         output.write(builder.end())
 
     def _finish_file(self) -> None:

@@ -11,6 +11,7 @@ is read in one go, since it is all of one layout. For everything else there is a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -312,20 +313,32 @@ def decode(type_name: str, schema: str, data: bytes) -> Any:
 
     """
     try:
-        return _decoder(type_name, schema)(data)
+        return decoder_of(type_name, schema)(data)
     except Exception as error:  # whatever damaged bytes lead the library to
         raise MessageError(f'not a message {type_name}: {error}') from error
 
 
 @lru_cache(maxsize=256)
-def _decoder(type_name: str, schema: str) -> Callable[[bytes], Any]:
-    """Make what reads messages of a type, which takes the library milliseconds."""
+def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
+    """
+    Make what reads messages of a type, which takes the library milliseconds.
+
+    Raises
+    ------
+    MessageError
+        If the definition is none.
+
+    """
     from mcap.records import Schema  # not needed by who only writes
     from mcap.well_known import MessageEncoding, SchemaEncoding
     from mcap_ros2.decoder import DecoderFactory
 
     definition = Schema(id=1, name=type_name, encoding=SchemaEncoding.ROS2, data=schema.encode())
-    decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
+    try:
+        with contextlib.redirect_stderr(None):  # on which the library would say it, too
+            decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
+    except Exception as error:  # whatever a damaged definition leads the library to
+        raise MessageError(f'no definition of {type_name}: {error!r:.100}') from None
     if decoder is None:
         raise MessageError(f'no definition of {type_name}: {schema[:60]!r}')
     return decoder
