@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 
 _MANY = 8  # joints, from which on arrays are quicker than single values
 
@@ -99,11 +98,7 @@ def _make_sender(publisher: Publisher, topic: Topic) -> Callable[..., None]:
         encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         return lambda stamp_ns, values: publish(encode(stamp_ns, values))
     if topic.type == interface.MULTI_ARRAY:
-        return lambda array: publish(_encode_array(topic, array))
+        return lambda array: publish(encode_array(topic.axes, array))
     if topic.type == interface.ARRAY:
         return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
     return lambda value: publish(message_type(data=value))
-
-
-def _encode_array(topic: Topic, array: np.ndarray[Any, Any]) -> bytes:
-    return ArrayEncoder(dict(zip(topic.axes, array.shape, strict=True))).encode(array)

@@ -296,8 +296,10 @@ class McapFile:
         if summary is None or summary.statistics is None:
             return None
         statistics = summary.statistics
-        for record in (*summary.schemas.values(), *summary.channels.values()):
-            self.definitions.add(record, is_checked=is_checked)
+        for schema in summary.schemas.values():
+            self.definitions.add(schema, is_checked=is_checked)
+        for channel in summary.channels.values():
+            self.definitions.add(channel, is_checked=is_checked)
         is_complete = (
             summary.channels.keys() >= statistics.channel_message_counts.keys()
             and len(summary.chunk_indexes) == statistics.chunk_count
@@ -328,7 +330,7 @@ class McapFile:
         data = self._stream.read(self._size - len(MAGIC) - 4 - start)
         if checksum not in (0, zlib.crc32(data)):
             raise DamageError('the checksum of the summary is wrong')
-        return checksum != 0
+        return bool(checksum)
 
     def _scan(self) -> Mapping[int, int]:
         """Look at all records, those after damage from the next chunk on; count the messages."""
@@ -422,7 +424,9 @@ def read_records(stream: BinaryIO) -> Iterator[mcap.McapRecord]:
         if opcode not in _OPCODES:
             raise DamageError(f'no record begins with {opcode:#04x}')
         if length > LARGEST_RECORD:
-            raise DamageError(f'a record claims to have {length} bytes, more than {LARGEST_RECORD}')
+            raise DamageError(
+                f'a record claims to have {length} bytes, more than {LARGEST_RECORD}'
+            )
         body = stream.read(length)
         if len(body) < length:
             raise EndOfStreamError('it ends within a record')

@@ -81,4 +81,6 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         saved = Counter[str]()
         for channel, count in writer.counts.items():
             saved[channel.topic] += count
-        return Recovery(target=target, saved=dict(saved), gaps=tuple(reader.gaps), doubts=tuple(reader.doubts))
+        return Recovery(
+            target=target, saved=dict(saved), gaps=tuple(reader.gaps), doubts=tuple(reader.doubts)
+        )
