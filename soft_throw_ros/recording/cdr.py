@@ -314,7 +314,7 @@ def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
 
     definition = Schema(id=1, name=type_name, encoding=SchemaEncoding.ROS2, data=schema.encode())
     try:
-        with contextlib.redirect_stderr(None):  # on which the library would say it, too
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # it would print
             decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
     except Exception as error:  # whatever a damaged definition leads the library to
         raise MessageError(f'no definition of {type_name}: {error!r:.100}') from error
