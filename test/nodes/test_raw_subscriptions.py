@@ -115,9 +115,7 @@ def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
     for _ in range(7):
         publisher.publish(String(data='too early'))
     channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
-    subscription = RawSubscription(
-        listener, channel, QoSProfile(depth=5), joins_late=joins_late
-    )
+    subscription = RawSubscription(listener, channel, QoSProfile(depth=5), joins_late=joins_late)
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
     taken: list[Message] = []
     while not taken:
