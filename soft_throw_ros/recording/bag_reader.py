@@ -18,7 +18,6 @@ from soft_throw_ros.recording.mcap_file import (
     Chunk,
     DamageError,
     Definitions,
-    EndOfStreamError,
     Gap,
     Known,
     McapFile,
@@ -233,7 +232,8 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
     Raises
     ------
     BagError
-        Where the stream is no MCAP (any more); not where it ends, since a writer may be killed.
+        Where the stream is no MCAP (any more), after all that came before; not where it ends
+        after a whole record, since a writer may be killed.
 
     """
     definitions = Definitions({})
@@ -249,8 +249,6 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
                         definitions.add(item)
                     case mcap.Metadata():
                         yield item
-    except EndOfStreamError:
-        return
     except DamageError as error:
         raise BagError(f'{name}: {error}') from None
 

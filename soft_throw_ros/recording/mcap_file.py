@@ -66,10 +66,6 @@ class DamageError(ValueError):
     """Bytes are not what they should be; the message says why."""
 
 
-class EndOfStreamError(DamageError):
-    """There is no more, in the middle of a record."""
-
-
 class Gap(NamedTuple):
     """A part of a file that cannot be read."""
 
@@ -418,18 +414,14 @@ class McapFile:
 def read_records(stream: BinaryIO) -> Iterator[mcap.McapRecord]:
     """Yield the records of a stream, chunks as they are; DamageError where that cannot go on."""
     while head := stream.read(_HEAD.size):
-        if len(head) < _HEAD.size:
-            raise EndOfStreamError('it ends within a record')
-        opcode, length = _HEAD.unpack(head)
+        opcode, length = _HEAD.unpack(head.ljust(_HEAD.size, b'\0'))
         if opcode not in _OPCODES:
             raise DamageError(f'no record begins with {opcode:#04x}')
         if length > LARGEST_RECORD:
-            raise DamageError(
-                f'a record claims to have {length} bytes, more than {LARGEST_RECORD}'
-            )
+            raise DamageError(f'a record of {length} bytes, which is more than {LARGEST_RECORD}')
         body = stream.read(length)
-        if len(body) < length:
-            raise EndOfStreamError('it ends within a record')
+        if len(head) + len(body) < _HEAD.size + length:
+            raise DamageError('it ends within a record')
         checksum = int.from_bytes(body[-4:], 'little')
         if opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(body[:-4])):
             raise DamageError('the checksum of the attachment there is wrong')

@@ -438,7 +438,7 @@ class _TwinView:
         phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
         # it has no axis to its left as the plots do, which begin so much later
         margin = rrb.TextDocumentView(origin=self._path('margin'), name=' ', titlebar=False)
-        phase = rrb.Horizontal(margin, phase, column_shares=[_MARGIN, 1.0 - _MARGIN])
+        lane = rrb.Horizontal(margin, phase, column_shares=[_MARGIN, 1.0 - _MARGIN])
         strain, landscape = self._path('strain'), self._path('landscape')
         throw = rrb.TextDocumentView(origin=self._path('throw_result'), name='Throw')
         best = rrb.TextDocumentView(origin=self._path('recommendation'), name='Recommended layer')
@@ -459,7 +459,7 @@ class _TwinView:
         views, shares = zip(*right, strict=True)
         return rrb.Horizontal(
             rrb.Vertical(self._side.view(), throw, row_shares=[3.0, 2.1]),
-            rrb.Vertical(phase, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
+            rrb.Vertical(lane, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
             rrb.Vertical(*views, row_shares=shares),
             column_shares=[2.5, 4.2, 4.2],
             name=self._node or '/',

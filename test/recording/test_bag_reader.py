@@ -277,6 +277,8 @@ def test_items_of_a_pipe_come_as_they_are_written(stream_parts):
     ('damage', 'reason'),
     [
         (lambda parts: b'hello', 'begin'),
+        (lambda parts: b''.join(parts)[:50_000], 'within a record'),
+        (lambda parts: b''.join([*parts[:5], bytes(9), *parts[5:]]), '0x00'),
         (lambda parts: parts[0] + b''.join(parts[4:]), 'channel 1'),
         (lambda parts: parts[0] + b'\5' + b'\xff' * 8, '18446744073709551615'),
     ],
