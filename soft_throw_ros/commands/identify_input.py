@@ -27,6 +27,7 @@ from soft_throw_ros.identification.track_csv import csv_lines, read_csv
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     find_throws,
+    split_at_breaks,
     split_into_throws,
     ThrowTracks,
     Track,
@@ -126,9 +127,14 @@ def read_throws(path: str, arguments: argparse.Namespace) -> list[ThrowTracks]:
     )
     with _naming(whole.name):
         whole = whole.between(arguments.start, arguments.end)
-        if len(find_throws(whole.plate)) < _MAX_FALSE_THROWS and _is_one_motion(whole):
-            return [whole]
-        return split_into_throws(whole)
+        return [throw for part in split_at_breaks(whole) for throw in _throws_of(part)]
+
+
+def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
+    """Cut a record into throws, unless one motion explains it."""
+    if len(find_throws(record.plate)) < _MAX_FALSE_THROWS and _is_one_motion(record):
+        return [record]
+    return split_into_throws(record)
 
 
 def read_layer(
