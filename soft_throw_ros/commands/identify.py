@@ -14,12 +14,7 @@ from pathlib import Path
 import sys
 
 from soft_throw_ros.commands import identify_figure
-from soft_throw_ros.commands.identify_input import (
-    add_video_options,
-    check_video_options,
-    read_layer,
-    read_throws,
-)
+from soft_throw_ros.commands.identify_input import read_layer, read_throws
 from soft_throw_ros.commands.identify_report import (
     ejection_data,
     ejection_lines,
@@ -29,6 +24,7 @@ from soft_throw_ros.commands.identify_report import (
     unit_of,
     with_unit,
 )
+from soft_throw_ros.commands.identify_video import add_video_options, check_video_options
 from soft_throw_ros.commands.options import add_rig_options, read_settings
 from soft_throw_ros.commands.output import naming, print_text, require, run_command
 from soft_throw_ros.configuration import rig_of, Settings, TWIN

@@ -303,7 +303,7 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
     plate = plate.without_spikes()
     time = plate.time
-    period = _dominant_period(plate)
+    period = dominant_period(plate)
     size = max(3, round(_REST * period / plate.interval))
     if size >= time.size:
         return []
@@ -339,7 +339,7 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     ]
 
 
-def _dominant_period(plate: Track) -> float:
+def dominant_period(plate: Track) -> float:
     """Find the period of the strongest oscillation of the plate's velocity."""
     count = min(max(16, round(plate.duration / plate.interval) + 1), _MAX_EVEN_SAMPLES)
     even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
