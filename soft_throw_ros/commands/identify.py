@@ -15,12 +15,7 @@ import sys
 
 from scipy import stats
 from soft_throw_ros.commands import identify_figure
-from soft_throw_ros.commands.identify_input import (
-    add_video_options,
-    check_video_options,
-    read_layer,
-    read_throws,
-)
+from soft_throw_ros.commands.identify_input import read_layer, read_throws
 from soft_throw_ros.commands.identify_report import (
     budget_lines,
     ejection_data,
@@ -31,6 +26,7 @@ from soft_throw_ros.commands.identify_report import (
     unit_of,
     with_unit,
 )
+from soft_throw_ros.commands.identify_video import add_video_options, check_video_options
 from soft_throw_ros.commands.options import (
     add_rig_options,
     number_or_text,
