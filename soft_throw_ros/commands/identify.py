@@ -41,11 +41,12 @@ from soft_throw_ros.identification.fit_description import (
     TREATMENTS,
     USUAL,
 )
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.ringing import (
     change_of_length,
+    fit_loss_tangent,
     fit_ringing,
     fit_wave_speed,
     Ringing,
@@ -303,10 +304,15 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
             f'for {speed.dof} degrees of freedom): is it one material?'
         )
     frequency = settings['engine.frequency']
-    loss = _mean([ringing.loss_tangent_at(frequency) for _, ringing in layers])
+    loss = fit_loss_tangent([ringing for _, ringing in layers], frequency=frequency)
+    if loss.agreement < _SIGNIFICANCE:
+        warnings.append(
+            f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
+            'degrees of freedom): is it one material, whose loss grows with frequency?'
+        )
     found = {'layer.wave_speed': speed.value}
     if _describe_fit(arguments).is_free('layer.loss_tangent'):
-        found['layer.loss_tangent'] = loss
+        found['layer.loss_tangent'] = loss.value
     if arguments.figure:
         with naming(arguments.figure):
             identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
@@ -316,7 +322,7 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
         f'{ringing.loss_tangent!s:>22}'
         for thickness, ringing in layers
     ]
-    lines.append(f'loss tangent at {frequency:g} Hz: {loss}')
+    lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
     lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
     return IdentificationReport(
         sources=tuple(path for _, path in arguments.free_layer),
@@ -337,7 +343,7 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
                 'chi2': speed.chi2,
                 'degrees_of_freedom': speed.dof,
             },
-            'loss_tangent_at_engine_frequency': loss,
+            'loss_tangent_at_engine_frequency': loss.value,
         },
         warnings=tuple(warnings),
     )
@@ -365,10 +371,3 @@ def _thickness(text: str) -> float:
     if not entry.allows(thickness):
         raise ValueError(f'argument --free-layer: M must be {entry.rule}, got {text!r}')
     return thickness
-
-
-def _mean(values: Sequence[Estimate]) -> Estimate:
-    """Weighted mean."""
-    weights = [1.0 / max(value.error, 1e-12) ** 2 for value in values]
-    mean = sum(weight * value.value for weight, value in zip(weights, values, strict=True))
-    return Estimate(mean / sum(weights), 1.0 / math.sqrt(sum(weights)))
