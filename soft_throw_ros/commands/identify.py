@@ -13,7 +13,6 @@ import math
 from pathlib import Path
 import sys
 
-from scipy import stats
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import read_layer, read_throws
 from soft_throw_ros.commands.identify_report import (
@@ -45,11 +44,12 @@ from soft_throw_ros.identification.fit_description import (
     TREATMENTS,
     USUAL,
 )
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.ringing import (
     change_of_length,
+    fit_loss_tangent,
     fit_ringing,
     fit_wave_speed,
     Ringing,
@@ -331,16 +331,15 @@ def _identify_layers(
             f'for {speed.dof} degrees of freedom): is it one material?'
         )
     frequency = settings['engine.frequency']
-    loss, agreement = _mean([ringing.loss_tangent_at(frequency) for _, ringing in layers])
-    if agreement < _SIGNIFICANCE:
+    loss = fit_loss_tangent([ringing for _, ringing in layers], frequency=frequency)
+    if loss.agreement < _SIGNIFICANCE:
         warnings.append(
-            f'the layers disagree in their loss by more than its errors (probability '
-            f'{agreement:.1g}): is it one material, of one age? The error of the mean is larger '
-            'by as much'
+            f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
+            'degrees of freedom): is it one material, whose loss grows with frequency?'
         )
     found = {'layer.wave_speed': speed.value}
     if description.is_free('layer.loss_tangent'):
-        found['layer.loss_tangent'] = loss
+        found['layer.loss_tangent'] = loss.value
     if arguments.figure:
         with naming(arguments.figure):
             identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
@@ -350,7 +349,7 @@ def _identify_layers(
         f'{ringing.loss_tangent!s:>22}'
         for thickness, ringing in layers
     ]
-    lines.append(f'loss tangent at {frequency:g} Hz: {loss}')
+    lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
     lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
     return IdentificationReport(
         sources=tuple(path for _, path in arguments.free_layer),
@@ -371,7 +370,7 @@ def _identify_layers(
                 'chi2': speed.chi2,
                 'degrees_of_freedom': speed.dof,
             },
-            'loss_tangent_at_engine_frequency': loss,
+            'loss_tangent_at_engine_frequency': loss.value,
         },
         warnings=tuple(warnings),
     )
@@ -399,15 +398,3 @@ def _thickness(text: str) -> float:
     if not entry.allows(thickness):
         raise ValueError(f'argument --free-layer: M must be {entry.rule}, got {text!r}')
     return thickness
-
-
-def _mean(values: Sequence[Estimate]) -> tuple[Estimate, float]:
-    """Return the weighted mean, and the probability that chance scatters values as much."""
-    weights = [1.0 / max(value.error, 1e-12) ** 2 for value in values]
-    total = sum(weights)
-    mean = sum(w * value.value for w, value in zip(weights, values, strict=True)) / total
-    chi2 = sum(w * (value.value - mean) ** 2 for w, value in zip(weights, values, strict=True))
-    dof = len(values) - 1
-    scatter = max(1.0, chi2 / dof) if dof else 1.0
-    agreement = float(stats.chi2.sf(chi2, dof)) if dof else 1.0
-    return Estimate(mean, math.sqrt(scatter / total)), agreement
