@@ -17,7 +17,7 @@ from soft_throw_ros.twin.results import (
     Accuracy,
     Comparison,
     LayerState,
-    Prediction,
+    PredictedState,
     Release,
     Residual,
     State,
@@ -35,7 +35,7 @@ class ThrowStep(NamedTuple):
     state: State
     events: tuple[Event, ...]  # which have happened, or become certain, since the last step
     forecast: ThrowResult | None = None  # when the first release has become known
-    prediction: Prediction | None = None
+    prediction: PredictedState | None = None
     residual: Residual | None = None  # at the last sample that could be compared
 
 
