@@ -9,7 +9,7 @@ to a quarter of the window, the time to wait and at most an eighth of the window
 sample. What comes for a time that is complete already is late, and is refused.
 
 Complete samples are held against where those before them say that the plate must be: a body that
-is not accelerated by more than twice what the engine can do gets no farther. Those that have
+is not accelerated by much more than the engine can do gets no farther. Those that have
 jumped are left out, see `JumpFilter`.
 """
 
@@ -35,7 +35,7 @@ PAST = SECOND  # how far behind the clock a stamp may be [ns]
 FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
 PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
 STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
-_STRONGEST = 2.0  # acceleration that counts as possible, in those of the engine [-]
+_LIKELY, _STRONGEST = 1.5, 3.0  # accelerations that are likely and possible, in the engine's [-]
 _MOST_IN_A_ROW = 3  # samples that have jumped, after which it is the sensor that has
 _SURE = 6.0  # standard errors that are no noise
 _TRACKING = 1.05  # factor by which a running median is corrected at a time
@@ -51,6 +51,9 @@ class Sample(NamedTuple):
     plate: float  # height [m]
     plate_velocity: float = math.nan  # or NaN [m/s]
     projectile: float = math.nan  # height, or NaN [m]
+
+
+_PLATE, _PROJECTILE = Sample._fields.index('plate'), Sample._fields.index('projectile')
 
 
 class PlateStates(NamedTuple):
@@ -83,9 +86,11 @@ class JumpFilter:
     """
     Tells which positions of a body have jumped.
 
-    The next one is expected on the line through the last two, but for what the `acceleration`
-    [m/s2] makes of it, and six standard errors, by the `noise` [m] or what was typical lately.
-    Three in a row that are elsewhere are where the body is: the zero of the sensor has moved.
+    One is right if it is on the line through the last two, but for what the engine's
+    `acceleration` [m/s2] makes of it and six standard errors, by the `noise` [m] or what was
+    typical lately. If not, it has jumped unless the next one leads on from there: then it is on
+    the line from the last one to the next, but for an acceleration that is a few times as large.
+    Three in a row that have jumped are where the body is: the zero of the sensor has moved.
     """
 
     def __init__(self, acceleration: float, noise: float) -> None:
@@ -96,21 +101,28 @@ class JumpFilter:
         self._before: tuple[float, float] | None = None
         self._jumped: list[tuple[float, float]] = []  # since the last one that has not
 
-    def accepts(self, time: float, position: float) -> bool:
-        """Take the next position, and tell whether it is where the body can be."""
+    def is_doubtful(self, time: float, position: float) -> bool:
+        """Tell whether it takes another position to judge the next one."""
+        if self._last is None or self._before is None:
+            return False
+        noise, excess = self._distance((time, position), self._before, self._last, _LIKELY)
+        return excess > _SURE / TYPICAL * self._typical * noise
+
+    def accepts(self, time: float, position: float, following: tuple[float, float] | None) -> bool:
+        """Take the next position, and tell whether it is right by the one after it, if any."""
         new = (time, position)
         if self._last is None or self._before is None:
             self._before, self._last = self._last, new
             return True
-        (earlier, low), (last, high) = self._before, self._last
-        part = (time - last) / (last - earlier)
-        distance = abs(position - high - part * (high - low))
-        noise = self._noise * math.sqrt(1.0 + (1.0 + part) ** 2 + part**2)
-        excess = distance - 0.5 * self._acceleration * (time - last) * (time - earlier)
-        is_jump = excess > _SURE / TYPICAL * self._typical * noise
+        noise, excess = self._distance(new, self._before, self._last, _LIKELY)
+        limit = _SURE / TYPICAL * self._typical
+        has_jumped = excess > limit * noise
+        if has_jumped and following is not None:
+            between, beyond = self._distance(new, self._last, following, _STRONGEST)
+            has_jumped = beyond > limit * between
         self._typical *= _TRACKING if excess > self._typical * noise else 1.0 / _TRACKING
         self._typical = max(self._typical, TYPICAL)
-        if is_jump:
+        if has_jumped:
             self._jumped.append(new)
             if len(self._jumped) < _MOST_IN_A_ROW:
                 return False
@@ -118,6 +130,19 @@ class JumpFilter:
         self._jumped.clear()
         self._before, self._last = self._last, new
         return True
+
+    def _distance(
+        self,
+        new: tuple[float, float],
+        one: tuple[float, float],
+        other: tuple[float, float],
+        strength: float,
+    ) -> tuple[float, float]:
+        """Return the noise of the distance from a line, and that beyond what bends the path."""
+        part = (new[0] - one[0]) / (other[0] - one[0])
+        distance = abs(new[1] - one[1] - part * (other[1] - one[1]))
+        bend = 0.5 * abs((new[0] - one[0]) * (new[0] - other[0])) * strength * self._acceleration
+        return self._noise * math.sqrt(1.0 + part**2 + (1.0 - part) ** 2), distance - bend
 
 
 class PlateEstimator:
@@ -165,7 +190,7 @@ class PlateEstimator:
         self.complete_ns = -math.inf
         self._smoothed_ns = -math.inf  # what is not later has been in a window
         plate = config.plate
-        acceleration = _STRONGEST * plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+        acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
         self._plate_filter = JumpFilter(acceleration, config.position_noise)
         self._projectile_filter = JumpFilter(acceleration, config.position_noise)
 
@@ -217,25 +242,43 @@ class PlateEstimator:
 
     def _complete(self, until_ns: int) -> None:
         """Leave out what has jumped of the samples that are complete now."""
-        if until_ns <= self.complete_ns:
-            return
         first = bisect_left(self._samples, (self.complete_ns + 1,))
         end = bisect_left(self._samples, (until_ns + 1,))
-        kept = []
-        assert self.origin_ns is not None
-        for sample in self._samples[first:end]:
-            time = (sample.stamp_ns - self.origin_ns) / SECOND
-            if not self._plate_filter.accepts(time, sample.plate):
+        new, kept = self._samples[first:end], []
+        self.complete_ns = max(self.complete_ns, until_ns)
+        for index, sample in enumerate(new):
+            after = new[index + 1] if index + 1 < len(new) else None
+            time = self._time(sample)
+            if after is None and (
+                self._plate_filter.is_doubtful(time, sample.plate)
+                or self._projectile_filter.is_doubtful(time, sample.projectile)
+            ):  # the next one will tell
+                self.complete_ns, end = sample.stamp_ns - 1, first + index
+                break
+            if not self._is_right(self._plate_filter, sample, after, _PLATE):
                 self.jumped += 1
                 continue
-            at = sample.projectile
-            if math.isnan(at) or self._projectile_filter.accepts(time, at):
-                kept.append(sample)
-            else:
+            if not self._is_right(self._projectile_filter, sample, after, _PROJECTILE):
                 self.jumped += 1
                 kept.append(sample._replace(projectile=math.nan))
+            else:
+                kept.append(sample)
         self._samples[first:end] = kept
-        self.complete_ns = until_ns
+
+    def _time(self, sample: Sample) -> float:
+        assert self.origin_ns is not None
+        return (sample.stamp_ns - self.origin_ns) / SECOND
+
+    def _is_right(
+        self, judge: JumpFilter, sample: Sample, after: Sample | None, place: int
+    ) -> bool:
+        """Tell whether a sample has not jumped, by its value at a place."""
+        if math.isnan(sample[place]):
+            return True
+        following = None
+        if after is not None and not math.isnan(after[place]):
+            following = (self._time(after), after[place])
+        return judge.accepts(self._time(sample), sample[place], following)
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, as far as it is known."""
@@ -248,7 +291,7 @@ class PlateEstimator:
         ahead = round(AHEAD * config.smoothing_window_ns)
         complete_ns = min(int(self.newest_ns), now_ns) - config.wait_ns
         self._complete(complete_ns)
-        end = (complete_ns - ahead - self.origin_ns) // spacing + 1
+        end = (int(self.complete_ns) - ahead - self.origin_ns) // spacing + 1
         begin = max(self._next, end - _LONGEST_STEP)
         if begin >= end:
             return NO_STATES

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 import math
 
+import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
 from soft_throw_ros.twin.plate_estimator import (
@@ -15,9 +16,14 @@ from soft_throw_ros.twin.plate_estimator import (
     PlateEstimator,
     PlateStates,
     Sample,
+    TYPICAL,
 )
 from soft_throw_ros.twin.results import State
 
+MOST_NOISE = 1.5  # of the samples, in what it is said to be [-]
+_CHECKING = 0.5  # from one look at it to the next [s]
+_FEWEST_TO_CHECK = 30  # samples
+_AT_REST = 15.0  # range of heights, in standard deviations, that is nothing but noise [-]
 MOST_RISE = 100.0  # of the plate, in amplitudes of the engine: more is another unit [-]
 _FALL = 0.5  # part of the plate's peak speed at which nobody lowers it [-]
 _EARLY = 0.1  # rise of a projectile, in amplitudes of the engine, that is no noise [-]
@@ -102,6 +108,7 @@ class PlateMonitor:
         self._last_moving_time = -math.inf  # was last too fast to be at rest, ...
         self._last_quiet_time = -math.inf  # and was not,
         self._begun = math.inf  # and when it was fast enough to have started
+        self._checked_time = math.nan  # when its noise was last
 
     def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
         """Take samples, or refuse and count them; return those taken."""
@@ -153,6 +160,26 @@ class PlateMonitor:
         rises = [sample.projectile - rest.projectile for sample in before]
         least = max(_SURE * rest.noise, _EARLY * plate.amplitude)
         return len(rises) == _LAST_BEFORE and all(rise > least for rise in rises)
+
+    def _check_noise(self, time: float) -> None:
+        """Find a noise that hides that the plate is at rest."""
+        if self.is_armed or not time - self._checked_time < _CHECKING:
+            self._checked_time = time
+        if self.is_armed or self._checked_time < time:
+            return
+        heights = np.array([sample.plate for sample in self.estimator.samples(-math.inf)])
+        if heights.size < _FEWEST_TO_CHECK:
+            return
+        # second differences of what is even are six times as variable
+        noise = float(np.median(np.abs(np.diff(heights, 2)))) / (TYPICAL * math.sqrt(6.0))
+        given = self.estimator.config.position_noise
+        if noise > MOST_NOISE * given and np.ptp(heights) < _AT_REST * noise:
+            self._tell(
+                'noise',
+                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / given:.1f} times '
+                f'measured.position_noise {1e6 * given:.3g} um: set it, without which the plate '
+                'may never seem at rest and no throw is followed',
+            )
 
     def _check_heights(self, time: float) -> None:
         """Find heights that are in millimetres, or count downwards, by how the plate moves."""
@@ -223,6 +250,7 @@ class PlateMonitor:
         """Keep where the plate is."""
         self._height, self._speed, _ = motion.states[-1].tolist()
         self._check_heights(float(motion.times[-1]))
+        self._check_noise(float(motion.times[-1]))
         if math.isnan(self._rest):
             self._rest = self._carried = self._height
         self._carried_speed = 0.0

@@ -329,6 +329,15 @@ def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, a
     assert not run.results('release')
 
 
+def test_noise_that_hides_a_rest_is_told_with_its_size(start) -> None:
+    run = start(**MEASURED)
+    run.measure(noise=30e-6, onset=2.0, duration=0.8)
+    (notice,) = run.notices()
+    assert 'measured.position_noise 5 um' in notice
+    told = float(notice.partition(' scatters by ')[2].split()[0])
+    assert told == pytest.approx(30.0, rel=0.25)
+
+
 def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
     run = start(**MEASURED)
     other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
