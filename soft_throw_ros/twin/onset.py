@@ -13,13 +13,13 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
 from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.jump_filter import TYPICAL
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
     Sample,
     state_spacing_ns,
     STATES_PER_WINDOW,
-    TYPICAL,
 )
 from soft_throw_ros.twin.tick_schedule import SECOND
 
