@@ -12,8 +12,11 @@ without process noise [1]_, with two advantages: samples are judged anew by what
 neither their order nor the first guess leaves a trace. It costs some microseconds.
 
 A sample beyond six standard errors of sample and prediction together is left out. The plate does
-not do as the engine should when three in a row are, or when the sum of squares (those of the
-priors included) of all samples, or of the last eight, is one that chance gives once in 20000.
+not do as the engine should when three in a row are, or when chance gives once in 20000 what the
+samples give: the sum of squares of all, or of the last eight, or the change of frequency or
+damping ratio, whose variance is that of the prior less that of the estimate. If the residuals are
+as uneven as noise is (by the ratio of Durbin and Watson), it is the noise that is larger than at
+rest, by stamps that are not exact for one, and the errors are larger by as much.
 
 References
 ----------
@@ -53,6 +56,8 @@ _SURE = 6.0  # standard errors beyond which a sample is left out
 _MOST_IN_A_ROW = 3
 _LAST = 8  # samples
 _CHANCE = 3.9  # standard normal quantile of 1 / 20000
+_FEWEST_FOR_NOISE = 12  # samples that tell noise from another motion
+_WHITE = 1.0  # squares of differences of residuals over their squares: 2 for noise, 0 for a motion
 _MOST_STEPS = 8
 _CONVERGED = 1e-2  # of a standard error
 _SLOPE = 1e-4  # of the damping ratio, for a difference
@@ -80,6 +85,7 @@ def _add_up(
     normal: Floats,
     right: Floats,
     left_out: NDArray[np.bool_],
+    residuals: Floats,
 ) -> tuple[float, float]:
     """
     Add samples to the normal equations; the squares of all, and of the last ones.
@@ -110,6 +116,7 @@ def _add_up(
             for j in range(5):
                 spread += row[i] * covariance[i, j] * row[j]
         left_out[n] = error * error > _SURE * _SURE * spread
+        residuals[n] = math.nan if left_out[n] else error / engine[3]
         if left_out[n]:
             continue
         square = (error / engine[3]) ** 2
@@ -151,6 +158,7 @@ def _fit(
     x: Floats,
     covariance: Floats,
     left_out: NDArray[np.bool_],
+    residuals: Floats,
 ) -> tuple[float, float]:
     """Go on to the best unknowns `x`, see `_add_up`; NaN if there are none."""
     normal, right, scale = np.empty((5, 5)), np.empty(5), np.empty(5)
@@ -161,7 +169,7 @@ def _fit(
             normal[i, i] = weights[i]
             right[i] = weights[i] * (expected[i] - x[i])
         total, last = _add_up(
-            times, heights, speeds, engine, x, covariance, normal, right, left_out
+            times, heights, speeds, engine, x, covariance, normal, right, left_out, residuals
         )
         for i in range(5):
             scale[i] = 1.0 / math.sqrt(normal[i, i])
@@ -304,23 +312,37 @@ class EngineFit:
         times, heights, speeds = np.array(
             [((stamp_ns - origin_ns) / SECOND, at, speed) for stamp_ns, at, speed, _ in samples]
         ).T.copy()
-        left_out = np.zeros(times.size, dtype=np.bool_)
-        total, last = _fit(
-            times,
-            heights,
-            speeds,
-            self._engine,
-            self._expected,
-            self._weights,
-            self._x,
-            self._covariance,
-            left_out,
-        )
-        self._judge(left_out, total, last)
+        self._fit(times, heights, speeds)
         moved = int((times > self._x[START]).sum())
         if self.has_failed or moved < FEWEST:
             return None
         return self._estimate(moved)
+
+    def _fit(self, times: Floats, heights: Floats, speeds: Floats) -> None:
+        """Fit, once more with the noise that is there if it is larger than at rest."""
+        left_out, residuals = np.zeros(times.size, dtype=np.bool_), np.empty(times.size)
+        for is_last in (False, True):
+            total, last = _fit(
+                times,
+                heights,
+                speeds,
+                self._engine,
+                self._expected,
+                self._weights,
+                self._x,
+                self._covariance,
+                left_out,
+                residuals,
+            )
+            self._judge(left_out, total, last)
+            used = residuals[~left_out]
+            if is_last or not self.has_failed or used.size < _FEWEST_FOR_NOISE:
+                return
+            larger = max(total / used.size, last / _LAST)
+            is_noise = np.square(np.diff(used)).sum() >= _WHITE * total
+            if not (is_noise and larger > 1.0):
+                return
+            self._engine[3:] *= math.sqrt(larger)
 
     def _judge(self, left_out: NDArray[np.bool_], total: float, last: float) -> None:
         """Tell whether the plate still does as the engine should."""
@@ -366,5 +388,6 @@ def largest_by_chance(count: int) -> float:
 def warm_up() -> None:
     """Compile or load the kernel."""
     two, five, square = np.zeros(2), np.ones(5), np.eye(5)
-    _fit(two, two, two, 0.1 * five, 0.0 * five, five, 0.0 * five, square, np.zeros(2, np.bool_))
+    left_out = np.zeros(2, np.bool_)
+    _fit(two, two, two, 0.1 * five, 0.0 * five, five, 0.0 * five, square, left_out, 1.0 * two)
     damped_states(two, 1.0, 1.0, 0.0, np.empty((2, 3)))

@@ -329,6 +329,27 @@ def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, a
     assert not run.results('release')
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_stamps_that_are_not_exact_make_errors_larger_and_nothing_worse(start, rigs, seed) -> None:
+    errors = []
+    for part in (0.0, 0.1):  # of the time from one sample to the next
+        run = start(**MEASURED)
+        samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6, seed=seed)
+        late = np.random.default_rng(seed).standard_normal(len(samples)) * part * SECOND / 5000.0
+        run.send(
+            item._replace(stamp_ns=item.stamp_ns + round(error))
+            for item, error in zip(samples, late.tolist(), strict=True)
+        )
+        run.receive()
+        (release,) = run.results('release')
+        exact = simulate(run.rig)
+        assert release.accuracy.basis == 'engine'
+        assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=5e-3)
+        assert release.first.speed == pytest.approx(exact.ejection_speed, rel=5e-3)
+        errors.append(release.accuracy.ejection_speed_error)
+    assert errors[1] > 1.3 * errors[0]
+
+
 def test_noise_that_hides_a_rest_is_told_with_its_size(start) -> None:
     run = start(**MEASURED)
     run.measure(noise=30e-6, onset=2.0, duration=0.8)
