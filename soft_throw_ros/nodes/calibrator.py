@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from soft_throw_ros.configuration.interface import JOINTS, resolve, TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import USUAL
+from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time
@@ -47,6 +47,9 @@ _ANSWER_TIMEOUT = 10.0  # of other nodes [s]
 _PAUSE = 0.5  # before the recommendation is asked for again, ...
 _MAX_ATTEMPTS = 120  # so many times
 _STOP_TIMEOUT = 0.3  # for the thread to end [s]
+# The twin keeps what is not found here, and follows one amplitude with a linear layer
+_HELD = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
+_DESCRIPTION = FitDescription(dict.fromkeys(_HELD, 'held'))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
@@ -148,7 +151,7 @@ class Calibrator(RunnableNode):
         """Identify, and tell the twin."""
         tracks, rig = task
         try:
-            self._apply_fit(fit_rig(tracks, rig))
+            self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
         except (_Unanswered, ValueError) as error:
             if not self._closing.is_set():
                 self.get_logger().warning(f'nothing has been changed: {error}')
@@ -162,7 +165,7 @@ class Calibrator(RunnableNode):
             self.get_logger().warning(warning)
         if found.fit.is_mismatch:
             raise ValueError('no parameters of the model make it do what the projectile does')
-        values = {name: found.fit[name] for name in USUAL}
+        values = {name: found.estimate(name) for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()

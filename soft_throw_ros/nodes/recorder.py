@@ -122,6 +122,11 @@ class Recording:
                 lost[channel.topic] += count
         return {topic: count for topic, count in sorted(lost.items()) if count}
 
+    def earlier(self) -> dict[str, int]:
+        """Return how many messages of which topics were published before we joined."""
+        counts = {item.channel.topic: item.earlier for item in self.subscriptions}
+        return {topic: count for topic, count in sorted(counts.items()) if count}
+
     def stop(self) -> None:
         """
         Take what has come, and bring bag and viewer to an end.
@@ -141,8 +146,7 @@ class Recording:
                 self.writer.add_metadata(
                     'losses', _texts({'total': sum(losses.values()), **losses})
                 )
-                counts = {item.channel.topic: item.earlier for item in self.subscriptions}
-                if earlier := {topic: count for topic, count in counts.items() if count}:
+                if earlier := self.earlier():
                     self.writer.add_metadata('published before recording', _texts(earlier))
                 self.writer.close()
         finally:
@@ -157,6 +161,9 @@ class Recording:
         text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
         if self.bag is not None:
             text += f', in {self.bag}'
+        if earlier := self.earlier():
+            text += f'; joined late, after {sum(earlier.values())} messages'
+            text += ''.join(f', {count} of {topic}' for topic, count in earlier.items())
         if self.error:
             text += f'; the end is missing: {self.error}'
         if self.live_stream is not None and self.live_stream.dropped:

@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
@@ -95,9 +95,7 @@ def _make_sender(node: Node, topic: Topic) -> Callable[..., None]:
         encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         return lambda stamp_ns, values: publish(encode(stamp_ns, values))
     if topic.type == interface.MULTI_ARRAY:
-        return lambda array: publish(
-            ArrayEncoder(dict(zip(topic.axes, array.shape, strict=True))).encode(array)
-        )
+        return lambda array: publish(encode_array(topic.axes, array))
     if topic.type == interface.ARRAY:
         return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
     return lambda value: publish(message_type(data=value))

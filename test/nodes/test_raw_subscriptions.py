@@ -107,14 +107,15 @@ def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> 
     assert [item.channel.topic for item in take(ros, subscriptions, 1)] == ['/talk/two']
 
 
+@pytest.mark.parametrize('joins_late', [True, False])
 def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
-    ros, talker, listener
+    ros, talker, listener, joins_late
 ) -> None:
     publisher = talker.create_publisher(String, '/talk', 100)
     for _ in range(7):
         publisher.publish(String(data='too early'))
     channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
-    subscription = RawSubscription(listener, channel, QoSProfile(depth=5))
+    subscription = RawSubscription(listener, channel, QoSProfile(depth=5), joins_late=joins_late)
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
     taken: list[Message] = []
     while not taken:
@@ -131,8 +132,11 @@ def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
 
     ros.spin_until(is_over, 'the last one')
     assert subscription.received == len(taken)
-    assert subscription.earlier == taken[0].sequence - 1 >= 7
-    assert subscription.lost == taken[-1].sequence - taken[0].sequence + 1 - len(taken) > 0
+    before = taken[0].sequence - 1
+    assert before >= 7
+    assert subscription.earlier == before * joins_late
+    since = taken[-1].sequence - before * joins_late
+    assert subscription.lost == since - len(taken) > 0
     subscription.close()
 
 
