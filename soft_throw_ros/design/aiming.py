@@ -364,7 +364,7 @@ class _Task(NamedTuple):
             found = np.where(is_enough, self.max_amplitude / needs.needed, parts)
             return np.where(found >= least, found, 0.0)
 
-        return find_best_layer(score, space.layers, step=space.step, is_whole=self.limits.of_loads)
+        return find_best_layer(score, space.layers, step=space.step)
 
     def reach(self, space: SearchSpace) -> Aim | None:
         """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
