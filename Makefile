@@ -10,6 +10,7 @@
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
+#   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, the README's picture
 #   make clean            delete what make made
 #
@@ -40,7 +41,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw identify demo loop inspect lint bench figures clean
+.PHONY: install twin throw identify demo loop inspect lint bench trials figures clean
 .PHONY: test test-jazzy test-kilted test-without-vulkan
 
 install: $(INSTALLED)
@@ -74,6 +75,9 @@ inspect: $(SHOWABLE) $(KERNELS)
 
 bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
+
+trials: $(INSTALLED) $(KERNELS)
+	$(BIN)/python -m trials $(ARGS)
 
 figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/paper/draw.py $(ARGS)
@@ -116,7 +120,8 @@ clean:
 	touch $@
 
 # numba compiles a kernel anew when its own file changes, not when one it calls does.
-$(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py bench/*.py)
+$(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py \
+	soft_throw_ros/twin/imperfect_rig.py bench/*.py)
 	@mkdir -p $(@D)
 	find soft_throw_ros bench -name '*.nb[ic]' -delete
 	touch $@

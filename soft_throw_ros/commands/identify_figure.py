@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import RigFit
-from soft_throw_ros.identification.ringing import Ringing, WaveSpeed
+from soft_throw_ros.identification.ringing import CommonValue, Ringing
 from soft_throw_ros.identification.throw_analysis import Ejection
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.identification.video import SpaceTime
@@ -99,7 +99,7 @@ def draw_throws(
 
 
 def draw_layers(
-    layers: Sequence[tuple[float, Ringing]], speed: WaveSpeed, thickness_error: float, path: Path
+    layers: Sequence[tuple[float, Ringing]], speed: CommonValue, thickness_error: float, path: Path
 ) -> None:
     """Draw how free layers ring, and their periods over their thicknesses [m]."""
     figure = _figure(9.6, 6.0)

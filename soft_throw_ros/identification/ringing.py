@@ -76,8 +76,8 @@ class Ringing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaveSpeed:
-    """The wave speed of a material [m/s], with chi squared and degrees of freedom."""
+class CommonValue:
+    """What layers of one material have in common, with chi squared and degrees of freedom."""
 
     value: Estimate
     chi2: float
@@ -85,7 +85,7 @@ class WaveSpeed:
 
     @property
     def agreement(self) -> float:
-        """Probability that proportional periods scatter as much; 1 for a single layer. [-]"""
+        """Probability that layers of one material scatter as much; 1 for a single one. [-]"""
         return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
 
 
@@ -147,7 +147,7 @@ def fit_wave_speed(
     periods: Sequence[Estimate],
     *,
     thickness_error: float,
-) -> WaveSpeed:
+) -> CommonValue:
     r"""
     Find the wave speed by which the periods of layers are proportional to their thicknesses.
 
@@ -186,10 +186,46 @@ def fit_wave_speed(
         slowness = float(np.sum(period * thickness / variance)) / information
     chi2 = float(np.sum((period - slowness * thickness) ** 2 / variance))
     dof = len(periods) - 1
-    scatter = max(1.0, chi2 / dof) if dof else 1.0
     speed = 2.0 / slowness
-    relative = math.sqrt(scatter / information) / slowness
-    return WaveSpeed(value=Estimate(speed, speed * relative), chi2=chi2, dof=dof)
+    relative = math.sqrt(_scatter(chi2, dof) / information) / slowness
+    return CommonValue(value=Estimate(speed, speed * relative), chi2=chi2, dof=dof)
+
+
+def fit_loss_tangent(ringings: Sequence[Ringing], *, frequency: float) -> CommonValue:
+    """
+    Find the loss tangent that layers which ring have in common.
+
+    Parameters
+    ----------
+    ringings : sequence of Ringing
+        At least one.
+    frequency : float
+        At which the loss is wanted. [Hz]
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+
+    Notes
+    -----
+    The mean, weighted by errors. If the layers scatter more than these, the error of the result
+    is larger by as much.
+
+    """
+    if not ringings:
+        raise ValueError('there must be at least one layer that rings, got none')
+    values, errors = np.transpose([each.loss_tangent_at(frequency) for each in ringings])
+    weights = np.maximum(errors, 1e-12) ** -2.0
+    mean = float(np.average(values, weights=weights))
+    chi2, dof = float(np.sum(weights * (values - mean) ** 2)), len(ringings) - 1
+    error = math.sqrt(_scatter(chi2, dof) / float(weights.sum()))
+    return CommonValue(value=Estimate(mean, error), chi2=chi2, dof=dof)
+
+
+def _scatter(chi2: float, dof: int) -> float:
+    """By how much the variance is larger than errors explain, at least 1."""
+    return max(1.0, chi2 / dof) if dof else 1.0
 
 
 def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:

@@ -4,7 +4,12 @@
 import numpy as np
 import pytest
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.ringing import change_of_length, fit_ringing, fit_wave_speed
+from soft_throw_ros.identification.ringing import (
+    change_of_length,
+    fit_loss_tangent,
+    fit_ringing,
+    fit_wave_speed,
+)
 from soft_throw_ros.identification.tracks import Track, TrackError
 
 
@@ -98,3 +103,20 @@ def test_wave_speed_knows_how_exact_it_is():
     assert abs(np.mean(pulls)) < 0.15
     assert 0.75 < np.std(pulls) < 1.05  # not above, since a large scatter makes errors larger
     assert np.mean(agreements) == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.parametrize(('factor', 'agrees'), [(1.0, True), (1.5, False)])
+def test_losses_of_layers_agree_if_they_are_of_one_material(factor, agrees):
+    ringings = [
+        fit_ringing(track_of(thickness, loss_time=loss_time, seed=seed))
+        for seed, (thickness, loss_time) in enumerate([(9.5e-3, 1e-4), (16.8e-3, factor * 1e-4)])
+    ]
+    found = fit_loss_tangent(ringings, frequency=63.2)
+    assert (found.agreement > 1e-4) == agrees
+    truths = 2.0 * np.pi * 63.2 * 1e-4 * np.array([1.0, factor])
+    assert np.abs(truths - found.value.value).max() < 3.0 * found.value.error
+
+
+def test_loss_of_no_layer_is_refused():
+    with pytest.raises(ValueError, match='none'):
+        fit_loss_tangent([], frequency=63.2)

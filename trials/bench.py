@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs on a bench that only exists here: random ones, thrown with, and measured with faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow, throw
+from soft_throw_ros.twin.sensor_faults import draw_chances, SensorFaults
+
+Floats = NDArray[np.float64]
+
+NOISE = 20e-6
+"""Standard deviation of heights, if nothing else is said. [m]"""
+
+_RATE = 5000.0  # of samples [Hz]
+_DURATION = 0.1  # of a record [s]
+_START = (14e-3, 18e-3)  # from when to when throws begin in it [s]
+_SLOWEST = 0.5  # projectile that is thrown, over the plate
+_LATEST = 1.2  # release, in plate periods
+_DRAWS = 1000  # of rigs until one throws as it should
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """
+    What somebody has of one throw.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, 3) or (n, 2)
+        Times [s], and heights of plate and projectile, or of bottom and top of a free layer, or
+        the length of one. [m]
+
+    """
+
+    columns: Floats
+
+    def csv(self, names: tuple[str, ...] = ('plate', 'projectile')) -> str:
+        """Write it as `soft-throw identify` reads it."""
+        lines = [','.join(('t', *names))]
+        lines += [','.join(f'{value:.9g}' for value in row) for row in self.columns.tolist()]
+        return '\n'.join(lines) + '\n'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """
+    Something to identify, and what would be right.
+
+    Parameters
+    ----------
+    records : tuple of Record
+    arguments : tuple of str
+        Of the command, beside the files.
+    truth : mapping of str to float
+        What it should find, by the names it has for it; how the projectile left is
+        `ejection.time` and so on.
+    thicknesses : tuple of float
+        Of free layers that ring, one for each record, if it is these. [m]
+    must_warn : bool
+        Whether there is something that only a warning can be right about.
+    peak_strain : float
+        Largest in the layers. [-]
+
+    """
+
+    records: tuple[Record, ...]
+    arguments: tuple[str, ...] = ()
+    truth: Mapping[str, float] = field(default_factory=dict)
+    thicknesses: tuple[float, ...] = ()
+    must_warn: bool = False
+    peak_strain: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigRange:
+    """From where to where random rigs are; times, lengths and ratios evenly in the logarithm."""
+
+    frequency: tuple[float, float] = (45.0, 90.0)
+    amplitude: tuple[float, float] = (1e-3, 3e-3)
+    damping_ratio: tuple[float, float] = (0.02, 0.15)
+    wave_speed: tuple[float, float] = (6.0, 11.0)
+    thickness: tuple[float, float] = (6e-3, 20e-3)
+    mass_ratio: tuple[float, float] = (0.2, 2.0)
+    loss_tangent: tuple[float, float] = (0.0, 0.0)
+
+    def draw(self, random: np.random.Generator) -> Rig:
+        """Draw one."""
+
+        def one_of(limits: tuple[float, float]) -> float:
+            return float(np.exp(random.uniform(*np.log(limits))))
+
+        layer = Layer(thickness=one_of(self.thickness), wave_speed=one_of(self.wave_speed))
+        engine = Engine(
+            frequency=one_of(self.frequency),
+            amplitude=one_of(self.amplitude),
+            damping_ratio=random.uniform(*self.damping_ratio),
+        )
+        layer = replace(layer, loss_tangent=random.uniform(*self.loss_tangent))
+        projectile = Projectile(mass=one_of(self.mass_ratio) * layer.mass)
+        return Rig(engine=engine, layer=layer, projectile=projectile)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """
+    How a throw is done and measured.
+
+    Parameters
+    ----------
+    rigs : RigRange
+    imperfections : Imperfections
+        Of the rig.
+    faults : SensorFaults
+        Of the sensors.
+    stiffening : float
+        Relative change of the stress at the largest strain of the throw. [-]
+    drift : float
+        Of heights over the record, over the amplitude. [-]
+    rate, duration : float
+        [Hz], [s]
+    lost_runs : float
+        Share of samples that are lost some dozens in a row. [-]
+    accept : callable
+        Whether a throw is one that is wanted.
+
+    """
+
+    rigs: RigRange = field(default_factory=RigRange)
+    imperfections: Imperfections = field(default_factory=Imperfections)
+    faults: SensorFaults = field(default_factory=lambda: SensorFaults(noise=NOISE))
+    stiffening: float = 0.0
+    drift: float = 0.0
+    rate: float = _RATE
+    duration: float = _DURATION
+    lost_runs: float = 0.0
+    accept: Callable[[ImperfectThrow], bool] = lambda _: True
+
+    def draw_throw(self, random: np.random.Generator) -> ImperfectThrow:
+        """Throw with random rigs until one throws well enough to be of interest."""
+        for _ in range(_DRAWS):
+            found = self.throw(self.rigs.draw(random), random)
+            if is_good(found) and self.accept(found):
+                return found
+        raise RuntimeError(f'none of {_DRAWS} rigs throws as it should')
+
+    def throw(self, rig: Rig, random: np.random.Generator) -> ImperfectThrow:
+        """Throw, with the imperfections of this bench."""
+        imperfections = self.imperfections
+        if imperfections.ringing:
+            phase = random.uniform(0.0, 2.0 * math.pi)
+            imperfections = replace(imperfections, ringing_phase=phase)
+        until, start = self.duration, -_START[1]
+        if self.stiffening:
+            strain = throw(rig, until=0.02, cells=64).peak_strain
+            imperfections = replace(imperfections, stiffening=self.stiffening / strain)
+        return throw(rig, imperfections, until=until, start=start)
+
+    def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Record:
+        """Look at a throw."""
+        drift = self.drift * thrown.rig.engine.amplitude / self.duration
+        faults = replace(self.faults, drift=self.faults.drift + drift)
+        time = np.arange(0.0, self.duration, 1.0 / self.rate)
+        start = random.uniform(*_START)
+        sample = faults.measure(
+            time,
+            lambda moments: thrown.plate(moments - start),
+            lambda moments: thrown.projectile(moments - start),
+            draw_chances(random, time.size),
+        )
+        columns = np.column_stack([sample.stamp, sample.plate, sample.projectile])
+        is_seen = np.asarray(sample.is_seen)
+        while self.lost_runs and (~is_seen).mean() < self.lost_runs:
+            first = int(random.integers(time.size))
+            is_seen[first : first + int(random.integers(4, 24))] = False
+        return Record(columns=columns[is_seen])
+
+
+def is_good(thrown: ImperfectThrow) -> bool:
+    """Whether the projectile rests until the throw, and then leaves soon and fast."""
+    if not thrown.changes:
+        return False
+    release = thrown.changes[0]
+    engine = thrown.rig.engine
+    fast = _SLOWEST * Underdamped.of(engine).peak_velocity
+    return 0.0 < release.time < _LATEST / engine.frequency and release.velocity > fast
+
+
+def truth_of(thrown: ImperfectThrow) -> dict[str, float]:
+    """Tell what is right of a rig, and of how it throws."""
+    rig, release = thrown.rig, thrown.changes[0]
+    peak = Underdamped.of(rig.engine).peak_velocity
+    return {
+        'engine.frequency': rig.engine.frequency,
+        'engine.damping_ratio': rig.engine.damping_ratio,
+        'engine.amplitude': rig.engine.amplitude,
+        'layer.wave_speed': rig.layer.wave_speed,
+        'layer.thickness': rig.layer.thickness,
+        'layer.loss_tangent': rig.layer.loss_tangent,
+        'layer.density': rig.layer.density,
+        'layer.diameter': rig.layer.diameter,
+        'projectile.mass': rig.projectile.mass,
+        'ejection.time': release.time,
+        'ejection.speed': release.velocity,
+        'ejection.peak_plate_speed': peak,
+        'ejection.energy_transfer': (release.velocity / peak) ** 2,
+    }
+
+
+def known_of(rig: Rig) -> tuple[str, ...]:
+    """Tell the command what somebody knows of a rig who has measured its parts."""
+    known = {
+        'thickness': rig.layer.thickness,
+        'density': rig.layer.density,
+        'diameter': rig.layer.diameter,
+        'mass': rig.projectile.mass,
+    }
+    return tuple(part for name, value in known.items() for part in (f'--{name}', f'{value:.9g}'))

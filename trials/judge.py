@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `soft-throw identify` makes of a trial, and how far off that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import contextlib
+from dataclasses import dataclass
+import io
+import json
+import math
+from pathlib import Path
+import shlex
+import tempfile
+import time
+from typing import Any, NamedTuple
+import zlib
+
+import numpy as np
+from soft_throw_ros.commands import identify
+
+from trials.bench import Trial
+from trials.rows import ROWS_BY_NAME
+
+FAR_OFF = 5.0
+"""Errors from which on a number is wrong."""
+
+_INTERVAL = 1.96  # errors on either side that hold 95 %
+
+
+class Deviation(NamedTuple):
+    """Of a number that was found: what it is, and what it should be."""
+
+    value: float
+    error: float
+    truth: float
+
+    @property
+    def errors(self) -> float:
+        """How many errors it is off."""
+        if self.error == math.inf:
+            return 0.0
+        return abs(self.value - self.truth) / max(self.error, 1e-12 * abs(self.truth))
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the 95 % interval holds the truth."""
+        return self.errors <= _INTERVAL
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """
+    What became of a trial.
+
+    Parameters
+    ----------
+    row : str
+    number : int
+    refusal : str
+        Why the command refused it; empty if it did not.
+    warnings : tuple of str
+    found : mapping of str to Deviation
+        Parameters by the names of the twin, `ejection.time` and so on by the model, and
+        `averages.time` and so on by running averages.
+    seconds : float
+        That it took. [s]
+    must_warn : bool
+        Whether there is something that only a warning can be right about.
+    peak_strain : float
+        [-]
+
+    """
+
+    row: str
+    number: int
+    refusal: str = ''
+    warnings: tuple[str, ...] = ()
+    found: Mapping[str, Deviation]
+    seconds: float
+    must_warn: bool = False
+    peak_strain: float = 0.0
+
+    @property
+    def wrong(self) -> list[str]:
+        """What is far off."""
+        return [name for name, each in self.found.items() if each.errors > FAR_OFF]
+
+    @property
+    def is_silently_wrong(self) -> bool:
+        """Whether something is far off without a word."""
+        return not self.refusal and not self.warnings and bool(self.wrong or self.must_warn)
+
+
+def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
+    """
+    Draw one trial of a row and have the command identify it.
+
+    Parameters
+    ----------
+    name : str
+        Of the row.
+    number : int
+        Of the trial in it.
+    seed : int
+        The same one gives the same trials.
+    kept : str
+        Folder into which to put files and a command line; none by default.
+
+    """
+    random = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
+    trial = ROWS_BY_NAME[name].draw(random)
+    with contextlib.ExitStack() as stack:
+        if kept:
+            folder = Path(kept) / f'{"".join(c if c.isalnum() else "_" for c in name)}_{number}'
+            folder.mkdir(parents=True, exist_ok=True)
+        else:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        arguments = [*trial.arguments, *_write(trial, folder)]
+        if kept:
+            lines = [shlex.join(['soft-throw', 'identify', *arguments])]
+            lines += [f'# {name} {value:.9g}' for name, value in trial.truth.items()]
+            (folder / 'command.sh').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+        began = time.perf_counter()
+        report, refusal = _identify([*arguments, '--json'])
+        seconds = time.perf_counter() - began
+    return Verdict(
+        row=name,
+        number=number,
+        refusal=refusal.replace(str(folder), ''),
+        warnings=tuple(report.get('warnings', ())),
+        found=_compare(report, trial.truth),
+        seconds=seconds,
+        must_warn=trial.must_warn,
+        peak_strain=trial.peak_strain,
+    )
+
+
+def _write(trial: Trial, folder: Path) -> list[str]:
+    """Write the files, and return the arguments that name them."""
+    arguments = []
+    for number, record in enumerate(trial.records):
+        path = folder / f'{number + 1}.csv'
+        is_layer = bool(trial.thicknesses)
+        names = ('bottom', 'top') if is_layer else ('plate', 'projectile')
+        path.write_text(record.csv(names), encoding='utf-8')
+        if is_layer:
+            arguments += ['--free-layer', f'{trial.thicknesses[number]:.9g}']
+        arguments.append(str(path))
+    return arguments
+
+
+def _identify(arguments: list[str]) -> tuple[dict[str, Any], str]:
+    """Run the command in this process; return what it prints, and why it refuses."""
+    output, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+        try:
+            identify.main(arguments)
+        except SystemExit:
+            lines = errors.getvalue().strip().splitlines()
+            return {}, lines[-1] if lines else 'without a word'
+    return json.loads(output.getvalue()), ''
+
+
+def _compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Deviation]:
+    """Compare all that was found with what is right."""
+    found = dict(report.get('found', {}))
+    for name, value in (report.get('ejection') or {}).items():
+        found[f'ejection.{name}'] = value
+    throws = report.get('throws', [])
+    for name, value in (
+        (throws[0].get('running_averages') if len(throws) == 1 else {}) or {}
+    ).items():
+        found[f'averages.{name}'] = value
+    return {
+        name: Deviation(
+            value['value'],
+            math.inf if value['error'] is None else value['error'],
+            truth[name.replace('averages', 'ejection')],
+        )
+        for name, value in found.items()
+        if name.replace('averages', 'ejection') in truth and value and value['value'] is not None
+    }

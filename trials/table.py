@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdicts in a Markdown table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from trials.judge import Verdict
+
+_COLUMNS = {
+    'c_s': ('layer.wave_speed',),
+    'loss': ('layer.loss_tangent',),
+    'A': ('engine.amplitude',),
+    'f, zeta': ('engine.frequency', 'engine.damping_ratio'),
+    't_e': ('ejection.time',),
+    'V_e, alpha': ('ejection.speed', 'ejection.energy_transfer'),
+    'averages': ('averages.time', 'averages.speed', 'averages.energy_transfer'),
+}
+"""Heads of the columns of coverage, and of what."""
+
+HEADS = (
+    'row', 'rigs', 'refused', 'warned', 'silently wrong', 'all', *_COLUMNS, 'largest', 'slowest',
+)  # fmt: skip
+
+
+def header() -> list[str]:
+    """Write the head of the table."""
+    return [
+        '| ' + ' | '.join(HEADS) + ' |',
+        '|---' + '|---:' * (len(HEADS) - 1) + '|',
+    ]
+
+
+def line(name: str, verdicts: Sequence[Verdict]) -> str:
+    """Write the line of a row."""
+    answered = [verdict for verdict in verdicts if not verdict.refusal]
+    names = sorted({name for verdict in answered for name in verdict.found})
+    model = [each for each in names if not each.startswith('averages')]
+    largest = max(
+        ((each.errors, name) for verdict in answered for name, each in verdict.found.items()),
+        default=(0.0, '-'),
+    )
+    cells = [
+        name,
+        str(len(verdicts)),
+        str(sum(bool(verdict.refusal) for verdict in verdicts)),
+        str(sum(bool(verdict.warnings) for verdict in verdicts)),
+        str(sum(verdict.is_silently_wrong for verdict in verdicts)),
+        _coverage(answered, model),
+        *(_coverage(answered, some) for some in _COLUMNS.values()),
+        f'{largest[0]:.1f} ({largest[1].removeprefix("ejection.").removeprefix("layer.")})',
+        f'{max(verdict.seconds for verdict in verdicts):.1f} s',
+    ]
+    return '| ' + ' | '.join(cells) + ' |'
+
+
+def summary(verdicts: Sequence[Verdict], clean: Iterable[str]) -> list[str]:
+    """Say how far the goals are reached."""
+    silent = sum(verdict.is_silently_wrong for verdict in verdicts)
+    of_clean = [verdict for verdict in verdicts if verdict.row in set(clean)]
+    alarms = sum(bool(verdict.warnings or verdict.refusal) for verdict in of_clean)
+    lines = [f'{silent} of {len(verdicts)} are silently wrong (goal: 0).']
+    if of_clean:
+        share = 100.0 * alarms / len(of_clean)
+        lines.append(
+            f'{alarms} false alarms in {len(of_clean)} clean trials, {share:.1f} % '
+            '(goal: at most 2 %).'
+        )
+    return lines
+
+
+def _coverage(verdicts: Sequence[Verdict], names: Iterable[str]) -> str:
+    """How many of the 95 % intervals of some quantities hold the truth."""
+    held = [
+        verdict.found[name].is_held
+        for verdict in verdicts
+        for name in names
+        if name in verdict.found
+    ]
+    return f'{100.0 * sum(held) / len(held):.0f} %' if held else '-'
