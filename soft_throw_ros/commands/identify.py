@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
     description = _describe_fit(arguments, known)
     _check(arguments)
     if arguments.plan is not None:
-        return plan_throws(arguments, settings, _describe_fit(arguments), _read_all(arguments))
+        return plan_throws(arguments, settings, description, _read_all(arguments))
     identify = _identify_layers if arguments.free_layer else _identify_throws
     report = identify(arguments, settings, description)
     identified = report.put_into(settings)

@@ -16,7 +16,7 @@ from soft_throw_ros.commands.options import number_or_text
 from soft_throw_ros.commands.output import print_text, slow_notice, to_json
 from soft_throw_ros.configuration import located_yaml, rig_of, Settings, TWIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import FitDescription, PARAMETERS, values_of
+from soft_throw_ros.identification.fit_description import FitDescription, values_of
 from soft_throw_ros.identification.plan import Condition, Knowledge, PlannedThrow, Planner, Sight
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks
@@ -88,34 +88,32 @@ def plan_throws(
         measured = None
         if throws:
             found = fit_rig(throws, rig, description)
-            rig, names = found.rig, [name for name in found.estimates() if name in found.fit]
+            rig, names = found.rig, [name for name in found.fit.names if '[' not in name]
             places = [found.fit.names.index(name) for name in names]
             covariance = found.fit.covariance[np.ix_(places, places)]
             measured = Knowledge(
                 names=tuple(names), information=np.asarray(np.linalg.inv(covariance))
             )
-        known = description.known(rig)
-        errors = {
-            name: known[name].error if name in known else math.inf
-            for name in PARAMETERS
-            if name in description.varied
-        }
-        planner = Planner(rig, conditions, sight, errors, measured)
+        planner = Planner(rig, conditions, sight, description, measured)
         start = planner.start()
         candidates = planner.judge(start)
         goal = 0.01 * arguments.goal
-        enough = planner.energy_transfer(start)[1] <= goal * planner.energy_transfer(start)[0]
+        before = planner.energy_transfer(start)[1]
         chosen: list[PlannedThrow] = []
-        for throw in itertools.islice(planner.choose(start), 0 if enough else _MOST_THROWS):
+        for throw in itertools.islice(
+            planner.choose(start), 0 if before <= goal else _MOST_THROWS
+        ):
             chosen.append(throw)
             if throw.energy_transfer_error <= goal:
                 break
     if arguments.json:
-        parts = {'candidates': candidates, 'throws': chosen, 'goal': goal}
+        parts = {'candidates': candidates, 'throws': chosen, 'goal': goal, 'before': before}
         is_reached = not chosen or chosen[-1].energy_transfer_error <= goal
         print_text(to_json({**parts, 'is_reached': is_reached}))
     else:
-        lines = _lines(candidates, chosen, values_of(rig, errors), arguments.goal, sight)
+        if measured:
+            print_text(f'What is measured already tells alpha to {100.0 * before:.2g} %.\n')
+        lines = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, sight)
         print_text('\n'.join(lines) + '\n')
     return 0
 
@@ -175,7 +173,7 @@ def _lines(
         f'Throws seen for {1e3 * sight.duration:.3g} ms at {sight.rate:g} Hz with a noise of '
         f'{1e6 * sight.noise:.3g} um. The next one, the best first, and errors after it:'
     )
-    yield _heads(values)
+    yield _heads(candidates[0])
     for throw in candidates[:_SHOWN]:
         yield _row('', throw, values)
     if len(candidates) > _SHOWN:
@@ -185,7 +183,7 @@ def _lines(
         yield f'Alpha is known to {goal:g} % already.'
         return
     yield 'The best throws one after the other:'
-    yield _heads(values)
+    yield _heads(candidates[0])
     for number, throw in enumerate(chosen, 1):
         yield _row(str(number), throw, values)
     reached = chosen[-1].energy_transfer_error <= 0.01 * goal
@@ -201,9 +199,9 @@ def _lines(
         yield '! The strain leaves the range in which the layer is linear.'
 
 
-def _heads(values: Mapping[str, float]) -> str:
+def _heads(throw: PlannedThrow) -> str:
     """Write the heads of a table."""
-    cells = [head for name, (head, _, _) in _COLUMNS.items() if name in values]
+    cells = [head for name, (head, _, _) in _COLUMNS.items() if name in throw.errors]
     heads = ['mass [g]', 'L_s [mm]', 'A [mm]', *cells, 'alpha [%]', 'strain [%]']
     return ' ' * 4 + ''.join(f'{head:>11}' for head in heads)
 
@@ -212,7 +210,7 @@ def _row(label: str, throw: PlannedThrow, values: Mapping[str, float]) -> str:
     """Write a throw, and errors after it."""
     cells = [f'{1e3 * value:.4g}' for value in throw.condition]
     for name, (_, factor, is_relative) in _COLUMNS.items():
-        if name in values:
+        if name in throw.errors:
             error = factor * throw.errors[name] / (values[name] if is_relative else 1.0)
             cells.append(f'{error:.2g}')
     cells.append(f'{100.0 * throw.energy_transfer_error:.2g}')

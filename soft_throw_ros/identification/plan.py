@@ -7,7 +7,7 @@ Notes
 With the Jacobian :math:`J` of the heights that a throw would show, and white noise of
 :math:`\sigma`, the throw adds :math:`J^T J / \sigma^2` to the information about the parameters.
 What each throw has for itself, its amplitude, its start and the heights from which its tracks
-count, is eliminated (Schur's complement). The inverse of the sum of the information of throws,
+count, is eliminated. The inverse of the sum of the information of throws,
 and of what is known beforehand, is the covariance that least squares reach, the bound of Cramer
 and Rao. Wave speed, loss and engine are the same in all throws; a thickness belongs to one
 layer, a mass to one projectile.
@@ -22,35 +22,33 @@ covariance, so that jumps of :math:`\alpha` are not taken for slopes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-import itertools
-import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit_description import changed_rig, values_of
+from soft_throw_ros.identification.fit_description import changed_rig, FitDescription, values_of
 from soft_throw_ros.identification.forward import first_releases, ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 
 SOUGHT = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
 """What throws are to narrow, as far as it is not known exactly."""
 
-_OF_THROW = 'engine.amplitude'
-_OF_PARTS = ('layer.thickness', 'projectile.mass')  # that may differ from throw to throw
-_STEP = 3e-4  # relative, for derivatives: large against what steppers leave out ...
-_LEAST_STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # ... and absolute
+_CONDITIONS = ('projectile.mass', 'layer.thickness', 'engine.amplitude')
 _WEAKLY_KNOWN = 1.0  # relative error with which all is known that is free, and ...
 _WEAK_ERRORS = {'layer.loss_tangent': 0.3, 'engine.damping_ratio': 0.3}  # ... absolute
-_LARGEST_STEP = 0.5  # relative, of parameters to see how alpha changes
+_LARGEST_STEP = 0.5  # of these, to see how alpha changes
 _REST = 0.25  # plate periods before the start that are seen
 _IN_FLIGHT = 0.97  # of the time until the landing that a fit looks at
+_TARGET = 0  # number of the rig that alpha is wanted of, among the throws of the model
 
 
 class Condition(NamedTuple):
@@ -63,13 +61,29 @@ class Condition(NamedTuple):
     amplitude: float
     """Of the plate. [m]"""
 
-    def rig_of(self, rig: Rig) -> Rig:
-        """Change a rig so that it throws like this."""
-        values = dict(zip((*_OF_PARTS[::-1], _OF_THROW), self, strict=True))
-        try:
-            return changed_rig(rig, values)
-        except ValueError as error:
-            raise FitError(str(error)) from None
+    @classmethod
+    def of(cls, rig: Rig) -> Condition:
+        """Return that of a rig."""
+        return cls(*values_of(rig, _CONDITIONS).values())
+
+    def values(self) -> dict[str, float]:
+        """Return the values by the names of the rig."""
+        return dict(zip(_CONDITIONS, self, strict=True))
+
+    def describe(self, description: FitDescription) -> dict[str, str]:
+        """Say how to treat them: alike for all that is alike, but for the amplitude."""
+        texts = {}
+        for name, value in self.values().items():
+            treatment = description.treatment(name)
+            text = f'{value:.12g}'
+            if treatment.error is not None:
+                error = treatment.error * (1e2 if treatment.is_relative else 1.0)
+                text += f' +- {error:g}' + ' %' * treatment.is_relative
+            elif treatment.is_varied:
+                text += f' +- {1e2 * _WEAKLY_KNOWN:g} %'
+            own = name == 'engine.amplitude' and treatment.is_varied
+            texts[name] = text + ' per throw' * own
+        return texts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +119,7 @@ class Knowledge:
     Parameters
     ----------
     names : tuple of str
-        Those of the rig; the thickness or mass of a part has its value in brackets.
+        Those of the rig; other thicknesses and masses than its own have their value in brackets.
     information : ndarray, shape (n, n)
         Inverse of the covariance.
 
@@ -122,7 +136,7 @@ class Knowledge:
         return np.linalg.inv(scaled) * np.outer(scale, scale)
 
     def errors(self) -> dict[str, float]:
-        """Standard errors by names."""
+        """Return standard errors by names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
@@ -164,11 +178,12 @@ class Planner:
     conditions : sequence of Condition
         Throws that can be made.
     sight : Sight
-    errors : mapping of str to float
-        Parameters that are not known exactly, and their standard errors; infinity if nothing is
-        known. The amplitude is never known.
+    description : FitDescription
+        What will be fitted, and with what error the rest is known. The loss is sought unless it
+        is held.
     measured : Knowledge, optional
-        What earlier throws have told, in the names of the rig; it has their errors in it.
+        What earlier throws have told, in the names of the rig; it has what was known before them
+        in it.
 
     Raises
     ------
@@ -180,43 +195,109 @@ class Planner:
     rig: Rig
     conditions: Sequence[Condition]
     sight: Sight
-    errors: Mapping[str, float]
+    description: FitDescription
     measured: Knowledge | None = None
-    names: tuple[str, ...] = field(init=False)
-    """Parameters that all throws share, those of parts with their value in brackets."""
-    information: tuple[Floats, ...] = field(init=False)
-    """What each condition tells of them."""
 
     def __post_init__(self) -> None:
-        shared = [name for name in self.errors if name not in (_OF_THROW, *_OF_PARTS)]
-        parts = []
-        own = Condition(*values_of(self.rig, (*_OF_PARTS[::-1], _OF_THROW)).values())
-        for name in _OF_PARTS:
-            if name in self.errors:
-                each = {_value(condition, name) for condition in (*self.conditions, own)}
-                parts += [_of_part(name, value) for value in sorted(each)]
-        object.__setattr__(self, 'names', (*shared, *parts))
         if not self.conditions:
             raise FitError('there is no throw to choose from')
-        if not any(name in self.errors for name in SOUGHT):
+        if not any(self._described.treatment(name).is_varied for name in SOUGHT):
             raise FitError(f'nothing is sought: one of {", ".join(SOUGHT)} must be free')
-        told = tuple(self._inform(condition) for condition in self.conditions)
-        object.__setattr__(self, 'information', told)
+
+    @property
+    def _described(self) -> FitDescription:
+        loss = 'layer.loss_tangent'
+        is_open = loss in self.description.if_seen
+        return self.description.see(loss) if is_open else self.description
+
+    @cached_property
+    def _model(self) -> RigModel:
+        """The rig, and then all throws that can be made, as if they were measured."""
+        description, throws = self._described, []
+        found = {}
+        simulator = ThrowSimulator(throws=len(self.conditions) + 1)
+        for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
+            for name, text in condition.describe(self._described).items():
+                try:
+                    description = description.set_condition(str(number), name, text)
+                except ValueError as error:
+                    raise FitError(str(error)) from None
+            throws.append(self._tracks(str(number), condition, simulator))
+            found[number] = condition.values()
+        return RigModel(tuple(throws), self.rig, description, simulator, found)
+
+    def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
+        """Make tracks that are seen when those of a throw would be."""
+        try:
+            rig = changed_rig(self.rig, condition.values())
+        except ValueError as error:
+            raise FitError(str(error)) from None
+        duration = self.sight.duration
+        time = np.arange(-_REST / rig.engine.frequency, duration, 1.0 / self.sight.rate)
+        landing = simulator.landing_time(rig, duration)
+        flying = time[time < _IN_FLIGHT * landing]
+        if flying.size < FEWEST:
+            raise FitError(f'{flying.size} samples of a throw, where {FEWEST} are needed')
+        plate, projectile = (
+            Track(time=each, position=np.zeros_like(each), known_noise=self.sight.noise)
+            for each in (time, flying)
+        )
+        return ThrowTracks(name=name, plate=plate, projectile=projectile)
+
+    @cached_property
+    def _values(self) -> Floats:
+        return self._model.start([])
+
+    @cached_property
+    def _shared(self) -> dict[str, int]:
+        """Names of what throws share, and places among the values."""
+        shared = {}
+        for place, ((name, key), throws) in enumerate(self._model.groups.items()):
+            if not isinstance(key, int):
+                is_own = key is None or _TARGET in throws
+                shared[name if is_own else f'{name}[{self._values[place]:.9g}]'] = place
+        return shared
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that throws share."""
+        return tuple(self._shared)
+
+    @cached_property
+    def information(self) -> tuple[Floats, ...]:
+        """What each condition tells of them."""
+        jacobian = self._model.jacobian(self._values) / self.sight.noise
+        sizes = [channel.track.time.size for channel in self._model.channels]
+        rows = np.repeat([channel.throw for channel in self._model.channels], sizes)
+        shared = list(self._shared.values())
+        told = []
+        for number in range(1, len(self.conditions) + 1):
+            own = [
+                place
+                for place, ((_, key), throws) in enumerate(self._model.groups.items())
+                if isinstance(key, int) and number in throws
+            ]
+            known = np.array([1.0 / self._model.known[p].error if p in self._model.known else 0.0
+                              for p in own])  # fmt: skip
+            seen = jacobian[rows == number]
+            of_shared = np.concatenate([seen[:, shared], np.zeros((len(own), len(shared)))])
+            basis, _ = np.linalg.qr(np.concatenate([seen[:, own], np.diag(known)]))
+            left = of_shared - basis @ (basis.T @ of_shared)
+            told.append(left.T @ left)
+        return tuple(told)
 
     def start(self) -> Knowledge:
         """Say what is known before."""
-        values = values_of(self.rig, self.errors)
         information = np.zeros((len(self.names), len(self.names)))
         measured = self.measured.names if self.measured else ()
-        for place, name in enumerate(self.names):
-            plain, _, value = name.rstrip(']').partition('[')
-            weak = _WEAK_ERRORS.get(plain, _WEAKLY_KNOWN * abs(float(value or values[plain])))
-            error = math.inf if self._as_own(name) in measured else self.errors[plain]
-            information[place, place] = 1.0 / min(error, weak) ** 2
+        for number, (name, place) in enumerate(self._shared.items()):
+            error = self._weak_error(name)
+            if place in self._model.known and name not in measured:
+                error = self._model.known[place].error
+            information[number, number] = 1.0 / error**2
         if self.measured:
-            places = {self._as_own(name): place for place, name in enumerate(self.names)}
-            kept = [number for number, name in enumerate(measured) if name in places]
-            here = [places[measured[number]] for number in kept]
+            kept = [number for number, name in enumerate(measured) if name in self._shared]
+            here = [self.names.index(measured[number]) for number in kept]
             covariance = self.measured.covariance[np.ix_(kept, kept)]
             information[np.ix_(here, here)] += np.linalg.inv(covariance)
         return Knowledge(names=self.names, information=information)
@@ -224,43 +305,49 @@ class Planner:
     def judge(self, known: Knowledge) -> list[PlannedThrow]:
         """Say of each throw that can be made next what it would tell, the best one first."""
         after = [self._after(known, number) for number in range(len(self.conditions))]
-        order = sorted(range(len(after)), key=lambda number: self._volume(after[number]))
+        order = sorted(range(len(after)), key=lambda number: _volume(after[number]))
         return [self._planned(number, after[number]) for number in order]
 
     def choose(self, known: Knowledge) -> Iterator[PlannedThrow]:
         """Choose throws one after the other, without end."""
         while True:
             after = [self._after(known, number) for number in range(len(self.conditions))]
-            best = min(range(len(after)), key=lambda number: self._volume(after[number]))
+            best = min(range(len(after)), key=lambda number: _volume(after[number]))
             known = after[best]
             yield self._planned(best, known)
 
     def energy_transfer(self, known: Knowledge) -> tuple[float, float]:
-        """Return alpha of the rig, and its standard error."""
-        names = [name for name in known.names if self._as_own(name) in self.errors]
-        places = [known.names.index(name) for name in names]
-        mean = values_of(self.rig, [self._as_own(name) for name in names])
-        powers, axes = np.linalg.eigh(known.covariance[np.ix_(places, places)])
-        steps = (np.sqrt(np.maximum(powers, 0.0)) * axes).T
-        rigs = [self.rig]
-        for step, sign in itertools.product(steps, (1.0, -1.0)):
-            most = [
-                _WEAK_ERRORS.get(name, _LARGEST_STEP * abs(value)) for name, value in mean.items()
-            ]
-            values = np.array([*mean.values()]) + sign * np.clip(step, np.negative(most), most)
-            changes = dict(zip(mean, values, strict=True))
-            rigs.append(changed_rig(self.rig, _within_bounds(changes)))
+        """Return alpha of the rig, and its standard error over alpha."""
+        places = list(self._shared.values())
+        # Where little is known yet, steps of an error would leave what rigs can be
+        largest = np.array([self._weak_error(name) for name in self.names])
+        powers, axes = np.linalg.eigh(known.covariance / np.outer(largest, largest))
+        rigs = [self._model.rig_of(self._values, _TARGET)]
+        for step in (np.sqrt(np.maximum(powers, 0.0)) * axes).T:
+            for sign in (1.0, -1.0):
+                changed = self._values.copy()
+                changed[places] += sign * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP) * largest
+                rigs.append(self._rig_of(changed))
         alpha = first_releases(rigs).energy_transfer
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
-        change = np.nan_to_num(alpha[1:].reshape(-1, 2) - alpha[0], nan=alpha[0])
-        return float(alpha[0]), float(np.sqrt(np.sum(np.max(np.abs(change), axis=1) ** 2)))
+        change = np.abs(np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)).reshape(-1, 2)
+        return float(alpha[0]), float(np.sqrt(np.sum(change.max(axis=1) ** 2)))
 
-    def _as_own(self, name: str) -> str:
-        """Strip the value off the name of a part that is the rig's own."""
-        plain = name.partition('[')[0]
-        own = values_of(self.rig, [plain])[plain]
-        return plain if name in (plain, _of_part(plain, own)) else name
+    def _weak_error(self, name: str) -> float:
+        """Return an error that says next to nothing, of the size of what a parameter may be."""
+        place = self._shared[name]
+        value = _WEAKLY_KNOWN * abs(float(self._values[place]))
+        known = self._model.known.get(place)
+        return _WEAK_ERRORS.get(name, value or (known.error if known else 1.0))
+
+    def _rig_of(self, values: Floats) -> Rig:
+        """Make the rig of other values; neither loss nor damping becomes negative."""
+        for name in _WEAK_ERRORS:
+            place = self._shared.get(name)
+            if place is not None:
+                values[place] = max(values[place], 0.0)
+        return self._model.rig_of(values, _TARGET)
 
     def _after(self, known: Knowledge, number: int) -> Knowledge:
         """Add what a throw tells."""
@@ -268,93 +355,20 @@ class Planner:
             names=known.names, information=known.information + self.information[number]
         )
 
-    def _volume(self, known: Knowledge) -> float:
-        """Logarithm of the determinant of the covariance of what is sought."""
-        places = [
-            place for place, name in enumerate(known.names) if name.partition('[')[0] in SOUGHT
-        ]
-        return float(np.linalg.slogdet(known.covariance[np.ix_(places, places)])[1])
-
     def _planned(self, number: int, known: Knowledge) -> PlannedThrow:
         """Say what is known after a throw."""
         condition = self.conditions[number]
-        alpha, error = self.energy_transfer(known)
-        throw = simulate(condition.rig_of(self.rig), until=self.sight.duration)
-        errors = {self._as_own(name): each for name, each in known.errors().items()}
+        throw = simulate(changed_rig(self.rig, condition.values()), until=self.sight.duration)
         return PlannedThrow(
             condition=condition,
-            errors=errors,
-            energy_transfer_error=error / alpha,
+            errors=known.errors(),
+            energy_transfer_error=self.energy_transfer(known)[1],
             peak_strain=throw.peak_strain,
             leaves_linear_range=throw.leaves_linear_range,
         )
 
-    def _inform(self, condition: Condition) -> Floats:
-        """Compute what a throw tells of what all throws share."""
-        rig = condition.rig_of(self.rig)
-        time = np.arange(-_REST / rig.engine.frequency, self.sight.duration, 1.0 / self.sight.rate)
-        by_cells = 'layer.loss_tangent' in self.errors or rig.layer.loss_tangent > 0.0
-        simulator = ThrowSimulator(throws=len(self.errors) + 2)
-        landing = simulator.landing_time(rig, self.sight.duration, by_cells=by_cells)
-        flying = time[time < _IN_FLIGHT * landing]
 
-        def heights(changed: Rig) -> Floats:
-            plate = Underdamped.of(changed.engine).position(time)
-            path = simulator.follow(changed, flying, by_cells=by_cells)
-            rest = changed.layer.thickness - changed.static_sag
-            return np.concatenate([plate, path.position - rest])
-
-        varied = [*(name for name in self.errors if name != _OF_THROW), _OF_THROW]
-        values = values_of(rig, varied)
-        columns = []
-        for name, value in values.items():
-            step = max(_STEP * abs(value), _LEAST_STEPS.get(name, 0.0))
-            above, below = (
-                _within_bounds({name: value + sign * step})[name] for sign in (1.0, -1.0)
-            )
-            change = heights(changed_rig(rig, {name: above})) - heights(
-                changed_rig(rig, {name: below})
-            )
-            columns.append(change / (above - below))
-        velocity = np.concatenate(
-            [
-                Underdamped.of(rig.engine).velocity(time),
-                simulator.follow(rig, flying, by_cells=by_cells).velocity,
-            ]
-        )
-        is_plate = np.arange(velocity.size) < time.size
-        jacobian = np.stack([*columns, -velocity, is_plate, ~is_plate], axis=1) / self.sight.noise
-        count = len(varied) - 1
-        told = _eliminate(jacobian, count)
-        places = [self.names.index(self._name_in(condition, name)) for name in varied[:-1]]
-        information = np.zeros((len(self.names), len(self.names)))
-        information[np.ix_(places, places)] = told
-        return information
-
-    def _name_in(self, condition: Condition, name: str) -> str:
-        """Name a parameter of a throw."""
-        return _of_part(name, _value(condition, name)) if name in _OF_PARTS else name
-
-
-def _eliminate(jacobian: Floats, count: int) -> Floats:
-    """Compute the information about the first parameters if the others are free."""
-    others, _ = np.linalg.qr(jacobian[:, count:])
-    left = jacobian[:, :count] - others @ (others.T @ jacobian[:, :count])
-    return np.asarray(left.T @ left)
-
-
-def _value(condition: Condition, name: str) -> float:
-    return condition.thickness if name == 'layer.thickness' else condition.mass
-
-
-def _of_part(name: str, value: float) -> str:
-    """Name a parameter of one of several layers or projectiles."""
-    return f'{name}[{value:.9g}]' if name in _OF_PARTS else name
-
-
-def _within_bounds(values: Mapping[str, float]) -> dict[str, float]:
-    """Keep damping and loss from becoming negative."""
-    return {
-        name: max(float(value), 0.0) if name in _LEAST_STEPS else float(value)
-        for name, value in values.items()
-    }
+def _volume(known: Knowledge) -> float:
+    """Logarithm of the determinant of the covariance of what is sought."""
+    places = [place for place, name in enumerate(known.names) if name.partition('[')[0] in SOUGHT]
+    return float(np.linalg.slogdet(known.covariance[np.ix_(places, places)])[1])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planned throws against brute force: what fits of many simulated ones scatter by."""
 
-import math
 import re
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.optimize import least_squares
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit_description import changed_rig
+from soft_throw_ros.identification.fit_description import changed_rig, FitDescription, HELD
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plan import Condition, Knowledge, Planner, Sight
 
@@ -20,12 +19,7 @@ RIG = Rig(
     projectile=Projectile(mass=1.2e-3),
 )
 SIGHT = Sight(rate=5000.0, noise=2e-5, duration=0.03)
-FREE = {
-    'engine.frequency': math.inf,
-    'engine.damping_ratio': math.inf,
-    'layer.wave_speed': math.inf,
-    'layer.thickness': math.inf,
-}
+FREE = FitDescription({**HELD, 'layer.thickness': 'free'})
 LIGHT, USUAL, HEAVY, SMALL = (
     Condition(mass, 16.8e-3, amplitude)
     for mass, amplitude in ((0.6e-3, 1.2e-3), (1.2e-3, 1.2e-3), (2.4e-3, 1.2e-3), (2.4e-3, 6e-4))
@@ -87,7 +81,7 @@ def test_planned_errors_are_what_fits_of_simulated_throws_scatter_by(conditions)
     expected = scatter(conditions)
     # the spread of 20 fits is known to 16 %
     assert errors['layer.wave_speed'] == pytest.approx(expected[0], rel=0.4)
-    assert errors['layer.thickness[0.0168]'] == pytest.approx(expected[1], rel=0.4)
+    assert errors['layer.thickness'] == pytest.approx(expected[1], rel=0.4)
 
 
 def test_best_throw_is_the_one_whose_fits_scatter_least():
@@ -103,7 +97,7 @@ def test_throws_of_noise_twice_as_large_tell_a_quarter():
         Planner(RIG, (USUAL,), Sight(noise=noise, duration=0.03), FREE).information[0]
         for noise in (2e-5, 4e-5)
     )
-    np.testing.assert_allclose(twice, once / 4.0, rtol=1e-9)
+    np.testing.assert_allclose(twice, once / 4.0, rtol=1e-3)
 
 
 def test_errors_fall_with_every_throw_and_alpha_gets_known():
@@ -121,7 +115,7 @@ def test_what_is_measured_already_counts_like_a_throw():
     planner = Planner(RIG, (HEAVY,), SIGHT, FREE)
     (first,) = planner.judge(planner.start())
     after = Knowledge(
-        names=tuple(name.partition('[')[0] for name in planner.names),
+        names=planner.names,
         information=planner.start().information + planner.information[0],
     )
     again = Planner(RIG, (HEAVY,), SIGHT, FREE, after)
@@ -132,25 +126,40 @@ def test_what_is_measured_already_counts_like_a_throw():
 
 def test_mass_limits_what_many_throws_tell_of_wave_speed_and_thickness():
     # Throws show t_s and tau alone, so that c_s and L_s are known no better than the mass
-    errors = {
-        'layer.wave_speed': math.inf,
-        'layer.thickness': math.inf,
-        'projectile.mass': 0.05 * USUAL.mass,
-    }
-    planner = Planner(RIG, (USUAL,), SIGHT, errors)
+    fit = FitDescription({**HELD, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
+    planner = Planner(RIG, (USUAL,), SIGHT, fit)
     known = planner.start()
     many = known.information + 1e6 * planner.information[0]
     left = Knowledge(names=planner.names, information=many).errors()
     assert left['layer.wave_speed'] / 7.8 == pytest.approx(0.05, rel=0.01)
-    assert left['layer.thickness[0.0168]'] / 16.8e-3 == pytest.approx(0.05, rel=0.01)
+    assert left['layer.thickness'] / 16.8e-3 == pytest.approx(0.05, rel=0.01)
+
+
+def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
+    thin = Condition(1.2e-3, 8e-3, 1.2e-3)
+    planner = Planner(RIG, (thin, USUAL), SIGHT, FREE)
+    assert set(planner.names) >= {'layer.wave_speed', 'layer.thickness', 'layer.thickness[0.008]'}
+    errors = {each.condition: each.errors for each in planner.judge(planner.start())}
+    assert errors[thin]['layer.thickness'] == pytest.approx(16.8e-3, rel=0.01)  # as before
+    assert errors[USUAL]['layer.thickness'] < 2e-3
+    assert errors[thin]['layer.thickness[0.008]'] < 1e-3
+
+
+def test_doubts_about_the_bench_are_in_what_is_planned():
+    sure, doubtful = (
+        Planner(RIG, (USUAL,), SIGHT, fit) for fit in (FitDescription(HELD), FitDescription())
+    )
+    errors = [next(each.choose(each.start())) for each in (sure, doubtful)]
+    assert errors[1].errors['layer.wave_speed'] > 3.0 * errors[0].errors['layer.wave_speed']
+    assert errors[1].energy_transfer_error > 2.0 * errors[0].energy_transfer_error
 
 
 def test_plan_of_nothing_is_refused():
     with pytest.raises(FitError, match='no throw to choose'):
         Planner(RIG, (), SIGHT, FREE)
     with pytest.raises(FitError, match=r'one of layer\.wave_speed, '):
-        Planner(RIG, (USUAL,), SIGHT, {'engine.frequency': math.inf})
+        Planner(RIG, (USUAL,), SIGHT, FitDescription({**HELD, 'layer.wave_speed': 'held'}))
     with pytest.raises(FitError, match=re.escape('-0.001')):
-        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SIGHT, FREE)
+        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SIGHT, FREE).start()
     with pytest.raises(ValueError, match=r'rate must be .*, got 0'):
         Sight(rate=0.0)
