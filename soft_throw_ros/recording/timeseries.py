@@ -431,8 +431,8 @@ class _TwinDecoder:
         for message in messages:
             entry = journal.decode(_text(message))
             match entry['kind']:
-                case 'tick_schedule':
-                    self._schedule = journal.entry_schedule(entry)
+                case 'pace' | 'tick_schedule':  # the former is that of version 0.1
+                    self._schedule = journal.decode_schedule(entry)
                 case 'input' if entry.get('input') == 'parameters':
                     self._wanted = {**self._wanted, **_known(entry['values'])}
                 case 'input' if entry.get('input') == 'reset' and self._wanted:
@@ -454,9 +454,10 @@ class _TwinDecoder:
         """Take over what is said at the start of a throw, and find out when that was."""
         settings, step = _complete(entry), operator.index(entry['step'])
         number = operator.index(entry.get('throw', 0))
-        self._schedule = journal.entry_schedule(entry) or self._schedule
+        if entry.get('schedule'):
+            self._schedule = journal.decode_schedule(entry['schedule'])
         due = stamp if self._schedule is None else self._schedule.deadline(step)
-        onset = entry.get('onset')
+        onset = entry.get('onset', entry.get('departure'))  # the latter is that of version 0.1
         self._rest = None
         if onset is not None:
             due = operator.index(onset['onset_ns'])
