@@ -17,7 +17,14 @@ from soft_throw_ros.commands.output import print_text, slow_notice, to_json
 from soft_throw_ros.configuration import located_yaml, rig_of, Settings, TWIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import FitDescription, values_of
-from soft_throw_ros.identification.plan import Condition, Knowledge, PlannedThrow, Planner, Sight
+from soft_throw_ros.identification.plan import (
+    Condition,
+    Knowledge,
+    PlannedThrow,
+    Planner,
+    seeking_loss,
+    Sight,
+)
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks
 
@@ -46,7 +53,7 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group(
         'what to measure next',
         'of the masses, layers and amplitudes at hand: which throws narrow wave speed, thickness '
-        'and loss most, as far as these are fitted, and how many are enough. With tracks, after '
+        'and loss most, unless these are held, and how many are enough. With tracks, after '
         'what these tell already. --rate, --noise and --to say how throws will be seen.',
     ).add_argument
     add(
@@ -83,11 +90,11 @@ def plan_throws(
     if not 0.0 < arguments.goal < math.inf:
         raise ValueError(f'argument --goal: must be finite and positive, got {arguments.goal:g}')
     conditions = _conditions(arguments, rig)
-    sight = _sight(arguments, rig)
+    sight = _sight(arguments, rig, throws)
     with slow_notice('identify'):
         measured = None
         if throws:
-            found = fit_rig(throws, rig, description)
+            found = fit_rig(throws, rig, seeking_loss(description))
             rig, names = found.rig, [name for name in found.fit.names if '[' not in name]
             places = [found.fit.names.index(name) for name in names]
             covariance = found.fit.covariance[np.ix_(places, places)]
@@ -150,15 +157,19 @@ def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
     return [Condition(*each) for each in itertools.product(*choices)]
 
 
-def _sight(arguments: argparse.Namespace, rig: Rig) -> Sight:
-    """Tell how throws will be seen."""
-    rate = _USUAL_RATE if arguments.rate is None else arguments.rate
+def _sight(arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks]) -> Sight:
+    """Tell how throws will be seen: as those that were made, unless options say otherwise."""
+    rate, noise = _USUAL_RATE, _USUAL_NOISE
+    if throws:
+        rate = 1.0 / float(np.median([throw.plate.interval for throw in throws]))
+        noise = float(np.median([throw.plate.noise for throw in throws]))
+    rate = rate if arguments.rate is None else arguments.rate
     if not isinstance(rate, float) or not 0.0 < rate < math.inf:
         raise ValueError(f'argument --rate: must be finite and positive, got {rate}')
     duration = arguments.end
     if not 0.0 < duration < math.inf:
         duration = _PERIODS_SEEN / rig.engine.frequency
-    return Sight(rate=rate, noise=arguments.noise or _USUAL_NOISE, duration=duration)
+    return Sight(rate=rate, noise=arguments.noise or noise, duration=duration)
 
 
 def _lines(

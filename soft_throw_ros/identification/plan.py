@@ -204,11 +204,9 @@ class Planner:
         if not any(self._described.treatment(name).is_varied for name in SOUGHT):
             raise FitError(f'nothing is sought: one of {", ".join(SOUGHT)} must be free')
 
-    @property
+    @cached_property
     def _described(self) -> FitDescription:
-        loss = 'layer.loss_tangent'
-        is_open = loss in self.description.if_seen
-        return self.description.see(loss) if is_open else self.description
+        return seeking_loss(self.description)
 
     @cached_property
     def _model(self) -> RigModel:
@@ -358,7 +356,9 @@ class Planner:
     def _planned(self, number: int, known: Knowledge) -> PlannedThrow:
         """Say what is known after a throw."""
         condition = self.conditions[number]
-        throw = simulate(changed_rig(self.rig, condition.values()), until=self.sight.duration)
+        rig = changed_rig(self.rig, condition.values())
+        model = 'finite_difference' if rig.layer.loss_tangent > 0.0 else 'travelling_wave'
+        throw = simulate(rig, model=model, until=self.sight.duration)
         return PlannedThrow(
             condition=condition,
             errors=known.errors(),
@@ -366,6 +366,12 @@ class Planner:
             peak_strain=throw.peak_strain,
             leaves_linear_range=throw.leaves_linear_range,
         )
+
+
+def seeking_loss(description: FitDescription) -> FitDescription:
+    """Have the loss sought unless it is held."""
+    loss = 'layer.loss_tangent'
+    return description.see(loss) if loss in description.if_seen else description
 
 
 def _volume(known: Knowledge) -> float:
