@@ -38,8 +38,10 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(map(str, Path('config').glob('*.yaml')))),
-        (f'share/{NAME}/urdf', ['urdf/soft_throw.urdf']),
+        *(
+            (f'share/{NAME}/{folder}', sorted(map(str, Path(folder).glob('*.*'))))
+            for folder in ('config', 'launch', 'rviz', 'urdf')
+        ),
     ],
     entry_points={'console_scripts': scripts},
     python_requires='>=3.10',
@@ -59,7 +61,6 @@ setup(
         'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
         'plot': ['matplotlib'],
         'video': ['av', 'imageio', 'scikit-image>=0.20'],
-        'xarray': ['xarray'],
         'test': [
             'av',
             'colcon-common-extensions',

@@ -42,7 +42,7 @@ ON_PYPI = {
     'yaml': ('pyyaml', 'python3-yaml'),
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
-OPTIONAL = {'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
+OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
 # Nothing is downloaded: what the build needs and what the package needs are there already.
 OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}

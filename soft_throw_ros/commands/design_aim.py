@@ -13,7 +13,7 @@ from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.evaluate import last_release
-from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.requests import answer
 
 NOT_REACHED = 1

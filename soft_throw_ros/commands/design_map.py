@@ -6,9 +6,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+import math
 from pathlib import Path
 import sys
-from typing import Any, get_args, NamedTuple, TYPE_CHECKING
+from typing import get_args, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,37 +50,11 @@ _POINTS = 256
 
 _SHOW_TIME = 20.0  # for a viewer to take a map [s]
 
-_RANGES = {
-    'x': '0.005:0.995',
-    'C': '0.05:14',
-    'mu': '0.01:10:log',
-    'kappa': '0.5:50:log',
-    'engine.damping_ratio': '0:0.3',
-    'layer.thickness': '0.001:0.05',
-    'layer.wave_speed': '1:50',
-}
-"""What is mapped if an axis is given by its name alone."""
+_RANGES = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
+"""What is mapped if a ratio is given by its name alone."""
 
 _UNITS = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
 """Units of axes that pictures have in another size."""
-
-_PLAIN = {
-    'mu': '\N{GREEK SMALL LETTER MU}',
-    'kappa': 'κ',
-    'engine.frequency': 'f',
-    'engine.amplitude': 'A',
-    'engine.damping_ratio': 'ζ',
-    'layer.thickness': 'Lₛ',
-    'layer.wave_speed': 'cₛ',
-    'layer.density': '\N{GREEK SMALL LETTER RHO}ₛ',
-    'layer.diameter': 'D',
-    'layer.loss_tangent': 'tan δ',
-    'projectile.mass': 'm',
-    'gravity': 'g',
-    'ejection_phase': 'tₑ f',
-    'energy_transfer': '\N{GREEK SMALL LETTER ALPHA}',
-}
-"""Symbols of axes and results where there is no TeX, if they are not their names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '[--rerun] [--workers N | --dask ADDRESS] [--config FILE] [--thickness M ...]'
     )
     parser.epilog = (
-        'An axis is NAME or NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
-        f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}.'
+        'An axis is NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
+        f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}; the first four need no range.'
     )
     add = parser.add_argument
     add('axes', metavar='AXIS', nargs='*', help="two of them (default: the paper's, x and C)")
@@ -119,11 +94,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute and hand over the map; return 0, 130 after Ctrl-C, or 1 if workers are gone."""
     rig = rig_of(read_settings(arguments))
-    axes = _read_axes(arguments.axes or ['x', 'C'])
+    names = arguments.axes or ['x', 'C']
+    if len(names) != 2:
+        raise ValueError(f'AXIS must be given twice or not at all, got {" ".join(names)}')
+    axes = dict(map(_read_axis, names))
     for path in arguments.output:
         _check_output(path)
     has_loss = rig.layer.loss_tangent > 0.0 or 'layer.loss_tangent' in axes
-    total = int(np.prod([values.size for values in axes.values()]))
+    total = math.prod(values.size for values in axes.values())
     try:
         if arguments.rerun:
             require('--rerun', 'rerun', 'rerun')
@@ -159,22 +137,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _read_axes(texts: list[str]) -> dict[str, Floats]:
-    """Read the two axes of the command line."""
-    if len(texts) != 2:
-        raise ValueError(f'AXIS must be given twice or not at all, got {" ".join(texts)}')
-    return dict(_read_axis(text) for text in texts)
-
-
 def _read_axis(text: str) -> tuple[str, Floats]:
-    """Read NAME=LOW:HIGH:COUNT:log, of which all but the name may be missing."""
+    """Read NAME=LOW:HIGH:COUNT:log, of which the last two may be missing, or a ratio's name."""
     name, _, rest = text.partition('=')
     if name not in AXES:
         raise ValueError(f'no axis is named {name!r}; there are: {", ".join(AXES)}')
-    rest = rest or _RANGES.get(name, '')
-    if not rest:
-        raise ValueError(f'{name} needs a range: {name}=LOW:HIGH')
-    parts = rest.split(':')
+    parts = (rest or _RANGES.get(name, '')).split(':')
     is_log = parts[-1] == 'log'
     try:
         low, high, *count = parts[: len(parts) - is_log]
@@ -182,14 +150,13 @@ def _read_axis(text: str) -> tuple[str, Floats]:
         (points,) = map(int, count) if count else (_POINTS,)
     except ValueError:
         raise ValueError(
-            f'an axis is NAME=LOW:HIGH, followed by :COUNT and :log as you like, got {text!r}'
+            f'an axis is {name}=LOW:HIGH, followed by :COUNT and :log as you like, got {text!r}'
         ) from None
     if not bounds[0] < bounds[1]:
         raise ValueError(f'{name} must go from a lower to a higher value, got {text!r}')
     if points < 2:
         raise ValueError(f'{name} must have at least 2 points, got {text!r}')
-    for bound in bounds:
-        LandscapeAxis(name=name, values=np.array([bound]))  # which refuses what is out of range
+    LandscapeAxis(name=name, values=np.array(bounds))  # which refuses what is out of range
     if is_log and bounds[0] == 0.0:
         raise ValueError(f'{name} cannot begin at 0 with :log, got {text!r}')
     return name, (np.geomspace if is_log else np.linspace)(*bounds, points)
@@ -232,14 +199,17 @@ def _summary(landscape: Landscape) -> Iterator[str]:
 class _Shown(NamedTuple):
     """An axis as it is drawn: its values in a unit of handy size, which is SI times `factor`."""
 
+    title: str
     values: Floats
-    unit: str
     factor: float
 
     @classmethod
     def of(cls, axis: LandscapeAxis) -> _Shown:
         unit, factor = _UNITS.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
-        return cls(factor * axis.values, f' ({unit})' if unit else '', factor)
+        title = axis.quantity.symbol + (f' ({unit})' if unit else '')
+        if axis.name in TWIN.by_name:
+            title = f'{axis.name.rpartition(".")[2].replace("_", " ")} {title}'
+        return cls(title, factor * axis.values, factor)
 
     @property
     def scale(self) -> str:
@@ -250,53 +220,36 @@ class _Shown(NamedTuple):
 
 
 def draw(landscape: Landscape, path: Path) -> None:
-    """Draw both results of a map side by side into a PNG file, with optimum, ridge and rig."""
+    """Draw both results of a map side by side into a PNG file, with optimum and rig."""
     from matplotlib.figure import Figure
 
-    x, y = map(_Shown.of, landscape.axes)
+    shown = [_Shown.of(axis) for axis in landscape.axes]
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     # Both maps of colours grow evenly in lightness, whatever the eyes
     for panel, name, colours in zip(panels, RESULTS, ('magma', 'viridis'), strict=True):
         quantity, highest = RESULTS[name], _highest(landscape, name)
         image = panel.pcolormesh(
-            x.values, y.values, getattr(landscape, name).T, cmap=colours, vmin=0.0, vmax=highest,
-            shading='nearest',
+            *(axis.values for axis in shown), getattr(landscape, name).T, cmap=colours, vmin=0.0,
+            vmax=highest, shading='nearest',
         )  # fmt: skip
-        label = f'{quantity.meaning.lower()} ${quantity.symbol}$'
+        label = f'{quantity.meaning.lower()} {quantity.symbol}'
         figure.colorbar(image, label=label, extend='neither' if highest is None else 'max')
         panel.set(facecolor='0.75')
-        _scale_axes(panel, landscape, x, y)
-        ridge = _ridge(landscape, y.values)
-        panel.plot(x.values, ridge, color='white', lw=1.0, ls=(0, (4, 2)), label='ridge')
-        for title, *place in _marks(landscape, r'$\alpha$'):
-            marker = 'o' if title == 'this rig' else '*'
+        for letter, axis in zip('xy', shown, strict=True):
+            limits = (axis.values[0], axis.values[-1])
+            panel.set(**{
+                f'{letter}scale': axis.scale, f'{letter}label': axis.title, f'{letter}lim': limits
+            })  # fmt: skip
+        for marker, (title, *place) in zip('o*', _marks(landscape), strict=False):
             panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=title)
     figure.suptitle(_title(landscape), fontsize='medium')
     figure.legend(
-        *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=3,
+        *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2,
         facecolor='0.5', labelcolor='white',
     )  # fmt: skip
     with atomic_file(path) as unfinished:
         figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
-
-
-def _scale_axes(panel: Any, landscape: Landscape, x: _Shown, y: _Shown) -> None:
-    """Set limits, scales and labels; `panel` is an Axes of matplotlib, which may be missing."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    for letter, shown, axis in zip('xy', (x, y), landscape.axes, strict=True):
-        words = axis.name.rpartition('.')[2].replace('_', ' ') + ' '
-        label = f'{words * (axis.name in TWIN.by_name)}${axis.quantity.symbol}${shown.unit}'
-        limits = (shown.values[0], shown.values[-1])
-        panel.set(
-            **{f'{letter}scale': shown.scale, f'{letter}label': label, f'{letter}lim': limits}
-        )
-        if shown.scale == 'log':
-            ticks = getattr(panel, f'{letter}axis')
-            ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            ticks.set_major_formatter(StrMethodFormatter('{x:g}'))
-            ticks.set_minor_formatter(NullFormatter())
 
 
 def _record(landscape: Landscape, path: Path) -> None:
@@ -322,11 +275,8 @@ def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
     from soft_throw_ros.recording import rerun_canvas
 
     x, y = (
-        rerun_canvas.MapAxis(
-            title=_PLAIN.get(axis.name, axis.name) + _Shown.of(axis).unit,
-            values=_Shown.of(axis).values,
-        )
-        for axis in landscape.axes
+        rerun_canvas.MapAxis(title=axis.title, values=axis.values)
+        for axis in map(_Shown.of, landscape.axes)
     )
     rerun_canvas.draw_landscape(
         stream,
@@ -336,15 +286,13 @@ def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
             rerun_canvas.MapPanel(
                 name=name,
                 title=quantity.meaning,
-                symbol=_PLAIN[name],
+                symbol=quantity.symbol,
                 values=getattr(landscape, name),
                 highest=_highest(landscape, name),
             )
             for name, quantity in RESULTS.items()
         ],
-        marks=[
-            (right, up, title) for title, right, up in _marks(landscape, _PLAIN['energy_transfer'])
-        ],
+        marks=[(right, up, title) for title, right, up in _marks(landscape)],
     )
 
 
@@ -358,13 +306,13 @@ def _highest(landscape: Landscape, name: str) -> float | None:
 
 def _title(landscape: Landscape) -> str:
     """Name model and release, and of the rig what is no axis and counts."""
-    names = [axis.name for axis in landscape.axes]
+    rig, names = landscape.rig, [axis.name for axis in landscape.axes]
     fixed = [
-        f'${AXES[name].symbol}$ = {value:g}{unit}'
-        for name, value, unit in (
-            ('engine.damping_ratio', landscape.rig.engine.damping_ratio, ''),
-            ('layer.loss_tangent', landscape.rig.layer.loss_tangent, ''),
-            ('gravity', landscape.rig.gravity, ' m/s$^2$'),
+        f'{AXES[name].symbol} = {value:g} {TWIN.by_name[name].unit}'.rstrip()
+        for name, value in (
+            ('engine.damping_ratio', rig.engine.damping_ratio),
+            ('layer.loss_tangent', rig.layer.loss_tangent),
+            ('gravity', rig.gravity),
         )
         if value > 0.0 and name not in (*names, *landscape.left_out)
     ]
@@ -372,26 +320,17 @@ def _title(landscape: Landscape) -> str:
     return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
 
 
-def _marks(landscape: Landscape, alpha: str) -> Iterator[tuple[str, float, float]]:
-    """Give title and place of the rig and of the highest point, as far as they are on the map."""
+def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
+    """Give title and place of the highest point and of the rig, as far as they are on the map."""
     marks = [('this rig', landscape.place(landscape.rig))]
-    if landscape.optimum is not None:
-        title = f'largest {alpha}, {landscape.optimum.energy_transfer:.3f}'
-        marks.append((title, landscape.optimum.place))
-    low, high = zip(*((axis.values[0], axis.values[-1]) for axis in landscape.axes), strict=True)
+    optimum, symbol = landscape.optimum, RESULTS['energy_transfer'].symbol
+    if optimum is not None:
+        marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.place))
     x, y = map(_Shown.of, landscape.axes)
-    for title, (right, up) in marks:
-        if low[0] <= right <= high[0] and low[1] <= up <= high[1]:
-            yield title, x.factor * right, y.factor * up
-
-
-def _ridge(landscape: Landscape, y: Floats) -> Floats:
-    """Return for each value across where upwards the energy is largest; NaN at an end or gap."""
-    transfer = np.nan_to_num(landscape.energy_transfer, nan=-1.0)
-    rows = transfer.argmax(axis=1)
-    ridge = np.where((rows > 0) & (rows < y.size - 1), y[rows], np.nan)
-    ridge[np.flatnonzero(np.abs(np.diff(rows)) > 0.05 * y.size)] = np.nan
-    return ridge
+    for title, place in marks:
+        right, up = x.factor * place[0], y.factor * place[1]
+        if x.values[0] <= right <= x.values[-1] and y.values[0] <= up <= y.values[-1]:
+            yield title, right, up
 
 
 _WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {

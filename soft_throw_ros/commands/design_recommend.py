@@ -12,15 +12,9 @@ from soft_throw_ros.commands.design_table import add_search_options, answer_json
 from soft_throw_ros.commands.options import read_settings
 from soft_throw_ros.commands.output import print_text, slow_notice
 from soft_throw_ros.configuration import Settings, TWIN
-from soft_throw_ros.design.recommendation import (
-    Recommendation,
-    Sensitivity,
-    TOLERATED,
-    UNITS,
-    Vary,
-    WITHIN,
-)
+from soft_throw_ros.design.recommendation import Recommendation, Vary
 from soft_throw_ros.design.requests import answer
+from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED, UNITS, WITHIN
 
 _OBJECTIVE = replace(
     TWIN.by_name['recommendation.objective'],

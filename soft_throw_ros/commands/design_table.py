@@ -40,7 +40,7 @@ _ROWS = (
     Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
     Row('peak_force', 'peak force on plate', 'N'),
     Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    Row('kinetic_energy', '  to the projectile', 'mJ', 1e3),
+    Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
 )
 
 

@@ -8,19 +8,15 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 import sys
 
 from soft_throw_ros.commands import identify_figure
-from soft_throw_ros.commands.identify_input import (
-    add_video_options,
-    check_video_options,
-    read_layer,
-    read_throws,
-)
+from soft_throw_ros.commands.identify_input import read_layer, read_throws
 from soft_throw_ros.commands.identify_report import (
+    budget_lines,
     ejection_data,
     ejection_lines,
     fit_data,
@@ -29,10 +25,17 @@ from soft_throw_ros.commands.identify_report import (
     unit_of,
     with_unit,
 )
-from soft_throw_ros.commands.options import add_rig_options, read_settings
+from soft_throw_ros.commands.identify_video import add_video_options, check_video_options
+from soft_throw_ros.commands.options import (
+    add_rig_options,
+    number_or_text,
+    OPTIONS,
+    read_settings,
+)
 from soft_throw_ros.commands.output import naming, print_text, require, run_command
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.identification.fit_description import (
+    DEFAULTS,
     ENGINE,
     FitDescription,
     HEIGHTS,
@@ -57,6 +60,7 @@ from soft_throw_ros.identification.tracks import ThrowTracks
 
 _FIGURES = ('.png', '.pdf', '.svg')
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
+_OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _MAX_COLUMNS = 4  # of running averages in the table
 
 
@@ -66,10 +70,12 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    known = _split_known(arguments)
     settings = read_settings(arguments)
+    description = _describe_fit(arguments, known)
     _check(arguments)
     identify = _identify_layers if arguments.free_layer else _identify_throws
-    report = identify(arguments, settings)
+    report = identify(arguments, settings, description)
     identified = report.put_into(settings)
     if arguments.output:
         with naming(arguments.output):
@@ -106,10 +112,10 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add(
         '--fit', metavar='NAME[=HOW]', action='append', default=[],
-        help=f'fit this too: one of {", ".join(PARAMETERS)} (default: to fit '
-        f'{", ".join(USUAL)}). HOW is {TREATMENTS.replace("%", "%%")}, as in '
-        "'projectile.mass=0.0012 +- 1 %%'; what is not held may be followed by 'per throw'. May "
-        'be repeated',
+        help=f'fit this too: one of {", ".join(DEFAULTS)} (default: to fit {", ".join(USUAL)}, '
+        'and what else is known with an error). HOW is '
+        f'{TREATMENTS.replace("%", "%%")}, as in '
+        "'projectile.mass=0.0012 +- 1 %%', or shorter '--mass 0.0012+-1%%'. May be repeated",
     )  # fmt: skip
     add(
         '--hold', metavar='NAME', action='append', default=[],
@@ -117,7 +123,9 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file that says the same: `parameters` (NAME: HOW), `heights`, `reference`',
+        help='YAML file that says the same: `parameters` (NAME: HOW), `heights`, `reference`, and '
+        '`throws` (names of files, or patterns, to parameters and names of `layer` and '
+        '`projectile` that are otherwise there)',
     )  # fmt: skip
     add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
     add(
@@ -157,7 +165,6 @@ def _check(arguments: argparse.Namespace) -> None:
             'argument --thickness-error: must be finite and not negative, '
             f'got {arguments.thickness_error:g}'
         )
-    _describe_fit(arguments)
     check_video_options(arguments)
     for name in ('output', 'figure', 'tracks', 'space_time'):
         path = getattr(arguments, name)
@@ -172,11 +179,24 @@ def _check(arguments: argparse.Namespace) -> None:
             require('a figure', 'plot', 'matplotlib')
 
 
-def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
+def _split_known(arguments: argparse.Namespace) -> dict[str, str]:
+    """Take errors off options of the rig, as in `--mass 0.0012+-1%`."""
+    known = {}
+    for name in PARAMETERS:
+        value, sign, error = str(getattr(arguments, name, '')).partition('+-')
+        if sign:
+            setattr(arguments, name, number_or_text(value))
+            known[name] = f'+- {error}'
+    return known
+
+
+def _describe_fit(arguments: argparse.Namespace, known: Mapping[str, str]) -> FitDescription:
     """Read what is fitted from file and options."""
     description = FitDescription()
+    if arguments.video and not arguments.files:  # the same pictures show both bodies
+        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, 'held'))
     if arguments.fit_file:
-        description = FitDescription.from_file(arguments.fit_file)
+        description = FitDescription.from_file(arguments.fit_file, description)
     for name in ('heights', 'reference'):
         if getattr(arguments, name):
             description = description.change({name: getattr(arguments, name)})
@@ -187,7 +207,9 @@ def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
     both = sorted(set(fitted) & set(arguments.hold))
     if both:
         raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    for option, changes in (('fit', fitted), ('hold', dict.fromkeys(arguments.hold, 'held'))):
+    options = {OPTIONS[name].removeprefix('--'): {name: text} for name, text in known.items()}
+    options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
+    for option, changes in options.items():
         try:
             description = description.change(changes)
         except ValueError as error:
@@ -212,17 +234,18 @@ def _read_all(arguments: argparse.Namespace) -> list[ThrowTracks]:
     return throws[-arguments.last :] if arguments.last else throws
 
 
-def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
+def _identify_throws(
+    arguments: argparse.Namespace, settings: Settings, description: FitDescription
+) -> IdentificationReport:
     """Fit a rig to throws."""
     throws = _read_all(arguments)
     has_projectile = any(throw.projectile is not None for throw in throws)
-    description = _describe_fit(arguments)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
     found = fit_rig(throws, rig, description)
     warnings = found.fit.warnings()
-    lines = list(fit_lines(found.fit))
+    lines = [*budget_lines(found), '', *found.remarks, *fit_lines(found.fit)]
     ejection, averages = None, dict[int, Ejection]()
     if has_projectile:
         ejection = ejection_of(found)
@@ -254,6 +277,8 @@ def _identify_throws(arguments: argparse.Namespace, settings: Settings) -> Ident
         lines=tuple(lines),
         data={
             'fit': fit_data(found.fit),
+            'terms': found.terms(),
+            'remarks': found.remarks,
             'throws': [
                 {
                     'name': throw.name,
@@ -286,7 +311,9 @@ def _running_averages(
     return averages, [f'no running averages: {refused[0]}{more}']
 
 
-def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
+def _identify_layers(
+    arguments: argparse.Namespace, settings: Settings, description: FitDescription
+) -> IdentificationReport:
     """Fit wave speed and loss to layers that ring."""
     layers: list[tuple[float, Ringing]] = []
     warnings: list[str] = []
@@ -311,7 +338,7 @@ def _identify_layers(arguments: argparse.Namespace, settings: Settings) -> Ident
             'degrees of freedom): is it one material, whose loss grows with frequency?'
         )
     found = {'layer.wave_speed': speed.value}
-    if _describe_fit(arguments).is_free('layer.loss_tangent'):
+    if description.is_free('layer.loss_tangent'):
         found['layer.loss_tangent'] = loss.value
     if arguments.figure:
         with naming(arguments.figure):

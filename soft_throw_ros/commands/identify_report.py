@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
+from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.throw_analysis import Ejection
 
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
@@ -20,6 +22,9 @@ _MAX_NAMES = 4  # of sources in a parameter file
 _MAX_OUTLIERS = 4  # of a track that are listed one by one
 _MAX_TRACKS = 8  # that have a row of their own; if there are more, the worst of them
 _NAME_WIDTH = 24
+_NOISY = 0.7  # of an error that is noise, from which on nothing else is said of it
+_LARGE_PART = 0.3  # of an error, from which on it is said what it comes from
+_UNITS_OF_TERMS = {'projectile.delay': 's', 'projectile.sticking': 's'}
 
 EJECTION_ROWS = (
     ('time', 'ejection time t_e', 's'),
@@ -112,14 +117,33 @@ class IdentificationReport:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a parameter of the twin."""
-    return TWIN.by_name[name].unit
+    """Return the unit of a parameter of the twin, or of a term of the fit."""
+    return TWIN.by_name[name].unit if name in TWIN.by_name else _UNITS_OF_TERMS.get(name, '')
 
 
 def with_unit(value: Estimate, unit: str) -> str:
     """Write a value with its error, in a unit of handy size."""
     shown, factor = _UNITS_IN_TABLES.get(unit, (unit, 1.0))
     return f'{Estimate(factor * value.value, factor * value.error)} {shown}'.rstrip()
+
+
+def budget_lines(found: RigFit) -> Iterator[str]:
+    """Say what else the fit has found, and of what an error is made that is not mere noise."""
+    for name, value in found.terms().items():
+        yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
+    for name in found.estimates():
+        if name not in found.fit or found.fit.names.index(name) in found.fit.known:
+            continue
+        parts = found.fit.budget(name)
+        total = math.sqrt(sum(part**2 for part in parts.values()))
+        large = {n: part for n, part in parts.items() if part > _LARGE_PART * total}
+        if parts['noise'] < _NOISY * total:
+            shown, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+            listed = ', '.join(
+                f'{n} {factor * part:.2g}'
+                for n, part in sorted(large.items(), key=lambda item: -item[1])
+            )
+            yield f'error of {name}: {factor * total:.2g} {shown}'.rstrip() + f', by {listed}'
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:
@@ -136,7 +160,7 @@ def fit_lines(fit: Fit) -> Iterator[str]:
         name, track = residual.name, residual.track
         short = name if len(name) <= _NAME_WIDTH else f'...{name[3 - _NAME_WIDTH :]}'
         yield (
-            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
+            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * residual.rms_noise:7.3g} um '
             f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
         )
     if len(shown) < len(fit.residuals):
@@ -162,11 +186,12 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         'covariance': fit.covariance,
         'chi2': fit.chi2,
         'degrees_of_freedom': fit.dof,
+        'alternatives': fit.alternatives,
         'residuals': [
             {
                 'track': residual.name,
                 'samples': residual.track.time.size,
-                'noise': residual.track.noise,
+                'noise': residual.rms_noise,
                 'rms': residual.rms,
                 'autocorrelation': residual.autocorrelation,
                 'whiteness': residual.whiteness,

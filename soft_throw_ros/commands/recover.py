@@ -33,7 +33,7 @@ def _run(arguments: argparse.Namespace) -> int:
     name = path.name if path.is_dir() else path.name.partition('.')[0]
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
     print_text('\n'.join(_lines(recovery)) + '\n')
-    return 1 if recovery.skipped else 0
+    return 1 if recovery.skipped or recovery.doubts else 0
 
 
 def _lines(recovery: Recovery) -> list[str]:
@@ -41,6 +41,7 @@ def _lines(recovery: Recovery) -> list[str]:
     width = max(map(len, recovery.saved))
     lines = [f'{recovery.target}: {recovery.message_count} messages recovered']
     lines += [f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()]
+    lines += [f'left out: {doubt}' for doubt in recovery.doubts]
     skipped = recovery.skipped
     if skipped:
         places = '1 place' if len(skipped) == 1 else f'{len(skipped)} places'

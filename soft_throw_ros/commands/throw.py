@@ -8,9 +8,8 @@ Values are given like the parameters of the twin, and the same table says what i
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 import csv
-from functools import partial
 import io
 import math
 from pathlib import Path
@@ -40,7 +39,7 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
@@ -70,7 +69,7 @@ _ROWS = (
     Row('last_ejection_time', 'last release', 'ms', 1e3),
     Row('last_ejection_speed', '  its speed', 'm/s'),
     Row('last_energy_transfer', '  its alpha'),
-    Row('apex_height', 'apex', 'mm', 1e3),
+    Row('apex_height', 'apex above the plate', 'mm', 1e3),
     Row('peak_strain', 'peak strain', '%', 1e2),
     Row('peak_plate_strain', '  at the plate', '%', 1e2),
     Row('peak_contact_strain', '  at the projectile', '%', 1e2),
@@ -140,6 +139,21 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+MODELS: Mapping[str, str] = {
+    'closed_form': 'first release of a rigid projectile on a lossless layer, exact',
+    'travelling_wave': (
+        'rigid projectile, lossless layer, the whole throw as the twin computes it'
+    ),
+    'finite_difference': 'rigid projectile, layer of cells with internal loss, to about 1e-4',
+    'finite_difference_elastic': 'cells of the projectile, too; speeds of its centre of mass',
+    'finite_difference_glued': (
+        'layer glued to the projectile and thrown with it; speeds of both together'
+    ),
+    'spring_mass': 'layer without mass and loss, harmonic plate, no gravity (App. A)',
+}
+"""The models, and what is to be known about them."""
+
+
 def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     """
     Predict a throw by several models.
@@ -164,9 +178,8 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     models: dict[str, ModelResult | None] = {}
     notes: dict[str, str] = {}
     for name in dict.fromkeys(names):
-        model, note = MODELS[name]
         try:
-            models[name], notes[name] = model(rig), note
+            models[name], notes[name] = _predict_by(name, rig), MODELS[name]
         except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
             models[name], notes[name] = None, f'none, {error}'
     uncertainty = None
@@ -195,34 +208,39 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     }
 
 
-def _by_closed_form(rig: Rig) -> ModelResult:
-    rig.check_for_waves()
-    release = first_release(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        damping_ratio=rig.engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
-    )
-    return _release(rig, float(release.ejection_phase), float(release.speed))
-
-
-def _by_spring_mass(rig: Rig) -> ModelResult:
-    # The formula of App. A knows neither damping nor gravity
-    ratio = rig.natural_frequency / rig.engine.frequency
-    release = spring_mass.first_release(frequency_ratio=ratio)
-    return _release(rig, float(release.ejection_phase), float(release.speed), harmonic=True)
-
-
-def _release(rig: Rig, phase: float, speed: float, *, harmonic: bool = False) -> dict[str, float]:
-    """Describe a first release at a phase t_e f with a speed V_e / (A w)."""
+def _predict_by(model: str, rig: Rig) -> ModelResult:
+    """Predict a throw by one model: its first release alone, or all of it."""
     engine = rig.engine
-    fastest = engine.speed_scale if harmonic else Underdamped.of(engine).peak_velocity
+    if model == 'closed_form':
+        rig.check_for_waves()
+        first = first_release(
+            mass_ratio=rig.mass_ratio,
+            speed_ratio=rig.speed_ratio,
+            damping_ratio=engine.damping_ratio,
+            gravity_ratio=rig.gravity_ratio,
+        )
+        fastest = Underdamped.of(engine).peak_velocity
+        return _release(engine, float(first.ejection_phase), float(first.speed), fastest)
+    if model == 'spring_mass':
+        # The formula of App. A knows neither damping nor gravity
+        spring = spring_mass.first_release(
+            frequency_ratio=rig.natural_frequency / engine.frequency
+        )
+        return _release(
+            engine, float(spring.ejection_phase), float(spring.speed), engine.speed_scale
+        )
+    return _simulated(model, rig)
+
+
+def _release(engine: Engine, phase: float, speed_ratio: float, fastest: float) -> dict[str, float]:
+    """Describe a first release at a phase t_e f with a speed V_e / (A w)."""
+    speed = speed_ratio * engine.speed_scale
     return {
         'ejection_time': phase / engine.frequency,
         'ejection_phase': phase,
-        'ejection_speed': speed * engine.speed_scale,
+        'ejection_speed': speed,
         'peak_plate_speed': fastest,
-        'energy_transfer': (speed * engine.speed_scale / fastest) ** 2,
+        'energy_transfer': (speed / fastest) ** 2,
     }
 
 
@@ -257,35 +275,6 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
     if throw.heat:
         result['heat'] = throw.heat
     return result
-
-
-MODELS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
-    'closed_form': (
-        _by_closed_form,
-        'first release of a rigid projectile on a lossless layer, exact',
-    ),
-    'travelling_wave': (
-        partial(_simulated, 'travelling_wave'),
-        'rigid projectile, lossless layer, the whole throw as the twin computes it',
-    ),
-    'finite_difference': (
-        partial(_simulated, 'finite_difference'),
-        'rigid projectile, layer of cells with internal loss, to about 1e-4',
-    ),
-    'finite_difference_elastic': (
-        partial(_simulated, 'finite_difference_elastic'),
-        'cells of the projectile, too; speeds of its centre of mass',
-    ),
-    'finite_difference_glued': (
-        partial(_simulated, 'finite_difference_glued'),
-        'layer glued to the projectile and thrown with it; speeds of both together',
-    ),
-    'spring_mass': (
-        _by_spring_mass,
-        'layer without mass and loss, harmonic plate, no gravity (App. A)',
-    ),
-}
-"""How each of the models predicts, and what is to be known about it."""
 
 
 def table(prediction: Prediction) -> str:

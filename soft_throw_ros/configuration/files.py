@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-ROS parameter files and arguments, read without ROS but as ROS reads them.
+ROS parameter files and arguments, read without ROS.
 
 Offline commands need the values. The node, which gets its values from ROS, needs to know where
 each came from: to name file and line of a bad one, and to let what is given later win.
@@ -9,13 +9,12 @@ each came from: to name file and line of a bad one, and to let what is given lat
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 import re
 import textwrap
-from typing import Any
+from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
@@ -25,9 +24,8 @@ from soft_throw_ros.configuration.twin import TWIN
 _KEY = 'ros__parameters'
 
 
-@dataclass(frozen=True, kw_only=True)
-class Given:
-    """A value somebody gave, typed as ROS would."""
+class Given(NamedTuple):
+    """A value somebody gave."""
 
     value: Any
     where: str
@@ -103,10 +101,9 @@ def start(values: Settings, given: dict[str, Given], table: Table = TWIN) -> dic
         Saying where, if a value is refused, or two contradict each other.
 
     """
-    unknown_place = Given(value=None, where='')
     requests: dict[int, dict[str, Any]] = {}
     for name, value in values.items():
-        place = given.get(name, unknown_place)
+        place = given.get(name, Given(value, ''))
         entry = table.by_name.get(name)
         if not (place.in_file and entry is not None and entry.is_result):
             requests.setdefault(place.order, {})[name] = value
@@ -144,14 +141,13 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
         in_file = flag == '--params-file'
         if in_file:
             _add_file(sections, Path(argument), order=order)
-        else:
-            target, separator, text = argument.partition(':=')
-            node, _, name = target.rpartition(':')
-            if separator and text:  # what is no rule is refused by ROS
-                where = f'-p {argument}'
-                value = located_yaml.parse(text, where)
-                given = Given(value=value, where=where, order=order, in_file=False)
-                sections.setdefault(_pattern(node or '/**'), {})[name] = given
+            continue
+        target, separator, text = argument.partition(':=')
+        node, _, name = target.rpartition(':')
+        if separator and text:  # what is no rule is refused by ROS
+            where = f'-p {argument}'
+            given = Given(located_yaml.parse(text, where), where, order, in_file=False)
+            sections.setdefault(_pattern(node or '/**'), {})[name] = given
     return sections
 
 
@@ -166,8 +162,8 @@ def select(sections: Sections, node: str) -> dict[str, Given]:
 
     """
     chosen: dict[str, Given] = {}
+    tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
     for pattern, given in sections.items():
-        tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
         regex = ''.join(tokens.get(token, f'/{re.escape(token)}') for token in pattern.split('/'))
         if re.fullmatch(regex, node):
             chosen.update(given)
@@ -224,7 +220,7 @@ def _add_file(sections: Sections, path: Path, *, order: int) -> None:
         for pattern, parameters in _nodes(root):
             section = sections.setdefault(_pattern(pattern), {})
             for name, found in _parameters(parameters):
-                section[name] = Given(value=found.value, where=found.where, order=order)
+                section[name] = Given(found.value, found.where, order)
 
 
 def _nodes(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:

@@ -200,6 +200,13 @@ class CalibratorTopics(NamedTuple):
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
 
 
+class ReplayTopics(NamedTuple):
+    """Topics of the node that plays a bag, besides those of the bag."""
+
+    clock: Topic = Topic(
+        '/clock', 'rosgraph_msgs/msg/Clock', 'The time of the bag, if asked for', depth=_SEVERAL)
+
+
 class FormerTopics(NamedTuple):
     """Topics that the twin no longer has, but bags of version 0.1 do."""
 
@@ -225,6 +232,14 @@ class RecorderServices(NamedTuple):
     start: Service = Service('~/start', TRIGGER, 'Begin a new bag')
     stop: Service = Service('~/stop', TRIGGER, 'Finish the bag')
 
+
+class ReplayServices(NamedTuple):
+    """Services of the node that plays a bag."""
+
+    pause: Service = Service('~/pause', TRIGGER, 'Let nothing come')
+    resume: Service = Service('~/resume', TRIGGER, 'Go on')
+    step: Service = Service('~/step', TRIGGER, 'While paused, play the messages of the next time')
+
 # fmt: on
 
 
@@ -232,9 +247,11 @@ TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()
+REPLAY_TOPICS = ReplayTopics()
 FORMER_TOPICS = FormerTopics()
 TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
+REPLAY_SERVICES = ReplayServices()
 
 
 class Interface(NamedTuple):
@@ -247,6 +264,7 @@ class Interface(NamedTuple):
 INTERFACES = {
     'twin': Interface(TWIN_TOPICS, TWIN_SERVICES),
     'recorder': Interface(RECORDER_TOPICS, RECORDER_SERVICES),
+    'replay': Interface(REPLAY_TOPICS, REPLAY_SERVICES),
     'rig': Interface(RIG_TOPICS),
     'calibrator': Interface(CALIBRATOR_TOPICS),
 }

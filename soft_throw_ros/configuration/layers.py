@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-import difflib
 from functools import lru_cache
 from importlib import resources
 import math
 from pathlib import Path
 import re
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
-from soft_throw_ros.configuration.table import ParameterError, row
+from soft_throw_ros.configuration.table import ParameterError, row, Table
 
 CUSTOM = 'custom'
 """Name of a layer that is in no library."""
@@ -35,13 +34,26 @@ BOUNDS: Mapping[str, tuple[str, float, float]] = MappingProxyType({
 })  # fmt: skip
 """Units of what describes a layer, and what it may be at least and at most."""
 
+_MATERIAL = Table(
+    node='material',
+    entries=(
+        row('description', '', 'What it is', kind='a text', pattern=r'.*\S.*'),
+        row('source', '', 'Where the numbers are from', kind='a text', pattern=r'.*\S.*'),
+        *(
+            row(name, 1.0, '', unit=unit, low=low, high=high)
+            for name, (unit, low, high) in BOUNDS.items()
+            if name != 'thickness'
+        ),
+        row('thicknesses', (0.01,), '', unit='m', low=BOUNDS['thickness'][1],
+            high=BOUNDS['thickness'][2]),
+    ),
+)  # fmt: skip
 _REQUIRED = ('description', 'source', 'density', 'loss_tangent')
 _STIFFNESS = ('wave_speed', 'youngs_modulus')
-_KEYS = (*_REQUIRED, *_STIFFNESS, 'thicknesses', 'diameter')
+_RANGED = ('density', 'loss_tangent', *_STIFFNESS)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MaterialProperty:
+class MaterialProperty(NamedTuple):
     """What to compute with, and the range that its source gives, or the value if it gives none."""
 
     value: float
@@ -170,11 +182,7 @@ def _materials(path: Path, known: Mapping[str, Material]) -> Iterator[tuple[str,
 
 def _material(name: str, node: Located) -> Material:
     parts = _parts(node, 'PROPERTY: VALUE')
-    for key, part in parts.items():
-        if key not in _KEYS:
-            close = difflib.get_close_matches(key, _KEYS, n=1)
-            advice = f'did you mean {close[0]}?' if close else f'it has {", ".join(_KEYS)}'
-            raise ParameterError(f'{part.where}: no {key!r} in a material; {advice}')
+    values = {key: _value(key, part) for key, part in parts.items()}
     missing = [key for key in _REQUIRED if key not in parts]
     if missing:
         raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
@@ -184,26 +192,12 @@ def _material(name: str, node: Located) -> Material:
             f'{node.where}: {name} must have either wave_speed or youngs_modulus, got '
             f'{"both" if stiffness else "neither"}'
         )
-    properties = {
-        key: _property(key, parts[key]) for key in ('density', 'loss_tangent', *stiffness)
-    }
-    modulus = properties.pop('youngs_modulus', None)
+    modulus = values.pop('youngs_modulus', None)
     if modulus is not None:
-        value, low, high = (
-            math.sqrt(each / properties['density'].value)
-            for each in (modulus.value, modulus.low, modulus.high)
-        )
-        _number('wave_speed', value, parts['youngs_modulus'])
-        properties['wave_speed'] = MaterialProperty(value=value, low=low, high=high)
-    width = parts.get('diameter')
-    return Material(
-        name=name,
-        description=_text('description', parts['description']),
-        source=_text('source', parts['source']),
-        thicknesses=_numbers('thickness', parts['thicknesses']) if 'thicknesses' in parts else (),
-        diameter=None if width is None else _number('diameter', width.value, width),
-        **properties,
-    )
+        speeds = (math.sqrt(each / values['density'].value) for each in modulus)
+        values['wave_speed'] = MaterialProperty(*speeds)
+        _checked('wave_speed', values['wave_speed'].value, parts['youngs_modulus'].where)
+    return Material(name=name, **values)
 
 
 def _parts(node: Located, form: str) -> dict[str, Located]:
@@ -218,46 +212,30 @@ def _parts(node: Located, form: str) -> dict[str, Located]:
     return parts
 
 
-def _text(key: str, node: Located) -> str:
-    if not isinstance(node.value, str) or not node.value.strip():
-        raise ParameterError(f'{node.where}: {key} must be a text, got {node.value!r}')
-    return node.value.strip()
+def _checked(key: str, value: object, where: str) -> Any:
+    """Return a value within its bounds, of the type that its row has; or refuse it."""
+    try:
+        return _MATERIAL.check_value(key, value)
+    except ParameterError as error:
+        raise ParameterError(f'{where}: {error}') from None
 
 
-def _property(key: str, node: Located) -> MaterialProperty:
-    """Read a number, or a number and its range."""
-    if node.items is None:
-        value = _number(key, node.value, node)
-        return MaterialProperty(value=value, low=value, high=value)
+def _value(key: str, node: Located) -> Any:
+    """Return the value of a property; some may have a range."""
+    if node.items is None or key not in _RANGED:
+        value = _checked(key, node.value, node.where)
+        return MaterialProperty(value, value, value) if key in _RANGED else value
     parts = _parts(node, '{value: ..., range: [..., ...]}')
     if set(parts) != {'value', 'range'}:
         raise ParameterError(
             f'{node.where}: {key} must be a number or {{value: ..., range: [..., ...]}}, got '
             f'{", ".join(parts) or "nothing"}'
         )
-    value = _number(key, parts['value'].value, node)
-    bounds = _numbers(key, parts['range'])
-    if len(bounds) != 2 or not bounds[0] <= value <= bounds[1]:
+    value = _checked(key, parts['value'].value, parts['value'].where)
+    given, where = parts['range'].value, parts['range'].where
+    ends = [_checked(key, each, where) for each in given] if isinstance(given, list) else []
+    if len(ends) != 2 or not ends[0] <= value <= ends[1]:
         raise ParameterError(
-            f'{node.where}: the range of {key} must be two numbers around {value:g}, got '
-            f'{list(bounds)}'
+            f'{where}: the range of {key} must be two numbers around {value:g}, got {given}'
         )
-    return MaterialProperty(value=value, low=bounds[0], high=bounds[1])
-
-
-def _numbers(key: str, node: Located) -> tuple[float, ...]:
-    if not isinstance(node.value, list) or not node.value:
-        raise ParameterError(
-            f'{node.where}: expected a list of numbers for {key}, got {node.value!r}'
-        )
-    return tuple(_number(key, item, node) for item in node.value)
-
-
-def _number(key: str, value: object, node: Located) -> float:
-    """Return a number within its bounds, or refuse it."""
-    unit, low, high = BOUNDS[key]
-    entry = row(key, low, '', unit=unit, low=low, high=high)
-    number = entry.convert(value)
-    if not isinstance(number, float):
-        raise ParameterError(f'{node.where}: {key} must be {entry.rule}, got {value!r}')
-    return number
+    return MaterialProperty(value, *ends)

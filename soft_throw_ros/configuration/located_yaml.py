@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML whose values know their lines, and are typed as ROS types them."""
+"""YAML whose values know their lines."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-import re
 from typing import Any
 
-from soft_throw_ros.configuration.table import ParameterError
+from soft_throw_ros.configuration.table import number_of, ParameterError
 import yaml
-
-_TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
-_FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 
 
 @dataclass(frozen=True)
@@ -22,7 +17,7 @@ class Located:
 
     where: str
     value: Any = None
-    """A bool, number or text as ROS types it, or a list of such; None of a mapping."""
+    """A bool, number or text, or a list of such; None of a mapping."""
     items: tuple[tuple[str, Located], ...] | None = None
     """Of a mapping, in their order; a key may come twice."""
 
@@ -42,55 +37,54 @@ def read(path: Path) -> Located | None:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else 'is no UTF-8 text'
         raise ParameterError(f'{path}: {reason}') from None
-    root = _compose(text, lambda line: f'{path}:{line + 1}', str(path))
-    return None if root is None else _located(root, lambda line: f'{path}:{line + 1}')
+    return _parse(text, str(path), has_lines=True)
 
 
 def parse(text: str, where: str) -> Any:
-    """Type the value of an argument as ROS does, or raise ParameterError saying where it is."""
-    root = _compose(text, lambda _line: where, where)
-    return '' if root is None else _located(root, lambda _line: where).value
+    """Read the value of an argument, or raise ParameterError saying where it is."""
+    root = _parse(text, where, has_lines=False)
+    return '' if root is None else root.value
 
 
-def _compose(text: str, place: Callable[[int], str], name: str) -> yaml.Node | None:
-    """Parse YAML into nodes, which know their lines; ROS has no aliases, so no node recurs."""
+class _Loader(yaml.SafeLoader):
+    """Composes nodes, which know their lines; ROS has no aliases, so no node recurs."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            problem = f'ROS takes no alias, got *{event.anchor}'
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        return super().compose_node(parent, index)
+
+
+def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
+    def place(mark: yaml.Mark) -> str:
+        return f'{name}:{mark.line + 1}' if has_lines else name
+
+    def locate(node: yaml.Node) -> Located:
+        where = place(node.start_mark)
+        if not isinstance(node, yaml.MappingNode):
+            return Located(where, _value(node))
+        items = ((str(key.value), locate(value)) for key, value in node.value)
+        return Located(where, items=tuple(items))
+
     try:
-        for token in yaml.scan(text, Loader=yaml.SafeLoader):
-            if isinstance(token, yaml.AliasToken):
-                problem = f'ROS takes no alias, got *{token.value}'
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=token.start_mark)
-        return yaml.compose(text, Loader=yaml.SafeLoader)
+        root = yaml.compose(text, Loader=_Loader)
+        return None if root is None else locate(root)
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, 'problem_mark', None)
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ParameterError(f'{place(mark.line) if mark else name}: {problem}') from None
-
-
-def _located(node: yaml.Node, place: Callable[[int], str]) -> Located:
-    where = place(node.start_mark.line)
-    if not isinstance(node, yaml.MappingNode):
-        return Located(where, _value(node))
-    items = ((str(key.value), _located(value, place)) for key, value in node.value)
-    return Located(where, items=tuple(items))
+        raise ParameterError(f'{place(mark) if mark else name}: {problem}') from None
 
 
 def _value(node: yaml.Node) -> Any:
-    """Type a value as ROS does, which takes 2e-3 for a number and 1_000 for a text."""
+    """Return what a node stands for; unlike YAML 1.1, ROS takes 2e-3 for a number."""
     if isinstance(node, yaml.SequenceNode):
         return [_value(item) for item in node.value]
     text = str(node.value)
-    plain = isinstance(node, yaml.ScalarNode) and not node.style
-    if not plain or '_' in text:
+    if not isinstance(node, yaml.ScalarNode) or node.style:
         return text
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    if re.fullmatch(r'[-+]?0[0-7]+', text):
-        return int(text, 8)
-    if re.fullmatch(r'[-+]?(0|[1-9]\d*|0[xX][0-9a-fA-F]+)', text):
-        return int(text, 16 if 'x' in text.lower() else 10)
-    if re.fullmatch(r'[-+]?\.(inf|nan)', text, re.IGNORECASE):
-        return float(text.replace('.', ''))
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    if node.tag == 'tag:yaml.org,2002:bool':
+        return yaml.SafeLoader.bool_values[text.lower()]
+    number = number_of(text)
+    return text if number is None else number

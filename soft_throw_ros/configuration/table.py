@@ -148,7 +148,7 @@ class Entry:
             is_text = isinstance(value, str) and re.fullmatch(self.pattern, value, re.DOTALL)
             return value if is_text and (not self.choices or value in self.choices) else None
         if isinstance(value, str):
-            value = _number(value)
+            value = number_of(value)
         numbers = int if isinstance(default, int) else (int, float)
         if isinstance(value, bool) or not isinstance(value, numbers):
             return None
@@ -253,7 +253,7 @@ def row(name: str, default: Value, meaning: str, **rest: Any) -> Entry:
     return Entry(name=name, default=default, meaning=meaning, **rest)
 
 
-def _number(text: str) -> float | None:
+def number_of(text: str) -> float | None:
     """Return the number that a text is, None if it is none."""
     for kind in (int, float):
         try:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 import difflib
 import math
 from typing import Any
@@ -152,11 +153,13 @@ _ENTRIES = (
     row('recommended.score', math.nan, 'Energy transfer factor that counts for the objective'),
     row('recommended.ejection_time', math.nan, 'Ejection time t_e it gives', unit='s'),
     row('recommended.ejection_speed', math.nan, 'Ejection speed V_e it gives', unit='m/s'),
-    row('recommended.peak_strain', math.nan, 'Largest strain of the layer it gives'),
+    row('recommended.peak_strain', math.nan,
+         'Largest strain of the layer up to the first release'),
     row('recommended.peak_acceleration', math.nan,
-         'Largest acceleration of the projectile it gives', unit='m/s2'),
-    row('recommended.peak_force', math.nan, 'Largest force on the plate it gives', unit='N'),
-    row('recommended.plate_work', math.nan, 'Work of the plate in one throw it takes', unit='J'),
+         'Largest acceleration of the projectile up to the first release', unit='m/s2'),
+    row('recommended.peak_force', math.nan,
+         'Largest force on the plate up to the first release', unit='N'),
+    row('recommended.plate_work', math.nan, 'Work of the plate up to the first release', unit='J'),
 )  # fmt: skip
 
 
@@ -268,19 +271,18 @@ def rig_of(settings: Settings) -> Rig:
     True
 
     """
-    values = dict(settings)
-    if values['engine.motion'] == 'harmonic':
-        values['engine.damping_ratio'] = 0.0
-    parts: dict[str, dict[str, Any]] = {'engine': {}, 'layer': {}, 'projectile': {}}
-    for name, value in values.items():
-        group, _, field = name.partition('.')
-        if group in parts and name not in ('engine.motion', 'layer.name', 'layer.library'):
-            parts[group][field] = value
+    if settings['engine.motion'] == 'harmonic':
+        settings = {**settings, 'engine.damping_ratio': 0.0}
+
+    def values(part: type) -> dict[str, Any]:
+        group = part.__name__.lower()
+        return {item.name: settings[f'{group}.{item.name}'] for item in fields(part)}
+
     return Rig(
-        engine=Engine(**parts['engine']),
-        layer=Layer(**parts['layer']),
-        projectile=Projectile(**parts['projectile']),
-        gravity=values['gravity'],
+        engine=Engine(**values(Engine)),
+        layer=Layer(**values(Layer)),
+        projectile=Projectile(**values(Projectile)),
+        gravity=settings['gravity'],
     )
 
 

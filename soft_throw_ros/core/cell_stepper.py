@@ -40,6 +40,7 @@ References
 
 from __future__ import annotations
 
+from functools import partial
 import math
 from typing import Literal
 
@@ -72,6 +73,7 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
+from soft_throw_ros.core.kernels import compiled
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
@@ -628,7 +630,7 @@ def _motion(s, nodes, j, part):
 
 
 @_jit
-def _advance(time, core, nodes, path, events):
+def _advance(core, nodes, path, events, time):
     """Advance to `time`; the number of events so far, or what is wrong."""
     grid, s = core[0], core[1]
     if not time >= s.time:
@@ -647,7 +649,7 @@ def _advance(time, core, nodes, path, events):
     if grid.events > events.shape[0]:
         return TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
-    core[1] = core[0]
+    _copy_record(core)
     s.piece = piece
     s.time = time
     s.part = 1.0
@@ -747,10 +749,18 @@ def _stored_energy(core, nodes):
     return total
 
 
+@_inlined
+def _copy_record(core):
+    """Let the second record be as the first."""
+    numbers = core.view(np.float64)
+    size = numbers.size // core.size
+    for k in range(size):
+        numbers[size + k] = numbers[k]
+
+
 @_jit
 def _reset(core, nodes):
     """Put everything back to rest."""
-    core[0] = core[2]
     s = core[0]
     for j in range(nodes.shape[1]):
         for row in range(DISPLACEMENT, STRESS + 2):
@@ -764,7 +774,7 @@ def _reset(core, nodes):
     s.on_projectile_now = weight
     s.on_plate_before = s.on_plate_until = s.on_plate_now
     s.on_projectile_before = s.on_projectile_until = weight
-    core[1] = core[0]
+    _copy_record(core)
 
 
 @_jit
@@ -798,6 +808,7 @@ def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found)
         else:
             nodes[MASS, cells + 1] += mu
         _prepare(s, nodes)
+        core[0] = core[2]
         _reset(core, nodes)
         grid = core[0]
         periods = MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
@@ -925,6 +936,11 @@ def _throw_all(
     return found
 
 
+_RECORDS, _ROWS = nb.from_dtype(_CORE)[::1], nb.float64[:, ::1]
+_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
+_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(_PLACE)[::1], _ROWS)
+
+
 class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
@@ -965,9 +981,7 @@ class CellStepper(Stepper):
 
     """
 
-    _advance = staticmethod(_advance)
-    _restart = staticmethod(_reset)
-    _changing = ('_core', '_nodes')
+    _changing = '_nodes'
 
     def __init__(
         self,
@@ -1007,11 +1021,20 @@ class CellStepper(Stepper):
         start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
         start['edge_weights'] = edges['weight']
         _prepare(start, self._nodes)
-        self._memory = (self._core, self._nodes, self._path, self._events)
+        self._bind()
         self.reset()
 
-    def _read_layer(self, out: Floats) -> None:
-        _read_layer(self._core, self._nodes, self._places, out)
+    def _bind(self) -> None:
+        arrays = (self._core, self._nodes)
+        self._advance = partial(_advance_compiled(), *arrays, self._path, self._events)
+        self._read_layer = partial(_read_layer_compiled(), *arrays, self._places)
+
+    def _clear(self) -> None:
+        _reset(self._core, self._nodes)
+
+    def _copy_layer(self, origin: Stepper) -> None:
+        assert isinstance(origin, CellStepper)
+        self._nodes[:] = origin._nodes
 
     def _read_strain(self, strain: Floats) -> None:
         _read_strain(self._core, self._nodes, self._places, strain)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+import copy
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -17,6 +18,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
+from soft_throw_ros.core.kernels import part
 from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
@@ -181,18 +183,18 @@ class Stepper(ABC):
     state: Floats
 
     _core: NDArray[np.void]
+    _numbers: Floats
+    """The same as plain numbers, a row for each record, which are copied faster."""
     _path: Floats
     """How the plate moves."""
     _events: Floats
     """A row for each event: kind, time, position, velocity."""
-    _advance: ClassVar[Callable[..., int]]
-    """Kernel that goes to a time; it returns the number of events, or what is wrong."""
-    _restart: ClassVar[Callable[..., None]]
-    """Kernel that puts the first two arrays of `_memory` back to rest."""
-    _memory: tuple[Any, ...]
-    """What `_advance` takes after the time: arrays, of which the first is `_core`."""
-    _changing: ClassVar[tuple[str, ...]]
-    """Names of the arrays that change as the stepper goes on, without path and events."""
+    _advance: Callable[[float], int]
+    """Goes to a time, and returns the number of events, or what is wrong."""
+    _read_layer: Callable[[Floats], None]
+    """Writes the layer."""
+    _changing: ClassVar[str]
+    """Name of the array that changes as the stepper goes on, beside records, path and events."""
 
     def __init__(self, rig: Rig, field_points: int) -> None:
         self.rig = rig
@@ -208,18 +210,31 @@ class Stepper(ABC):
         step: float,
     ) -> NDArray[np.void]:
         """Make records and path, and return the record to fill in."""
-        self._core = np.zeros(3, record)
+        self._use_records(np.zeros(3, record))
         start: NDArray[np.void] = self._core[2]
         self._path = write_motion(start, motion, self.rig.engine, step)
         self._is_measured = isinstance(motion, str)
-        self.state = self._core['state'][1]
-        self.state.flags.writeable = False
         return start
+
+    def _use_records(self, core: NDArray[np.void]) -> None:
+        self._core = core
+        self._numbers = core.view(np.float64).reshape(3, -1)
+        self.state = core['state'][1]
+        self.state.flags.writeable = False
+
+    @abstractmethod
+    def _bind(self) -> None:
+        """Hand the arrays to the kernels `_advance` and `_read_layer`."""
+
+    @abstractmethod
+    def _clear(self) -> None:
+        """Put the layer back to rest."""
 
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
-        self._restart(*self._memory[:2])
-        self._advance(0.0, *self._memory)
+        self._numbers[:2] = self._numbers[2]
+        self._clear()
+        self._advance(0.0)
 
     def advance_to(self, time: float) -> int:
         """
@@ -245,7 +260,7 @@ class Stepper(ABC):
             If there were too many events on the way; only `reset` helps.
 
         """
-        count = self._advance(time, *self._memory)
+        count = self._advance(time)
         if count < 0:
             raise self._refusal(count, float(time))
         return count
@@ -315,14 +330,10 @@ class Stepper(ABC):
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
-        other = object.__new__(type(self))
-        vars(other).update(vars(self))
-        replaced = {id(getattr(self, name)): getattr(self, name).copy() for name in self._changing}
-        for name in self._changing:
-            setattr(other, name, replaced[id(getattr(self, name))])
-        other._memory = tuple(replaced.get(id(part), part) for part in self._memory)
-        other.state = other._core['state'][1]
-        other.state.flags.writeable = False
+        other = copy.copy(self)
+        other._use_records(self._core.copy())
+        setattr(other, self._changing, getattr(self, self._changing).copy())
+        other._bind()
         other._is_measured = False
         return other
 
@@ -335,13 +346,13 @@ class Stepper(ABC):
         beyond the horizon of `origin`. Internal loss spreads in no time: a loss tangent of 0.05
         makes the velocity uncertain by 2e-3 of its scale at the end of that time.
         """
-        self._copy_from(origin)
+        self._numbers[:] = origin._numbers
+        self._copy_layer(origin)
         _extrapolate(self._core, self._path)
 
-    def _copy_from(self, origin: Stepper) -> None:
-        """Copy what changes, as bytes, since records are copied field by field."""
-        for name in self._changing:
-            getattr(self, name).view(np.uint8)[:] = getattr(origin, name).view(np.uint8)
+    @abstractmethod
+    def _copy_layer(self, origin: Stepper) -> None:
+        """Take over what changes in the layer."""
 
     def read_layer(self, out: Floats) -> None:
         """
@@ -358,10 +369,6 @@ class Stepper(ABC):
             require_target('out', out, (3, self.field_points))
             self._readable = out
         self._read_layer(out)
-
-    @abstractmethod
-    def _read_layer(self, out: Floats) -> None:
-        """Have the kernel write the layer."""
 
     @abstractmethod
     def _read_strain(self, strain: Floats) -> None:
@@ -451,7 +458,7 @@ class Stepper(ABC):
         """Add up the energy of layer and projectile against rest, at the present time. [J]"""
 
 
-@nb.njit(cache=True, nogil=True, error_model='numpy')
+@part
 def note_event(
     s: Any, events: Floats, kind: int, time: float, height: float, velocity: float
 ) -> None:

@@ -13,23 +13,20 @@ With :math:`p = v_+` and :math:`m = v_-` of Sec. IV of [1]_, at the top of the l
     m &= p + g \tau \qquad\qquad\qquad\quad \text{in flight}
 
 where everything counts from the static equilibrium, and the layer pushes the projectile with
-:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, be it
-gradually or in a jump (an echo of a landing), and is in contact again when the gap closes, its
-speed unchanged. Flight, landing and gravity are not in [1]_'s analytical model.
+:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, and is
+in contact again when the gap closes, its speed unchanged. Flight, landing and gravity are not in
+[1]_'s analytical model.
 
 The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
 and the kinks that the start of an underdamped plate sends through the layer, at odd multiples of
 :math:`t_s`, fall on grid points. What has to be computed is the answer of the mass: p is known
 :math:`t_s` ahead, is interpolated by the cubic through four neighbouring points (on one side of a
-kink), and the equation of V is solved for it exactly, however small :math:`\tau` is. So the first
-release is of fourth order in h. Releases and landings are roots within a step.
+kink), and the equation of V is solved for it exactly, however small :math:`\tau` is. So the
+first release is of fourth order in h. Releases and landings are roots within a step.
 
-A landing makes m jump, at some place between two grid points. Such a front comes back every
-:math:`2 t_s`, its size unchanged but for its sign: reflected by a mass that stays, by a free top,
-and by the plate. So fronts stand in a queue, in the order in which they arrive, and in the steps
-beside one p is a line on either side of it: later events are of second order in h. When the queue
-is full (64), the next jump J is not tracked; (1/2 - w) J is added to the sample after it, which
-keeps its integral if w is the part of the step before it.
+A landing makes m jump, at some place between two grid points. It is not followed as a jump: the
+samples on both sides are changed so that the integrals of m and of its square are right, of what
+happens and of its energy. So later events are of second order in h.
 
 A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
 seen.
@@ -42,6 +39,7 @@ References
 
 from __future__ import annotations
 
+from functools import partial
 import math
 from typing import Literal
 
@@ -49,6 +47,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads
+from soft_throw_ros.core.kernels import compiled, kernel, part
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import (
     BLOCK,
@@ -98,11 +97,10 @@ _STEPS_PER_RELAXATION = 8.0
 _MOST_FOR_RELAXATION = 2048
 _STEP_COST = 3e-9  # of a processor [s]
 
-_PAD = 8  # steps that are kept beyond the crossing time, for the cubics
+_PAD = 8  # steps that are kept beyond what is read, for the cubics
 _ROOM = 1024  # steps by which the memory of waves is longer than it must be, to be moved seldom
 _NOISE = 1e-12  # of the plate's speed: a force below it is rounding, and no pull
-_FRONTS = 6  # row of the waves' memory: arrival, offset and size of each front
-_MAX_FRONTS = 64
+_JUMP = 1e-2  # of the plate's speed: a third difference that no smooth wave has
 _EVENTS_PER_STEP = 8  # a mass that chatters faster stays as it is until the next step
 
 _MAX_PERIODS = 8.0  # of plate and of projectile on layer, for which a first release is waited
@@ -111,9 +109,7 @@ _THROWS_PER_THREAD = 64
 
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
-
-# Two such records make a stepper: the first stands at a grid point, the second between; the
+# Three such records make a stepper: the first stands at a grid point, the second between; the
 # third is what both are reset to. Lengths count from the static equilibrium, offsets are in steps.
 _CORE = np.dtype(
     [
@@ -122,18 +118,16 @@ _CORE = np.dtype(
         ('steps', 'i8'),  # N = t_s / h
         ('rate', 'f8'),  # h / tau
         ('decay', 'f8'),  # e^{-h / tau}
-        ('moments', 'f8', (4,)),  # of it, see `_moments`
-        ('weights', 'f8', (2, 4)),  # V(t + h) = decay V(t) + weights . p, for a cubic and a line
+        ('cubic', 'f8', (4,)),  # V(t + h) = decay V(t) + cubic . p, of four points,
+        ('line', 'f8', (2,)),  # or of two
+        ('largest_ripple', 'f8'),  # third difference of p from which on it counts as a jump
         ('relaxation', 'f8'),  # tau [s]
         ('gravity', 'f8'),  # g [m/s2]
         ('gravity_offset', 'f8'),  # g tau [m/s]
         ('release_threshold', 'f8'),  # 2 p - V at which the projectile leaves: -g tau, less noise
-        ('wave_speed', 'f8'),
         ('thickness', 'f8'),
         ('impedance', 'f8'),
-        ('mass', 'f8'),
         ('rest_height', 'f8'),  # of the projectile's lower face [m]
-        ('event_limit', 'i8'),  # after which a march ends
         # how the plate moves, and where it has got to
         *PLATE,
         ('block', 'i8'),
@@ -145,10 +139,6 @@ _CORE = np.dtype(
         ('base', 'i8'),  # grid point at index 0 of the waves
         ('filled', 'i8'),  # up to where p is known at the plate
         ('kink', 'i8'),  # next grid point at which p has a kink at the top
-        ('front_begin', 'i8'),  # numbers of the fronts that are under way
-        ('front_end', 'i8'),
-        ('front_passed', 'i8'),  # the next one at the plate, where power jumps within a step
-        ('last_front', 'i8'),  # grid point after which the latest one arrived
         # the mass and the top of the layer
         ('contact', '?'),
         ('landed', '?'),
@@ -160,15 +150,13 @@ _CORE = np.dtype(
         ('launch_height', 'f8'),
         ('launch_velocity', 'f8'),
         ('events', 'i8'),
-        # loads, up to the first release
+        # loads up to the first release
+        ('compared', 'i8'),  # grid point from which on waves p are still to be compared
         ('peak_push', 'f8'),  # of the scaled contact force 2 p - V
         ('peak_stress', 'f8'),  # of p - m + g tau at the plate
-        ('peak_strain', 'f8'),  # of the same anywhere in the layer, up to `tracked`
-        ('tracked', 'i8'),  # grid point, see `_track_strain`
-        ('queues', 'i8', (4,)),  # where the two queues of candidates begin and end
+        ('peak_strain', 'f8'),  # of the same anywhere in the layer
         ('first_work', 'f8'),
         ('work', 'f8'),  # sum of power over the impedance and h
-        ('front_work', 'f8'),  # what that sum misses where power jumps
         ('power', 'f8'),  # last addend
         # at `time`
         ('plus', 'f8', (2,)),  # p at plate and top
@@ -178,6 +166,7 @@ _CORE = np.dtype(
     ],
     align=True,
 )
+_RECORDS, _ROWS = nb.from_dtype(_CORE)[::1], nb.float64[:, ::1]
 
 
 def steps_per_crossing(rig: Rig) -> int:
@@ -227,7 +216,7 @@ def steps_per_crossing(rig: Rig) -> int:
     return min(max(_STEPS, for_mass, for_plate), limit)
 
 
-@_jit
+@part
 def _moments(x):
     """Compute e^{-x} and the integrals of e^{-x (1 - u)} u^n over [0, 1] for n = 0 ... 3."""
     if x < 1.0:
@@ -246,51 +235,58 @@ def _moments(x):
     return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
 
 
-@_jit
-def _prepare(s, N, crossing, relaxation, gravity, noise):
-    """Write what follows from a rig into a record that is at rest."""
-    h = crossing / N
-    s.step, s.steps, s.rate = h, N, h / relaxation
+@kernel
+def _prepare(core, N, crossing, relaxation, gravity, impedance, speed):
+    """Complete a record at rest, in which the plate's motion is, from what decides a throw."""
+    s = core[2]
+    s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
     decay, m0, m1, m2, m3 = _moments(s.rate)
     s.decay = decay
-    s.moments[0], s.moments[1], s.moments[2], s.moments[3] = m0, m1, m2, m3
     # The cubic through p at -1, 0, 1 and 2, integrated against e^{-x (1 - u)}
     x = 2.0 * s.rate
-    cubic, line = s.weights[0], s.weights[1]
+    cubic, line = s.cubic, s.line
     cubic[0] = x * (-m1 / 3.0 + m2 / 2.0 - m3 / 6.0)
     cubic[1] = x * (m0 - m1 / 2.0 - m2 + m3 / 2.0)
     cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
     cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
-    line[1], line[2] = x * (m0 - m1), x * m1
-    s.relaxation, s.gravity = relaxation, gravity
+    line[0], line[1] = x * (m0 - m1), x * m1
+    s.largest_ripple = _JUMP * speed
+    s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
     s.gravity_offset = gravity * relaxation
-    s.release_threshold = -s.gravity_offset - noise
+    s.release_threshold = -s.gravity_offset - _NOISE * speed
     s.base = -N - _PAD
     s.block = -1
     s.contact = True
     s.kink = N if s.plate_kind == DAMPED else 1 << 62
     s.peak_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
-    s.tracked = -1
-    s.last_front = -(1 << 62)
 
 
-@_jit
+@kernel
+def _prepare_underdamped(core, path, N, mu, kappa, zeta, gravity):
+    """Make a record at rest in units of 1 / f, A omega and the layer's impedance."""
+    write_underdamped(core[2], path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * N))
+    _prepare(core, N, 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, 1.0, 1.0)
+
+
+@part
 def _mass_velocity(s, d, V, a, b, c, e):
     """Solve tau V' + V = 2 p over d steps during which p = a + b u + c u^2 + e u^3."""
-    if d == 1.0:
-        drive = a * s.moments[0] + b * s.moments[1] + c * s.moments[2] + e * s.moments[3]
-        return s.decay * V + 2.0 * s.rate * drive
     decay, zeroth, first, second, third = _moments(s.rate * d)
     drive = a * zeroth + d * (b * first + d * (c * second + d * e * third))
     return decay * V + 2.0 * s.rate * d * drive
 
 
-@_jit
-def _cubic(waves, i, aside):
-    """Expand p at the top after index i, through four points that lie on one side of a kink."""
-    i += aside
+@part
+def _expand(s, waves):
+    """Expand p at the top after `s.cell`, through four points on one side of a kink."""
+    aside = 1 if s.cell == s.kink else (-1 if s.cell + 1 == s.kink else 0)
+    i = s.cell - s.base - s.steps + aside
     behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
-    e = (beyond - behind + 3.0 * (here - ahead)) * _RECIPROCAL[6]
+    e = beyond - behind + 3.0 * (here - ahead)
+    if abs(e) > s.largest_ripple:  # beside a jump p is a line
+        i -= aside
+        return waves[0, i], waves[0, i + 1] - waves[0, i], 0.0, 0.0
+    e *= _RECIPROCAL[6]
     c = 0.5 * (behind + ahead) - here
     b = ahead - here - c - e
     if aside == 0:
@@ -299,7 +295,7 @@ def _cubic(waves, i, aside):
     return here + d * (b + d * (c + d * e)), b + d * (2.0 * c + 3.0 * d * e), c + 3.0 * d * e, e
 
 
-@_jit
+@part
 def _free_flight(s, offset):
     """Compute time since the launch, height and velocity of the projectile."""
     time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
@@ -307,97 +303,122 @@ def _free_flight(s, offset):
     return time, height, s.launch_velocity - s.gravity * time
 
 
-@_jit
-def _change_after(s, offset, length, V, last, P, a, b, c, e, here, slope):
-    """Find after how many steps force or gap falls below 0, if it does by the end; else -1."""
-    in_contact = s.contact
-    if in_contact:
-        if 2.0 * a - V < s.release_threshold:
-            return 0.0
-        end = a + length * (b + length * (c + length * e))
-        if 2.0 * end - last >= s.release_threshold:
-            return -1.0
+@part
+def _excess(s, offset, d, V, P, here, slope, a, b, c, e):
+    """Compute d steps after an offset what changes sign at an event: scaled force, or gap."""
+    if s.contact:
+        p = a + d * (b + d * (c + d * e))
+        return 2.0 * p - _mass_velocity(s, d, V, a, b, c, e) - s.release_threshold
+    time, height, _ = _free_flight(s, offset + d)
+    area = s.step * d * (here + 0.5 * slope * d)
+    return height - s.top - 2.0 * (P + area) - s.gravity_offset * time
+
+
+@part
+def _is_steady(s, beyond, end, V):
+    """Tell whether what is negative at the end of a step is no ripple of a jump, or rounding."""
+    if s.contact:
+        return 2.0 * beyond - V < s.release_threshold
+    speed = s.launch_velocity - s.gravity * _free_flight(s, 1.0)[0]
+    return speed < 2.0 * end + s.gravity_offset
+
+
+@part
+def _cross_step(s, waves, events, target):
+    """
+    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
+
+    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    """
+    i = s.cell - s.base - s.steps
+    here, end, beyond = waves[0, i], waves[0, i + 1], waves[0, i + 2]
+    slope = end - here  # heights take p as linear
+    a, b, c, e = _expand(s, waves)
+    V, P, offset = s.velocity, s.step * s.sum, 0.0
+    answer, gain = 0.0, 0.0  # integrals of m and of p^2 - m^2
+    for chance in range(_EVENTS_PER_STEP + 1):
+        d = 1.0 - offset
+        happens = chance < _EVENTS_PER_STEP
+        happens = happens and _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0
+        if happens:
+            last = _mass_velocity(s, d, V, a, b, c, e) if s.contact else 0.0
+            happens = s.events == 0 or _is_steady(s, beyond, end, last)
+        if happens:
+            low, high = 0.0, d
+            for _ in range(54):  # bisect
+                d = 0.5 * (low + high)
+                if _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
+                    high = d
+                else:
+                    low = d
+            d = high
+        if not happens or offset + d > target:
+            happens, d = False, target - offset
+        p, before = here, V
+        if s.contact:
+            V = _mass_velocity(s, d, V, a, b, c, e)
+        P += s.step * d * (here + 0.5 * slope * d)
+        offset += d
+        here += slope * d
+        a, b, c = (
+            a + d * (b + d * (c + d * e)),
+            b + d * (2.0 * c + 3.0 * d * e),
+            c + 3.0 * d * e,
+        )
+        if s.contact:
+            answer += 0.5 * d * (before - p + V - here)
+            gain += 0.5 * d * (before * (2.0 * p - before) + V * (2.0 * here - V))
+        else:
+            answer += d * (0.5 * (p + here) + s.gravity_offset)
+            gain -= d * s.gravity_offset * (p + here + s.gravity_offset)
+        if not happens:
+            break
+        time = (s.cell + offset) * s.step
+        if s.contact:
+            height = s.top + 2.0 * P - s.relaxation * V
+            if s.events == 0:
+                s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
+            note_event(s, events, RELEASE, time, height, V)
+            s.launch_cell, s.launch_offset = s.cell, offset
+            s.launch_height, s.launch_velocity = height, V
+            s.top = height - 2.0 * P
+        else:
+            _, height, V = _free_flight(s, offset)
+            s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
+            note_event(s, events, LANDING if s.landed else RECONTACT, time, height, V)
+            s.top = height - 2.0 * P + s.relaxation * V
+        s.contact = not s.contact
+    if target == 1.0:
+        _end_step(s, waves, V, P, answer, gain)
     else:
-        time, height, speed = _free_flight(s, offset + length)
-        area = s.step * length * (here + 0.5 * slope * length)
-        opens = speed >= 2.0 * (here + slope * length) + s.gravity_offset
-        if opens or height >= s.top + 2.0 * (P + area) + s.gravity_offset * time:
-            return -1.0
-    low, high = 0.0, length
-    while True:  # bisect until no number is between
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            return high
-        if in_contact:
-            p = a + middle * (b + middle * (c + middle * e))
-            is_over = 2.0 * p - _mass_velocity(s, middle, V, a, b, c, e) < s.release_threshold
-        else:
-            time, height, _ = _free_flight(s, offset + middle)
-            area = s.step * middle * (here + 0.5 * slope * middle)
-            is_over = height < s.top + 2.0 * (P + area) + s.gravity_offset * time
-        if is_over:
-            high = middle
-        else:
-            low = middle
+        _write_top(s, offset, a, V, P)
 
 
-@_jit
-def _push_front(s, waves, offset, jump):
-    """Remember a jump of p that arrives in two crossings; False if there is no room."""
-    if s.front_end - s.front_begin >= _MAX_FRONTS:
-        return False
-    front = waves[_FRONTS, 3 * (s.front_end % _MAX_FRONTS) :]
-    front[0], front[1], front[2] = s.cell + 2 * s.steps, offset, jump
-    s.front_end += 1
-    return True
-
-
-@_jit
-def _next_front(s, waves, number):
-    """Return the cell in which a front arrives, far away if there is none of that number."""
-    if number >= s.front_end:
-        return 1 << 62
-    return int(waves[_FRONTS, 3 * (number % _MAX_FRONTS)])
-
-
-@_jit
-def _expand_step(s, waves, number):
-    """Expand p at the top after `s.cell`: value and slope for heights, and powers for the mass."""
-    cell = s.cell
-    i = cell - s.base - s.steps
-    here = waves[0, i]
-    slope = waves[0, i + 1] - here  # heights take p as linear, of second order as the gap is
-    k = number
-    while _next_front(s, waves, k) == cell:
-        slope -= waves[_FRONTS, 3 * (k % _MAX_FRONTS) + 2]
-        k += 1
-    if _next_front(s, waves, number) <= cell + 1 or cell - s.last_front <= 1:
-        return here, slope, here, slope, 0.0, 0.0
-    aside = 1 if cell == s.kink else (-1 if cell + 1 == s.kink else 0)
-    a, b, c, e = _cubic(waves, i, aside)
-    return here, slope, a, b, c, e
-
-
-@_jit
-def _end_step(s, waves, V, P, error):
+@part
+def _end_step(s, waves, V, P, answer, gain):
     """Write the sample of m at the next grid point, and account for the step."""
-    p = waves[0, s.cell + 1 - s.base - s.steps]
     s.cell += 1
     s.sum = P / s.step
     s.velocity = V if s.contact else 0.0
     j = s.cell - s.base
-    waves[1, j] = (V - p if s.contact else p + s.gravity_offset) + error
-    if s.contact and s.events == 0:
-        s.peak_push = max(s.peak_push, 2.0 * p - V)
-    m = waves[1, j - s.steps]
-    stress = waves[0, j] - m + s.gravity_offset
-    s.power = stress * (waves[0, j] + m)
+    p = waves[0, j - s.steps]
+    m = V - p if s.contact else p + s.gravity_offset
+    # Events make m and its slope jump. The samples on both sides of the step are changed so that
+    # the integrals of m and of its square over all steps are right; otherwise they are.
+    before = waves[1, j - 1]
+    total = answer - 0.5 * (before + m)
+    squares = 0.5 * (waves[0, j - s.steps - 1] ** 2 + p * p - before * before - m * m) - gain
+    half = 0.5 * (m - before - total)
+    rest = half * half - 0.5 * (total * (2.0 * before + total) - squares)
+    part = -half + math.copysign(math.sqrt(max(rest, 0.0)), half)
+    waves[1, j - 1] = before + total - part
+    waves[1, j] = m + part
+    p, m = waves[0, j], waves[1, j - s.steps]
+    s.power = (p - m + s.gravity_offset) * (p + m)
     s.work += s.power
-    if s.events == 0:
-        s.peak_stress = max(s.peak_stress, abs(stress))
 
 
-@_jit
+@part
 def _write_top(s, offset, a, V, P):
     """Write what projectile and top do within a step, where p is a."""
     s.plus[1] = a
@@ -406,7 +427,8 @@ def _write_top(s, offset, a, V, P):
         s.surface = s.top + 2.0 * P - s.relaxation * V
         s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
         s.state[PROJECTILE_VELOCITY] = V
-        s.state[PROJECTILE_FORCE] = s.mass * ((2.0 * a - V) / s.relaxation + s.gravity)
+        force = s.impedance * (2.0 * a - V + s.gravity_offset)
+        s.state[PROJECTILE_FORCE] = force
     else:
         time, height, velocity = _free_flight(s, offset)
         s.minus[1] = a + s.gravity_offset
@@ -416,149 +438,72 @@ def _write_top(s, offset, a, V, P):
         s.state[PROJECTILE_FORCE] = 0.0
 
 
-@_jit
-def _cross_step(s, waves, events, target):
-    """
-    Go through the step after `s.cell` event by event, up to an offset of `target` within it.
-
-    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
-    """
-    cell, is_whole = s.cell, target == 1.0
-    number = s.front_begin
-    here, slope, a, b, c, e = _expand_step(s, waves, number)
-    V, P, offset, error = s.velocity, s.step * s.sum, 0.0, 0.0
-    events_left = _EVENTS_PER_STEP
-    while True:
-        arrives = _next_front(s, waves, number) == cell
-        front = waves[_FRONTS, 3 * (number % _MAX_FRONTS) :]
-        arrives = arrives and front[1] <= target
-        rest = max((front[1] if arrives else target) - offset, 0.0)
-        last = _mass_velocity(s, rest, V, a, b, c, e) if s.contact else 0.0
-        length = -1.0
-        if events_left > 0:
-            length = _change_after(s, offset, rest, V, last, P, a, b, c, e, here, slope)
-        happens = length >= 0.0
-        if not happens:
-            length = rest
-        if s.contact:
-            V = _mass_velocity(s, length, V, a, b, c, e) if happens else last
-        P += s.step * length * (here + 0.5 * slope * length)
-        here += slope * length
-        a, b, c = (
-            a + length * (b + length * (c + length * e)),
-            b + length * (2.0 * c + 3.0 * length * e),
-            c + 3.0 * length * e,
-        )
-        offset += length
-        if not happens and not arrives:
-            break
-        jump = 0.0 if happens else front[2]
-        # How p, reflected by the mass and by the plate, jumps in two crossings
-        echo = jump if s.contact else -jump
-        a += jump
-        here += jump
-        if s.contact and (happens or 2.0 * a - V < s.release_threshold):  # torn off by the jump
-            echo = V - 2.0 * a + jump - s.gravity_offset
-            height = s.top + 2.0 * P - s.relaxation * V
-            if s.events == 0:
-                s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
-            note_event(s, events, RELEASE, (cell + offset) * s.step, height, V)
-            s.contact = False
-            s.launch_cell, s.launch_offset = cell, offset
-            s.launch_height, s.launch_velocity = height, V
-            s.top = height - 2.0 * P
-        elif happens:
-            _, height, V = _free_flight(s, offset)
-            s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
-            kind = LANDING if s.landed else RECONTACT
-            note_event(s, events, kind, (cell + offset) * s.step, height, V)
-            echo = 2.0 * a + s.gravity_offset - V
-            s.contact = True
-            s.top = height - 2.0 * P + s.relaxation * V
-        if happens:
-            events_left -= 1
-        else:
-            number += 1
-            s.last_front = cell
-        if is_whole:
-            s.front_begin = number
-            if not _push_front(s, waves, offset, echo):
-                error += (offset - 0.5) * echo
-    if is_whole:
-        _end_step(s, waves, V, P, error)
-    else:
-        _write_top(s, offset, a, V, P)
-
-
-@_jit
-def _run_in_contact(s, waves, count, weights):
+@part
+def _run_in_contact(s, waves, count):
     """Advance by up to `count` steps, stopping before one in which the force ends below 0."""
-    first, N = s.cell - s.base, s.steps
-    top = waves[0, first - N - 1 :]
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, answer = waves[0, first - N - 1 :], waves[1, first + 1 :]
+    leaving, coming = waves[0, first + 1 :], waves[1, first + 1 - N :]
+    decay, threshold = s.decay, s.release_threshold
+    w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
+    line0, line1, largest_ripple = s.line[0], s.line[1], s.largest_ripple
     behind, here, ahead = top[0], top[1], top[2]
-    decay, threshold, offset = s.decay, s.release_threshold, s.gravity_offset
-    w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
-    V, total = s.velocity, s.sum
-    peak_push, peak_stress, work, power = s.peak_push, s.peak_stress, s.work, s.power
+    V, total, work, power = s.velocity, s.sum, s.work, s.power
     done = count
     for n in range(count):
         beyond = top[n + 3]
-        following = decay * V + ((w0 * behind + w1 * here) + (w2 * ahead + w3 * beyond))
-        push = 2.0 * ahead - following
-        if push < threshold:
+        drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
+        if abs(beyond - behind + 3.0 * (here - ahead)) > largest_ripple:
+            drive = line0 * here + line1 * ahead
+        following = decay * V + drive
+        if 2.0 * ahead - following < threshold:
             done = n
             break
-        waves[1, first + 1 + n] = following - ahead
-        total += 0.5 * (here + ahead)
-        peak_push = max(peak_push, push)
-        p, m = waves[0, first + 1 + n], waves[1, first + 1 + n - N]
-        stress = p - m + offset
-        power = stress * (p + m)
-        work += power
-        peak_stress = max(peak_stress, abs(stress))
         V = following
+        answer[n] = V - ahead
+        total += 0.5 * (here + ahead)
+        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
+        work += power
         behind, here, ahead = here, ahead, beyond
     s.cell += done
     s.velocity, s.sum, s.work, s.power = V, total, work, power
-    if s.events == 0:
-        s.peak_push, s.peak_stress = peak_push, peak_stress
     return done
 
 
-@_jit
+@part
 def _run_in_flight(s, waves, count):
     """Advance by up to `count` steps, stopping before one in which the gap ends below 0."""
-    first, N = s.cell - s.base, s.steps
-    step, offset = s.step, s.gravity_offset
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, answer = waves[0, first - N + 1 :], waves[1, first + 1 :]
+    leaving, coming = waves[0, first + 1 :], waves[1, first + 1 - N :]
+    twice, height = 2.0 * s.step, s.launch_height - s.top
     speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
-    height = s.launch_height - s.top
     start = s.cell + 1 - s.launch_cell - s.launch_offset
     here, total, work, power = waves[0, first - N], s.sum, s.work, s.power
     done = count
     for n in range(count):
-        ahead = waves[0, first + 1 + n - N]
+        ahead = top[n]
         area = total + 0.5 * (here + ahead)
-        time = (start + n) * step
-        if height + time * (speed - fall * time) < 2.0 * step * area:
+        time = (start + n) * s.step
+        if height + time * (speed - fall * time) < twice * area:
             done = n
             break
-        waves[1, first + 1 + n] = ahead + offset
+        answer[n] = ahead + offset
         total, here = area, ahead
-        p, m = waves[0, first + 1 + n], waves[1, first + 1 + n - N]
-        power = (p - m + offset) * (p + m)
+        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
         work += power
     s.cell += done
     s.sum, s.work, s.power = total, work, power
     return done
 
 
-@_jit
+@part
 def _fill(s, waves, path, last):
-    """Let p leave the plate up to grid point `last`, at most one crossing ahead of the top."""
+    """Let p leave the plate up to grid point `last`, which needs m a crossing earlier."""
     while s.filled < last:
         first = s.filled + 1
         count = last - s.filled
-        j, N = first - s.base, s.steps
+        leaving, coming = waves[0, first - s.base :], waves[1, first - s.base - s.steps :]
         if s.plate_kind == DAMPED:
             # Rotations of a phasor that is evaluated anew for every block
             k = first % BLOCK
@@ -571,116 +516,104 @@ def _fill(s, waves, path, last):
                 s.phasor[1] = size * math.sin(s.turn * time)
             real, imaginary = s.phasor[0], s.phasor[1]
             count = min(count, BLOCK - k)
-            leaving, coming = waves[0, j : j + count], waves[1, j - N : j - N + count]
-            cosines, sines = path[0, k : k + count], path[1, k : k + count]
+            cosines, sines = path[0, k:], path[1, k:]
             for n in range(count):
                 leaving[n] = (real * sines[n] + imaginary * cosines[n]) - coming[n]
         else:
             for n in range(count):
                 time = (first + n) * s.step
-                speed = velocity_of_piece(path, piece_at(s, path, time), time)
-                waves[0, j + n] = speed - waves[1, j + n - N]
+                leaving[n] = velocity_of_piece(path, piece_at(s, path, time), time) - coming[n]
         s.filled += count
 
 
-@_jit
-def _shift_buffer(s, waves):
-    """Move what is still needed of the waves to the start of their memory."""
-    shift = s.cell - 2 * s.steps - _PAD - s.base
-    count = s.filled - s.base + 1 - shift
-    for w in range(2):
-        for j in range(count):
-            waves[w, j] = waves[w, j + shift]
-    s.base += shift
+@part
+def _first_kept(s):
+    """Return the index of the oldest sample that is still needed."""
+    crossings = 3 if s.events == 0 else 1
+    return max(s.cell - crossings * s.steps - _PAD - s.base, 0)
 
 
-@_jit
+@part
 def _march(s, waves, path, events, goal):
-    """Advance to grid point `goal`, or until there are more events than `s.event_limit`."""
-    while s.cell < goal and s.events <= s.event_limit:
+    """Advance to grid point `goal`, or until there is no more room for events."""
+    while s.cell < goal and s.events <= events.shape[0]:
+        while s.kink < s.cell:
+            s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                _shift_buffer(s, waves)
-            last = min(s.base + waves.shape[1] - 2, s.cell + s.steps)
-            _fill(s, waves, path, min(goal, last))
-        if s.cell > s.kink:
-            s.kink += 2 * s.steps
-        arrival = _next_front(s, waves, s.front_begin)
-        if s.cell >= min(s.kink - 1, arrival):
-            _cross_step(s, waves, events, 1.0)
+                shift = _first_kept(s)
+                for j in range(s.cell + 2 - s.base - shift):
+                    waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
+                s.base += shift
+            room = s.base + waves.shape[1] - 2
+            _fill(s, waves, path, min(goal, room, s.cell + s.steps - 1))
+        count = s.filled - s.cell
+        if s.contact:
+            done = _run_in_contact(s, waves, max(0, min(count, s.kink - 1 - s.cell)))
         else:
-            if s.contact:
-                beside_front = s.cell + 1 >= arrival or s.cell - s.last_front <= 1
-                count = 1 if beside_front else min(s.filled, min(s.kink, arrival) - 1) - s.cell
-                weights = s.weights[1 if beside_front else 0]
-                done = _run_in_contact(s, waves, count, weights)
-            else:
-                count = min(s.filled, s.kink - 1, arrival) - s.cell
-                done = _run_in_flight(s, waves, count)
-            if done < count:
-                _cross_step(s, waves, events, 1.0)
-        if s.tracked < s.cell:
-            _track_strain(s, waves)
-        while _next_front(s, waves, s.front_passed) - s.steps < s.cell:
-            front = waves[_FRONTS, 3 * (s.front_passed % _MAX_FRONTS) :]
-            j = int(front[0]) - s.steps - s.base
-            plate_speed = waves[0, j] + waves[1, j - s.steps]
-            s.front_work += (1.0 - 2.0 * front[1]) * plate_speed * front[2]
-            s.front_passed += 1
+            done = _run_in_flight(s, waves, count)
+        if s.events == 0:
+            while s.cell - s.compared >= 2 * s.steps:
+                _compare_loads(s, waves, s.steps)
+        if done < count:
+            if s.events == 0:
+                _complete_loads(s, waves)
+            _cross_step(s, waves, events, 1.0)
 
 
-@_jit
-def _track_strain(s, waves):
+@part
+def _compare_loads(s, waves, count):
     """
-    Follow the largest strain in the layer, grid point by grid point, up to the first release.
+    Compare `count` waves p, a crossing at most, with the waves m that meet them.
 
-    The strain is (m(b) - p(a) - g tau) / c_s, of a wave m that leaves the top at b and a wave p
-    that leaves the plate at a; they meet inside the layer if a and b differ by a crossing at most.
-    So extremes of m in a window of two crossings are wanted, and two queues of candidates, whose
-    values fall (or rise) from the oldest to the newest, have them in front.
+    The stress in the layer is p(a) - m(b) + g tau, of a wave p that leaves the plate at a and a
+    wave m that leaves the top at b; they meet in the layer if a and b differ by a crossing at
+    most, at the plate and at the top if by all of it. So extremes of m in windows of two crossings
+    are wanted: in the common part of all windows, and from there on backwards and forwards.
     """
-    N, capacity = s.steps, waves.shape[1]
-    for n in range(s.tracked + 1, s.cell + 1):
-        m = waves[1, n - s.base]
-        p = waves[0, n - N - s.base]
-        for k in range(2):
-            sign = 1.0 - 2.0 * k
-            index, value = waves[2 + 2 * k], waves[3 + 2 * k]
-            begin, end = s.queues[2 * k], s.queues[2 * k + 1]
-            while end > begin and sign * value[(end - 1) % capacity] <= sign * m:
-                end -= 1
-            index[end % capacity], value[end % capacity] = n, m
-            while index[begin % capacity] < n - 2 * N:
-                begin += 1
-            s.queues[2 * k], s.queues[2 * k + 1] = begin, end + 1
-            strain = abs(p - value[begin % capacity] + s.gravity_offset)
-            s.peak_strain = max(s.peak_strain, strain)
-    s.tracked = s.cell
-    if s.events > 0:
-        s.peak_strain = _strain_so_far(s, waves)
-        s.tracked = 1 << 62
+    if count == 0:
+        return
+    N, offset, i = s.steps, s.gravity_offset, s.compared - s.base
+    p, before, after, later = waves[0, i:], waves[1, i - N :], waves[1, i:], waves[1, i + N :]
+    lowest, highest = waves[2], waves[3]
+    low = high = after[0]
+    for n in range(1, N):
+        low, high = min(low, after[n]), max(high, after[n])
+    common_low, common_high = low, high
+    for n in range(N - 1, -1, -1):
+        low, high = min(low, before[n]), max(high, before[n])
+        lowest[n], highest[n] = low, high
+    low, high = common_low, common_high
+    strain, stress, push = s.peak_strain, s.peak_stress, s.peak_push
+    for n in range(count):
+        low, high = min(low, later[n]), max(high, later[n])
+        here = p[n] + offset
+        strain = max(strain, here - min(low, lowest[n]), max(high, highest[n]) - here)
+        stress = max(stress, abs(here - before[n]))
+        push = max(push, p[n] - later[n])
+    s.peak_strain, s.peak_stress, s.peak_push = strain, stress, push
+    s.compared += count
 
 
-@_jit
-def _strain_so_far(s, waves):
-    """Complete the largest strain: where waves p of the last crossing have met waves m by now."""
-    i, N = s.cell - s.base, s.steps
-    lowest = highest = waves[1, i - N]
-    peak = s.peak_strain
+@part
+def _complete_loads(s, waves):
+    """Compare the waves p that are in the layer, too, with what has met them by now."""
+    N, i = s.steps, s.cell - s.base
+    _compare_loads(s, waves, max(s.cell - N + 1 - s.compared, 0))
+    low = high = waves[1, i - N]
     for k in range(N):
         older, newer = waves[1, i - N - k], waves[1, i - N + k]
-        lowest = min(lowest, older, newer)
-        highest = max(highest, older, newer)
+        low, high = min(low, older, newer), max(high, older, newer)
         p = waves[0, i - k] + s.gravity_offset
-        peak = max(peak, abs(p - lowest), abs(p - highest))
-    return peak
+        s.peak_strain = max(s.peak_strain, p - low, high - p)
+        s.peak_stress = max(s.peak_stress, abs(p - older))
 
 
-@_jit
-def _advance(time, core, waves, path, events):
+@kernel
+def _advance(core, waves, path, events, time):
     """Advance to `time`; the number of events so far, or what is wrong."""
-    grid = core[0]
-    if not time >= core[1].time:
+    grid, s = core[0], core[1]
+    if not time >= s.time:
         return BACKWARDS
     if time > grid.horizon:
         return BEYOND_HORIZON
@@ -693,8 +626,10 @@ def _advance(time, core, waves, path, events):
     while (goal + 1) * step <= time:
         goal += 1
     _march(grid, waves, path, events, goal)
-    core[1] = core[0]
-    s = core[1]
+    records = core.view(np.float64)
+    size = records.size // 3
+    for k in range(size):
+        records[size + k] = records[k]
     if s.cell != goal or s.events > events.shape[0]:
         return TOO_MANY_EVENTS
     s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
@@ -710,11 +645,11 @@ def _advance(time, core, waves, path, events):
     s.state[TIME] = time
     s.state[PLATE_POSITION] = height
     s.state[PLATE_VELOCITY] = speed
-    s.state[PLATE_FORCE] = s.impedance * (m - s.plus[0]) - s.mass * s.gravity
+    s.state[PLATE_FORCE] = s.impedance * (m - s.plus[0] - s.gravity_offset)
     return s.events
 
 
-@_jit
+@kernel
 def _read_layer(core, waves, out):
     """Read heights, velocities and forces of the layer from plate to top."""
     s = core[1]
@@ -725,78 +660,72 @@ def _read_layer(core, waves, out):
     waves[0, i + 1] = waves[0, i] + (s.plus[0] - waves[0, i]) / rest
     waves[1, i + 1] = waves[1, i] + (s.minus[1] - waves[1, i]) / rest
     last = force.size - 1
-    spacing = s.steps / last
-    p_wave, m_wave = waves[0], waves[1]
+    spacing, offset, start = s.steps / last, s.gravity_offset, i - s.steps - 1
+    p_wave, m_wave = waves[0, start:], waves[1, start:]
+    at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
     for n in range(last + 1):
-        place = i + (s.offset - spacing * n)
+        place = at_plate - spacing * n
         j = np.uintp(place)
         p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (place - j)
-        place = i + (s.offset - spacing * (last - n))
+        place = at_top + spacing * n
         j = np.uintp(place)
         m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (place - j)
         velocity[n] = p + m
-        force[n] = p - m
+        force[n] = p - m + offset
     for end in range(2):
         velocity[end * last] = s.plus[end] + s.minus[end]
-        force[end * last] = s.plus[end] - s.minus[end]
+        force[end * last] = s.plus[end] - s.minus[end] + offset
     # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
-    z, cell = s.state[PLATE_POSITION], s.thickness / last
-    stretch = 0.5 * cell / s.wave_speed
+    cell = s.thickness / last
+    stretch = 0.5 * cell * s.steps * s.step / s.thickness
+    squeezed = 0.0
+    height[0] = 0.0
+    for n in range(1, last + 1):
+        squeezed += force[n - 1] + force[n]
+        height[n] = squeezed
+    low, high = s.state[PLATE_POSITION], s.rest_height + s.surface
+    error = (high - low - s.thickness + stretch * squeezed) / last
     for n in range(last + 1):
-        if n > 0:
-            z += cell - stretch * (force[n - 1] + force[n] + 2.0 * s.gravity_offset)
-        height[n] = z
-    error = (s.rest_height + s.surface - z) / last
-    for n in range(last + 1):
-        height[n] += n * error
-        force[n] = s.impedance * (force[n] + s.gravity_offset)
+        height[n] = low + n * (cell + error) - stretch * height[n]
+        force[n] *= s.impedance
 
 
-@_jit
+@kernel
 def _stored_energy(core, waves):
     """Add up the energy of layer and projectile against rest, by the trapezoidal rule."""
     s = core[1]
     i, x = s.cell - s.base, s.offset
     total = 0.5 * x * (s.plus[0] ** 2 + s.minus[1] ** 2)
     for w in range(2):
-        total += 0.5 * x * waves[w, i] ** 2 + 0.5 * waves[w, i] ** 2
+        total += 0.5 * (1.0 + x) * waves[w, i] ** 2
         for n in range(1, s.steps):
             total += waves[w, i - n] ** 2
         first, second = waves[w, i - s.steps], waves[w, i - s.steps + 1]
         start = first + x * (second - first)
         total += 0.5 * first**2 - 0.5 * x * (first**2 + start**2)
-    for number in range(s.front_begin, s.front_end):  # squares jump within a step
-        left = _next_front(s, waves, number) - 2 * s.steps
-        w = 1 if left + s.steps >= s.cell else 0
-        j = left - s.base if w == 1 else left + s.steps - s.base
-        if j < i:
-            offset = waves[_FRONTS, 3 * (number % _MAX_FRONTS) + 1]
-            total += (0.5 - offset) * (waves[w, j + 1] ** 2 - waves[w, j] ** 2)
-    motion = 0.5 * s.mass * s.state[PROJECTILE_VELOCITY] ** 2
+    mass = s.impedance * s.relaxation
     height = s.state[PROJECTILE_POSITION] - s.rest_height
     lift = s.state[PLATE_POSITION] + height - s.surface
-    return s.impedance * s.step * total + motion + s.mass * s.gravity * lift
+    energy = 0.5 * mass * s.state[PROJECTILE_VELOCITY] ** 2 + mass * s.gravity * lift
+    return s.impedance * s.step * total + energy
 
 
-@_jit
-def _reset(core, waves):
-    """Put everything back to rest."""
-    core[0] = core[2]
-    core[1] = core[2]
-    waves[:] = 0.0
-
-
-@_jit
-def _copy_waves(waves, origin, core):
-    """Copy the waves that are still on their way."""
+@kernel
+def _kept(core):
+    """Return from where to where waves are still needed."""
     s = core[0]
-    first, last = s.cell - 2 * s.steps - _PAD - s.base, s.filled + 2 - s.base
-    first = max(first, 0)
-    for w in range(2):
-        waves[w, first:last] = origin[w, first:last]
-    waves[_FRONTS, : 3 * _MAX_FRONTS] = origin[_FRONTS, : 3 * _MAX_FRONTS]
-    if s.events == 0:  # the queues of `_track_strain`
-        waves[2:_FRONTS] = origin[2:_FRONTS]
+    return _first_kept(s), s.filled + 2 - s.base
+
+
+@kernel
+def _update_loads(core, waves):
+    """Bring the loads of the second record up to the last grid point before the first release."""
+    if core[0].events == 0:
+        _complete_loads(core[1], waves)
+
+
+_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
+_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
 
 
 class WaveStepper(Stepper):
@@ -834,9 +763,7 @@ class WaveStepper(Stepper):
 
     """
 
-    _advance = staticmethod(_advance)
-    _restart = staticmethod(_reset)
-    _changing = ('_core', '_waves')
+    _changing = '_waves'
 
     def __init__(
         self,
@@ -852,33 +779,35 @@ class WaveStepper(Stepper):
             steps = steps_per_crossing(rig)
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
         start = self._make_records(_CORE, motion, rig.crossing_time / self.steps)
-        noise = _NOISE * rig.engine.speed_scale
-        _prepare(start, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity, noise)
-        start['event_limit'] = len(self._events)
-        start['wave_speed'] = rig.layer.wave_speed
         start['thickness'] = rig.layer.thickness
-        start['impedance'] = rig.layer.impedance
-        start['mass'] = rig.projectile.mass
         start['rest_height'] = rig.layer.thickness - rig.static_sag
-        self._waves = np.zeros((7, 4 * self.steps + _ROOM))
+        _prepare(
+            self._core, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity,
+            rig.layer.impedance, rig.engine.speed_scale,
+        )  # fmt: skip
+        self._waves = _make_waves(self.steps)
         self._scratch = np.zeros((3, field_points))
         self._work_unit = rig.layer.impedance * float(start['step'])
-        self._memory = (self._core, self._waves, self._path, self._events)
+        self._bind()
         self.reset()
 
-    def _copy_from(self, origin: Stepper) -> None:
-        """Copy records, and the waves that are still on their way."""
-        assert isinstance(origin, WaveStepper)
-        self._core.view(np.uint8)[:] = origin._core.view(np.uint8)
-        _copy_waves(self._waves, origin._waves, self._core)
+    def _bind(self) -> None:
+        arrays = (self._core, self._waves, self._path, self._events)
+        self._advance = partial(_advance_compiled(), *arrays)
+        self._read_layer = partial(_read_layer_compiled(), *arrays[:2])
 
-    def _read_layer(self, out: Floats) -> None:
-        """Write the layer; between grid points both waves are lines."""
-        _read_layer(self._core, self._waves, out)
+    def _clear(self) -> None:
+        _clear_waves(self._waves, self.steps)
+
+    def _copy_layer(self, origin: Stepper) -> None:
+        """Copy the waves that are still on their way."""
+        assert isinstance(origin, WaveStepper)
+        first, last = _kept(self._core)
+        self._waves[:2, first:last] = origin._waves[:2, first:last]
 
     def _read_strain(self, strain: Floats) -> None:
         """Write the strain, which is the force over the layer's stiffness."""
-        _read_layer(self._core, self._waves, self._scratch)
+        self._read_layer(self._scratch)
         stiffness = self.rig.layer.wave_speed * self.rig.layer.impedance
         np.divide(self._scratch[2], -stiffness, out=strain)
 
@@ -890,14 +819,12 @@ class WaveStepper(Stepper):
     @property
     def loads(self) -> Loads:
         """Largest loads up to the first release, or so far if that is to come."""
+        _update_loads(self._core, self._waves)
         layer, now = self.rig.layer, self._core[1]
         push, stress = float(now['peak_push']), float(now['peak_stress'])
         contact_stress = push + float(now['gravity_offset'])
-        inside = float(now['peak_strain'])
-        if now['events'] == 0 or now['tracked'] < 1 << 62:
-            inside = float(_strain_at_now(self._core, self._waves))
         return Loads(
-            strain=max(inside, stress, contact_stress) / layer.wave_speed,
+            strain=max(float(now['peak_strain']), contact_stress) / layer.wave_speed,
             plate_strain=stress / layer.wave_speed,
             contact_strain=contact_stress / layer.wave_speed,
             acceleration=push / self.rig.relaxation_time,
@@ -906,20 +833,24 @@ class WaveStepper(Stepper):
 
     @property
     def work_so_far(self) -> float:
-        """Work of the plate up to the last grid point, by the trapezoidal rule. [J]"""
+        """Work of the plate from the start to now, by the trapezoidal rule. [J]"""
         now = self._core[1]
         part = (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit * (now['work'] + now['front_work'] + part))
+        return float(self._work_unit * (now['work'] + part))
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, to second order. [J]"""
         return float(_stored_energy(self._core, self._waves))
 
 
-@_jit
-def _strain_at_now(core, waves):
-    """Find the largest strain up to the last grid point."""
-    return _strain_so_far(core[1], waves)
+def _make_waves(steps: int) -> Floats:
+    """Make room for waves p and m, and for two series in `_compare_loads`."""
+    return np.zeros((4, 4 * steps + _ROOM))
+
+
+def _clear_waves(waves: Floats, steps: int) -> None:
+    """Forget the waves: those that are read before they are written."""
+    waves[:2, : steps + _PAD + 1] = 0.0
 
 
 def first_throws(
@@ -974,42 +905,39 @@ def first_throws(
         damping_ratio=damping_ratio,
         gravity_ratio=gravity_ratio,
     )
-    steps = np.maximum(_STEPS_PER_RELAXATION / ratios[0], _STEPS_PER_PERIOD / ratios[1])
+    mu, kappa = ratios[:2]
+    steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    found = np.full((6, ratios.shape[1]), math.nan)
+    natural = 2.0 * math.pi * np.sqrt(mu) / kappa  # period of the mass on a massless layer
+    periods = _MAX_PERIODS * (1.0 + natural)
+    latest = np.minimum(periods, _MAX_CROSSINGS / kappa) + 1.0 / kappa
+    found = np.full((6, mu.size), math.nan)
 
     def run(part: int, parts: int) -> None:
-        core = np.zeros(2, _CORE)
-        waves = np.zeros((7, 4 * int(steps.max(initial=0)) + _ROOM))
-        _first_throws(ratios, steps, core, waves, found, part, parts)
+        core, path, no_events = np.zeros(3, _CORE), np.empty((2, BLOCK)), np.empty((0, 4))
+        numbers = core.view(np.float64).reshape(3, -1)
+        advance = _advance_compiled()
+        for n in range(part, mu.size, parts):
+            waves = _make_waves(int(steps[n]))
+            numbers[:] = 0.0
+            _prepare_underdamped(core, path, steps[n], *ratios[:, n])
+            numbers[:2] = numbers[2]
+            advance(core, waves, path, no_events, latest[n])
+            if core[0]['events']:
+                found[:, n] = _first_throw(core[0])
 
-    in_threads(run, count=ratios.shape[1], per_thread=_THROWS_PER_THREAD, threads=threads)
+    in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return FirstThrows.collect(found, ratios, shape, unresolved, f'{_MAX_PERIODS:g} periods')
 
 
-@_jit
-def _first_throws(ratios, steps, core, waves, found, part, parts):
-    """Follow every throw of `parts`, from number `part` on, in units of 1 / f and A omega."""
-    event = np.empty((1, 4))
-    path = np.empty((2, BLOCK))
-    for n in range(part, steps.size, parts):
-        mu, kappa, zeta, gravity = ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n]
-        core[0] = core[1]
-        s = core[0]
-        write_underdamped(s, path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * steps[n]))
-        _prepare(s, steps[n], 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, _NOISE)
-        waves[:, : s.steps + _PAD + 1] = 0.0
-        natural = 2.0 * math.pi * math.sqrt(mu) / kappa  # period of the mass on a massless layer
-        latest = min(_MAX_PERIODS * (1.0 + natural) * kappa, _MAX_CROSSINGS) + 1.0
-        _march(s, waves, path, event, int(latest) * s.steps)
-        if s.events == 0:
-            continue
-        found[0, n], found[1, n] = event[0, 1], event[0, 3]
-        contact_stress = s.peak_push + s.gravity_offset
-        found[2, n] = max(s.peak_strain, s.peak_stress, contact_stress)
-        found[3, n] = s.peak_push / (2.0 * math.pi * s.relaxation)
-        found[4, n] = s.peak_stress
-        found[5, n] = s.first_work * s.step / s.relaxation
+def _first_throw(s: np.void) -> tuple[float, ...]:
+    """Read the rows of `FirstThrows` from a record that has come to the first release."""
+    time = (s['launch_cell'] + s['launch_offset']) * s['step']
+    push, omega = s['peak_push'], 2.0 * math.pi
+    strain = max(s['peak_strain'], push + s['gravity_offset'])
+    work = s['first_work'] * s['step'] / s['relaxation']
+    acceleration = push / (omega * s['relaxation'])
+    return time, s['launch_velocity'], strain, acceleration, s['peak_stress'], work
 
 
 def warm_up() -> None:

@@ -20,20 +20,19 @@ from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design import texts
 from soft_throw_ros.design.evaluate import (
     Cancelled,
     first_throws,
     last_release,
     LastRelease,
+    Ratios,
     SEARCH_CELLS,
     SearchCancelledError,
 )
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.optimise import find_best_layer
-from soft_throw_ros.design.recommendation import predict, PredictedThrow
-from soft_throw_ros.design.search_space import Candidate, search_spaces, SearchSpace
-from soft_throw_ros.design.uncertainty import Variants
+from soft_throw_ros.design.optimise import find_best_layer, Optimum
+from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.search_space import search_spaces, SearchSpace
 
 Floats = NDArray[np.float64]
 
@@ -149,6 +148,20 @@ class Aim(PredictedThrow):
     is_reached: bool
     rig: Rig
     summary: str = ''
+
+    @property
+    def layer_text(self) -> str:
+        """The layer, in words."""
+        name = f'{self.layer}, ' if self.layer else ''
+        return f'a layer of {name}{1e3 * self.thickness:.4g} mm and {self.wave_speed:.4g} m/s'
+
+    @property
+    def loads_text(self) -> str:
+        """What it takes, in words."""
+        return (
+            f'amplitude {1e3 * self.amplitude:.4g} mm, strain {1e2 * self.peak_strain:.3g} %, '
+            f'acceleration {self.peak_acceleration:.3g} m/s2'
+        )
 
     def values(self) -> dict[str, float | str | bool]:
         """Return all that is one value by its name."""
@@ -278,7 +291,16 @@ class _Task(NamedTuple):
 
     def excess(self, throw: Aim) -> str:
         """Say what of a throw is beyond the limits; nothing if nothing is."""
-        return texts.excess_of(throw, self.limits, self.max_amplitude)
+        limits = self.limits
+        return ' and '.join(
+            f'{what} of {value:.3g}{unit} instead of at most {limit:.3g}{unit}'
+            for what, value, limit, unit in (
+                ('an amplitude', 1e3 * throw.amplitude, 1e3 * self.max_amplitude, ' mm'),
+                ('a strain', 1e2 * throw.peak_strain, 1e2 * limits.max_strain, ' %'),
+                ('an acceleration', throw.peak_acceleration, limits.max_acceleration, ' m/s2'),
+            )
+            if value > limit * (1.0 + 1e-6)  # what is at its limit may be rounded up
+        )
 
     def throw(self, rig: Rig, layer: str) -> Aim:
         """Follow a throw."""
@@ -301,34 +323,30 @@ class _Task(NamedTuple):
     ) -> _Needs:
         """Find what layers need for a speed, and are allowed, by their first releases."""
         omega = rig.engine.angular_frequency
-        ratios, _ = Variants.of(rig).ratios(rig, thickness, wave_speed)
         amplitude = np.full(np.shape(thickness), min(speed / omega, self.max_amplitude))
-        has_loads = self.limits.of_loads
         # Without gravity all is proportional to the amplitude, and found at once.
         for _ in range(_ITERATIONS if rig.gravity > 0.0 else 1):
             throws = first_throws(
-                ratios._replace(gravity_ratio=rig.gravity / (amplitude * omega * omega)),
-                loads=has_loads,
+                Ratios.of(rig, thickness=thickness, wave_speed=wave_speed, amplitude=amplitude),
+                loads=self.limits.of_loads,
                 cells=SEARCH_CELLS,
                 cancelled=self.cancelled,
             )
-            rate = np.where(throws.speed > 0.0, throws.speed * omega, 0.0)
+            rate = np.nan_to_num(throws.speed) * omega
             needed = speed / np.maximum(rate, 1e-300)
             allowed = np.full(amplitude.shape, self.max_amplitude)
-            if has_loads:
-                strain = throws.peak_strain * omega / wave_speed
-                acceleration = throws.peak_acceleration * omega * omega
-                for limit, load in (
-                    (self.limits.max_strain, strain),
-                    (self.limits.max_acceleration, acceleration),
-                ):
+            for limit, load in (
+                (self.limits.max_strain, throws.peak_strain * omega / wave_speed),
+                (self.limits.max_acceleration, throws.peak_acceleration * omega * omega),
+            ):
+                if limit < math.inf:
                     allowed = np.fmin(allowed, (1.0 - room) * limit / load)
             amplitude = np.minimum(needed, allowed)
         return _Needs(needed, allowed, rate)
 
     def search(
         self, space: SearchSpace, rig: Rig | None = None, rise: float = 0.0
-    ) -> Candidate | None:
+    ) -> Optimum | None:
         """
         Find the layer that needs the least amplitude, or that reaches most if none does.
 
@@ -346,8 +364,7 @@ class _Task(NamedTuple):
             found = np.where(is_enough, self.max_amplitude / needs.needed, parts)
             return np.where(found >= least, found, 0.0)
 
-        best = find_best_layer(score, space.layers, step=space.grid_step())
-        return None if best is None else space._replace(rig=there).candidate(best)
+        return find_best_layer(score, space.layers, step=space.step, is_whole=self.limits.of_loads)
 
     def reach(self, space: SearchSpace) -> Aim | None:
         """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
@@ -357,11 +374,12 @@ class _Task(NamedTuple):
             best = self.search(space, rig, rise)
             if best is None or (best.score < 1.0 and not space.is_single):
                 return None
-            amplitude = self.amplitude(best.rig)
+            rig = space._replace(rig=rig).rig_with(best)
+            amplitude = self.amplitude(rig)
             if amplitude is None:
                 return None
             is_same = abs(amplitude / rig.engine.amplitude - 1.0) < _SAME
-            rig = _with_amplitude(best.rig, amplitude)
+            rig = _with_amplitude(rig, amplitude)
             throw = self.throw(rig, space.name)
             if is_same or space.is_single:
                 break
@@ -371,15 +389,16 @@ class _Task(NamedTuple):
 
     def approach(self, spaces: list[SearchSpace]) -> Aim | None:
         """Find layer and amplitude that reach the most within the limits; None if none throws."""
-        found = [best for space in spaces if (best := self.search(space)) is not None]
+        found = [(best, space) for space in spaces if (best := self.search(space)) is not None]
         throws = []
-        for best in sorted(found, key=lambda each: -each.score)[:_NEAREST]:
-            layer = best.rig.layer
-            place = np.array([layer.thickness]), np.array([layer.wave_speed])
-            needs = self.needs(best.rig, *place, speed=_OUT_OF_REACH)
-            rig = _with_amplitude(best.rig, float(needs.allowed[0]))
+        for best, space in sorted(found, key=lambda each: -each[0].score)[:_NEAREST]:
+            rig = space.rig_with(best)
+            place = np.array([best.thickness]), np.array([best.wave_speed])
+            needs = self.needs(rig, *place, speed=_OUT_OF_REACH)
             with contextlib.suppress(ThrowUnresolvedError):
-                throws.append(self.throw(rig, best.layer))
+                throws.append(
+                    self.throw(_with_amplitude(rig, float(needs.allowed[0])), space.name)
+                )
         return max(throws, key=self.target.reached, default=None)
 
     def amplitude(self, rig: Rig) -> float | None:
@@ -418,8 +437,8 @@ class _Task(NamedTuple):
 def _how(task: _Task, found: Aim) -> str:
     """Say what reaches the target."""
     is_other = found.layer or found.rig.layer != task.rig.layer
-    layer = texts.layer_of(found) if is_other else 'the layer as it is'
-    return f'{layer} reaches {task.target.summary}: {texts.loads_of(found)}'
+    layer = found.layer_text if is_other else 'the layer as it is'
+    return f'{layer} reaches {task.target.summary}: {found.loads_text}'
 
 
 def _why_not(task: _Task, easiest: Aim | None, most: Aim) -> str:
@@ -429,11 +448,11 @@ def _why_not(task: _Task, easiest: Aim | None, most: Aim) -> str:
     text = (
         f'{task.target.summary} is not reached: '
         f'{f"it takes {excess}" if excess else "no amplitude does it"}; '
-        f'the most is {reached}, with {texts.loads_of(most)}'
+        f'the most is {reached}, with {most.loads_text}'
     )
     if task.vary == 'amplitude':
         (other,) = search_spaces(task.rig, 'both', task.limits, {})
         found = task.reach(other)
         if found is not None and not task.excess(found):
-            text += f'; {texts.layer_of(found)} would do it: {texts.loads_of(found)}'
+            text += f'; {found.layer_text} would do it: {found.loads_text}'
     return text

@@ -14,9 +14,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
 from soft_throw_ros.core.throw import apex_height, simulate, ThrowUnfinishedError
@@ -49,12 +50,50 @@ class Ratios(NamedTuple):
     projectile over what it needs through the layer. [-]
     """
 
-    mass_ratio: ArrayLike
-    speed_ratio: ArrayLike
-    damping_ratio: ArrayLike = 0.0
-    gravity_ratio: ArrayLike = 0.0
-    loss_tangent: ArrayLike = 0.0
-    crossing_ratio: ArrayLike = 0.0
+    mass_ratio: Floats | float
+    speed_ratio: Floats | float
+    damping_ratio: Floats | float = 0.0
+    gravity_ratio: Floats | float = 0.0
+    loss_tangent: Floats | float = 0.0
+    crossing_ratio: Floats | float = 0.0
+
+    @classmethod
+    def of(cls, rig: Rig, **changes: Floats | float) -> Ratios:
+        """
+        Return what decides throws of a rig in which some values are others.
+
+        Parameters
+        ----------
+        rig : Rig
+            With a layer of one material.
+        **changes : ndarray or float
+            Fields of the engine and of the layer, `mass` of the projectile, and `gravity`; they
+            broadcast against each other. [SI]
+
+        Raises
+        ------
+        ValueError
+            If the layer is not of one material.
+
+        """
+        engine, layer, projectile = rig.engine, require_uniform(rig).layer, rig.projectile
+        values = {**vars(engine), **vars(layer), 'mass': projectile.mass, 'gravity': rig.gravity}
+        values |= changes
+        mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
+        section = 0.25 * math.pi * values['diameter'] ** 2
+        omega = 2.0 * math.pi * frequency
+        spring = projectile.youngs_modulus * section / projectile.length
+        with np.errstate(divide='ignore'):  # a layer that an error leaves nothing of
+            speed_ratio = values['wave_speed'] / (thickness * frequency)
+            mass_ratio = mass / (values['density'] * section * thickness)
+        return cls(
+            mass_ratio=mass_ratio,
+            speed_ratio=speed_ratio,
+            damping_ratio=values['damping_ratio'],
+            gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
+            loss_tangent=values['loss_tangent'],
+            crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
+        )
 
 
 def first_throws(
@@ -87,12 +126,11 @@ def first_throws(
     Returns
     -------
     FirstThrows
-        Of arrays with the common shape, NaN where there is no release.
+        Of arrays with the common shape; NaN where there is no release, or no layer: where an
+        error takes more of a layer than there is, a ratio is negative or infinite.
 
     Raises
     ------
-    ValueError
-        If a ratio is out of its range.
     SearchCancelledError
         If `cancelled` says so.
 
@@ -121,7 +159,8 @@ def first_throws(
 
 def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Sort throws by the method that they need, and cut them into batches."""
-    every = ~_are_held(cases[0], cases[1], cases[3])
+    exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
+    every = exist & ~_are_held(cases[0], cases[1], cases[3])
     if model == 'travelling_wave':
         has_loss = cases[4] > 0.0
         is_strong = cases[3] > _STRONG_GRAVITY
@@ -140,16 +179,46 @@ def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, N
             yield method, indices[start : start + size]
 
 
+def _stiffness(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
+    """Return about the lowest frequency of projectile and layer over the plate's, q."""
+    with np.errstate(invalid='ignore'):  # no layer has no frequency
+        return speed_ratio / (2.0 * math.pi * np.sqrt(np.abs(mass_ratio) + 4.0 / math.pi**2))
+
+
 def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) -> NDArray[np.bool_]:
     """
     Tell which projectiles gravity holds for sure, which a stepper takes longest to find out.
 
     A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
-    times the plate's at most, q being the ratio of their frequencies, here of the layer's lowest
-    mode. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the largest seen.
+    times the plate's at most. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the
+    largest seen.
     """
-    is_stiff = speed_ratio > 4.0 * math.pi * np.sqrt(mass_ratio + 4.0 / math.pi**2)
-    return is_stiff & (gravity_ratio > 4.0)
+    return (_stiffness(mass_ratio, speed_ratio) > 2.0) & (gravity_ratio > 4.0)
+
+
+def highest_transfers(ratios: Ratios) -> Floats:
+    r"""
+    Bound the energy transfers of stiff layers, which take longest to compute.
+
+    On a spring the projectile is faster than the plate by :math:`A \omega / (q - 1)` at most,
+    q > 1 being the ratio of their frequencies. Waves add to it: of 200,000 random throws from
+    layers with q > 1.2, with and without gravity and damping, none had more than 1.45 times that.
+
+    Parameters
+    ----------
+    ratios : Ratios
+        Arrays of one shape.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape; infinite for layers that are not stiff. [-]
+
+    """
+    stiffness = _stiffness(np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio))
+    excess = 1.5 / np.maximum(stiffness - 1.0, 1e-9)
+    fastest = peak_velocity_ratios(np.asarray(ratios.damping_ratio))
+    return np.where(stiffness > 1.2, (1.0 + excess / fastest) ** 2, math.inf)
 
 
 def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:

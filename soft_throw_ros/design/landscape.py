@@ -55,7 +55,7 @@ Progress = Callable[[int], object]
 
 
 class QuantityLabel(NamedTuple):
-    """What numbers are: their symbol (as TeX), their unit (SI, empty if none), their meaning."""
+    """What numbers are: their symbol, their unit (SI, empty if none), their meaning."""
 
     symbol: str
     unit: str
@@ -65,21 +65,21 @@ class QuantityLabel(NamedTuple):
 _SYMBOLS = {
     'engine.frequency': 'f',
     'engine.amplitude': 'A',
-    'engine.damping_ratio': r'\zeta',
-    'layer.thickness': 'L_s',
-    'layer.wave_speed': 'c_s',
-    'layer.density': r'\rho_s',
+    'engine.damping_ratio': 'ζ',
+    'layer.thickness': 'Lₛ',
+    'layer.wave_speed': 'cₛ',
+    'layer.density': '\N{GREEK SMALL LETTER RHO}ₛ',
     'layer.diameter': 'D',
-    'layer.loss_tangent': r'\tan\delta',
+    'layer.loss_tangent': 'tan δ',
     'projectile.mass': 'm',
     'gravity': 'g',
 }
 
 AXES: Mapping[str, QuantityLabel] = {
-    'x': QuantityLabel('x = L_s/(L_s+L_r)', '', 'Layer over total length'),
-    'C': QuantityLabel('C = c_s/(L_s+L_r)f', '', 'Crossings of the total length per plate period'),
-    'mu': QuantityLabel(r'\mu = m/\rho_sSL_s', '', 'Projectile over layer mass'),
-    'kappa': QuantityLabel(r'\kappa = c_s/L_sf', '', 'Crossings of the layer per plate period'),
+    'x': QuantityLabel('x = Lₛ/(Lₛ + Lᵣ)', '', 'Layer over total length'),
+    'C': QuantityLabel('C = cₛ/(Lₛ + Lᵣ)f', '', 'Crossings of the total length per plate period'),
+    'mu': QuantityLabel('μ = m/ρₛSLₛ', '', 'Projectile over layer mass'),
+    'kappa': QuantityLabel('κ = cₛ/Lₛf', '', 'Crossings of the layer per plate period'),
     **{
         name: QuantityLabel(symbol, TWIN.by_name[name].unit, TWIN.by_name[name].meaning)
         for name, symbol in _SYMBOLS.items()
@@ -88,21 +88,19 @@ AXES: Mapping[str, QuantityLabel] = {
 """What can be an axis: those of the paper, the ratios behind them, and parameters of the rig."""
 
 RESULTS: Mapping[str, QuantityLabel] = {
-    'ejection_phase': QuantityLabel('t_e f', '', 'Ejection time in plate periods'),
-    'energy_transfer': QuantityLabel(r'\alpha', '', 'Energy transfer factor'),
+    'ejection_phase': QuantityLabel('tₑ f', '', 'Ejection time in plate periods'),
+    'energy_transfer': QuantityLabel('α', '', 'Energy transfer factor'),
 }
 """What a landscape has at every point, by the names of its arrays."""
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
-_BESIDE_RATIOS = ('engine.amplitude', 'engine.damping_ratio', 'layer.loss_tangent', 'gravity')
 _RATIO_OF = {
     'engine.damping_ratio': 'damping_ratio',
     'engine.amplitude': 'gravity_ratio',
     'gravity': 'gravity_ratio',
     'layer.loss_tangent': 'loss_tangent',
 }
-"""Parameters that not every model knows, and the ratio that they are for."""
-
+"""Parameters that the ratios leave open and not every model knows, and what they are for."""
 
 _RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
 _LOSSY = (*_RIGID, 'loss_tangent')
@@ -366,12 +364,9 @@ def compute_landscape(
     checks.require_positive('density_ratio', density_ratio)
     shape = (first.values.size, second.values.size)
     along = {first.name: first.values[:, None], second.name: second.values[None, :]}
-    cases = np.zeros((len(Ratios._fields), math.prod(shape)))
-    for name, row, ratio in zip(
-        Ratios._fields, cases, _ratios(rig, along, density_ratio), strict=True
-    ):
-        if name in MODELS[model]:
-            row.reshape(shape)[...] = ratio
+    ratios = _ratios(rig, along, density_ratio)._asdict()
+    known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
+    cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
     compute = functools.partial(_compute, model, release, None if executor is None else 1)
     is_fast = model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
@@ -434,41 +429,25 @@ def _check_axes(first: str, second: str) -> None:
         raise ValueError(f'{first} and {second} are one and the same, so they make no landscape')
     ratios = {name for same in _SAME for name in same}
     for ratio, other in ((first, second), (second, first)):
-        if ratio in ratios and other not in ratios and other not in _BESIDE_RATIOS:
+        if ratio in ratios and other not in ratios and other not in _RATIO_OF:
             allowed = sorted(next(ratios - same for same in _SAME if ratio in same))
-            raise ValueError(
-                f'{ratio} goes with {", ".join([*allowed, *_BESIDE_RATIOS])}, got {other}'
-            )
+            raise ValueError(f'{ratio} goes with {", ".join([*allowed, *_RATIO_OF])}, got {other}')
 
 
 def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Ratios:
-    """Compute what decides a throw, as `Rig` does, from its parameters and those that vary."""
-
-    def parameter(name: str) -> Floats | float:
-        return along[name] if name in along else float(attrgetter(name)(rig))
-
-    section = 0.25 * math.pi * parameter('layer.diameter') ** 2
-    thickness, mass = parameter('layer.thickness'), parameter('projectile.mass')
-    mu = mass / (parameter('layer.density') * section * thickness)
-    frequency = parameter('engine.frequency')
-    kappa = 1.0 / (thickness / parameter('layer.wave_speed') * frequency)
-    omega = 2.0 * math.pi * frequency
+    """Return what decides throws of a rig along axes, the paper's among them."""
+    changes = {name.rpartition('.')[2]: along[name] for name in along if name in TWIN.by_name}
+    ratios = Ratios.of(rig, **changes)
+    mu, kappa = np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio)
     if 'x' in along:
         mu = density_ratio * (1.0 - along['x']) / along['x']
     mu = along.get('mu', mu)
     if 'C' in along:
         kappa = along['C'] / along.get('x', density_ratio / (density_ratio + mu))
     kappa = along.get('kappa', kappa)
-    projectile = rig.projectile
-    crossing = np.sqrt(projectile.length * mass / (projectile.youngs_modulus * section))
-    return Ratios(
-        mass_ratio=mu,
-        speed_ratio=kappa,
-        damping_ratio=parameter('engine.damping_ratio'),
-        gravity_ratio=parameter('gravity') / (parameter('engine.amplitude') * omega * omega),
-        loss_tangent=parameter('layer.loss_tangent'),
-        crossing_ratio=crossing * frequency * kappa,
-    )
+    # the projectile is as it is
+    crossing_ratio = ratios.crossing_ratio * (kappa / ratios.speed_ratio)
+    return ratios._replace(mass_ratio=mu, speed_ratio=kappa, crossing_ratio=crossing_ratio)
 
 
 def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 import itertools
 import math
 from typing import ClassVar, TypeAlias
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios
+from soft_throw_ros.core.stepper import FirstThrows
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, highest_transfers, Ratios
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
@@ -58,10 +59,9 @@ class Limits:
     max_loss_tangent: float = math.inf
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value != math.inf or item.name.startswith(('thickness', 'wave_speed')):
-                object.__setattr__(self, item.name, checks.require_positive(item.name, value))
+        for name, value in vars(self).items():
+            if value != math.inf or name.startswith(('thickness', 'wave_speed')):
+                checks.require_positive(name, value)
         for name in ('thickness', 'wave_speed'):
             low, high = getattr(self, name)
             if low >= high:
@@ -90,7 +90,6 @@ class Peak:
     name: ClassVar[str] = 'peak'
     summary: ClassVar[str] = 'alpha'
     quantile: ClassVar[float] = 0.0
-    limits_hold_for_all: ClassVar[bool] = False
 
     def variants(self, rig: Rig) -> Variants:
         """Return the throws that count."""
@@ -125,12 +124,9 @@ class Robust:
     uncertainties: Uncertainties = field(default_factory=Uncertainties)
     quantile: float = 0.0
     name: ClassVar[str] = 'robust'
-    limits_hold_for_all: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, 'quantile', checks.require_in_unit_interval('quantile', self.quantile)
-        )
+        checks.require_in_unit_interval('quantile', self.quantile)
 
     @property
     def summary(self) -> str:
@@ -179,22 +175,23 @@ class Versatile:
     name: ClassVar[str] = 'versatile'
     summary: ClassVar[str] = 'worst alpha'
     quantile: ClassVar[float] = 0.0
-    limits_hold_for_all: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        for name in ('masses', 'frequencies'):
-            values = tuple(checks.require_positive(name, value) for value in getattr(self, name))
+        for name, values in vars(self).items():
             if not 1 <= len(values) <= MAX_VALUES:
                 raise ValueError(
                     f'{name} must be 1 to {MAX_VALUES} numbers, got {len(values)}: '
                     f'{", ".join(f"{value:g}" for value in values)}'
                 )
-            object.__setattr__(self, name, values)
+            for value in values:
+                checks.require_positive(name, value)
 
     def variants(self, rig: Rig) -> Variants:
         """Return the throws that count."""
-        pairs = np.array(list(itertools.product(self.masses, self.frequencies)))
-        return Variants.of(rig)._replace(mass=pairs[:, 0], frequency=pairs[:, 1])
+        pairs = itertools.product(self.masses, self.frequencies)
+        mass, frequency = np.array(list(pairs), dtype=np.float64).T
+        rest = (np.broadcast_to(each, mass.shape) for each in Variants.of(rig)[2:])
+        return Variants(mass, frequency, *rest)
 
 
 Objective: TypeAlias = Peak | Robust | Versatile
@@ -233,8 +230,9 @@ class LayerScore:
     ) -> None:
         self.rig = rig
         self._objective = objective
-        self._limits = limits if limits is not None and limits.of_loads else None
-        self._throws = functools.partial(first_throws, cells=cells, cancelled=cancelled)
+        self._limits = limits or Limits()
+        self._cells = cells
+        self._cancelled = cancelled
         self._variants = objective.variants(rig)
         # The lowest throws first, as far as known: most layers are out after a few of them.
         self._order = np.arange(self._variants.mass.size)
@@ -245,9 +243,9 @@ class LayerScore:
         wave_speed: ArrayLike,
         *,
         least: ArrayLike = 0.0,
-        mass_factor: ArrayLike = 1.0,
-        frequency_factor: ArrayLike = 1.0,
-        damping_factor: ArrayLike = 1.0,
+        mass: ArrayLike = 1.0,
+        frequency: ArrayLike = 1.0,
+        damping_ratio: ArrayLike = 1.0,
     ) -> Floats:
         """
         Compute the energy transfers that count.
@@ -258,8 +256,8 @@ class LayerScore:
             Of the layers. [m], [m/s]
         least : array_like
             What is below this need not be known: it becomes 0. [-]
-        mass_factor, frequency_factor, damping_factor : array_like
-            What every throw's mass, frequency and damping ratio are multiplied by. [-]
+        mass, frequency, damping_ratio : array_like
+            What every throw's are multiplied by. [-]
 
         Returns
         -------
@@ -272,58 +270,71 @@ class LayerScore:
             If `cancelled` says so.
 
         """
-        given = (thickness, wave_speed, least, mass_factor, frequency_factor, damping_factor)
-        thickness, wave_speed, least, mass, frequency, damping = (
+        given = (thickness, wave_speed, least, mass, frequency, damping_ratio)
+        thickness, wave_speed, least, mass, frequency, damping_ratio = (
             np.asarray(column, dtype=np.float64)[:, None]
             for column in np.broadcast_arrays(*map(np.atleast_1d, given))
         )
         variants = self._variants._replace(
             mass=mass * self._variants.mass,
             frequency=frequency * self._variants.frequency,
-            damping_ratio=np.minimum(damping * self._variants.damping_ratio, 0.999),
+            damping_ratio=np.minimum(damping_ratio * self._variants.damping_ratio, 0.999),
         )
-        ratios, exists = variants.ratios(self.rig, thickness, wave_speed)
-        size = exists.shape[1]
+        ratios = np.broadcast_arrays(*variants.ratios(self.rig, thickness, wave_speed))
+        count, size = ratios[0].shape
         # A layer is out as soon as more of its throws are too low than the quantile leaves aside.
         spare = math.ceil(self._objective.quantile * (size - 1))
-        transfers = np.full(exists.shape, math.inf)
-        alive = np.arange(exists.shape[0])
+        transfers = np.full((count, size), math.inf)
+        highest = highest_transfers(Ratios(*ratios)).max(axis=1)
+        alive = np.flatnonzero(highest >= least[:, 0])
         stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
         for start, stop in itertools.pairwise(stages):
-            chosen = np.ix_(alive, self._order[start:stop])
-            throws = self._throws(_some(ratios, chosen))
-            is_thrown = (throws.speed > 0.0) & exists[chosen]
-            transfers[chosen] = np.where(is_thrown, throws.energy_transfer, 0.0)
+            columns = self._order[start:stop]
+            found = self._throw(ratios, alive, columns).energy_transfer
+            transfers[np.ix_(alive, columns)] = np.nan_to_num(found)
             too_low = (transfers[alive] < least[alive]).sum(axis=1)
             alive = alive[too_low <= spare]
-        scores = np.zeros(exists.shape[0])
-        if size == 1:
-            scores[alive] = transfers[alive, 0]
-        elif alive.size:
-            scores[alive] = np.quantile(transfers[alive], self._objective.quantile, axis=1)
-            self._order = transfers[alive].mean(axis=0).argsort()
-        if self._limits is not None:
+        scores = np.zeros(count)
+        if alive.size:
+            left = transfers[alive]
+            scores[alive] = (
+                np.quantile(left, self._objective.quantile, axis=1) if spare else left.min(axis=1)
+            )
+            self._order = left.mean(axis=0).argsort()
+        if self._limits.of_loads:
             alive = alive[scores[alive] > 0.0]
-            scores[alive] *= self._keeps_limits(ratios, alive, wave_speed, frequency)
+            speed = self.rig.engine.amplitude * 2.0 * math.pi * variants.frequency[alive]
+            scores[alive] *= self._keeps_limits(ratios, alive, speed, wave_speed[alive])
         return scores
 
+    def _throw(
+        self,
+        ratios: Sequence[Floats],
+        layers: NDArray[np.int64],
+        columns: NDArray[np.int64],
+        *,
+        loads: bool = False,
+    ) -> FirstThrows:
+        """Compute some of the throws of some of the layers."""
+        chosen = np.ix_(layers, columns)
+        some = Ratios(*(ratio[chosen] for ratio in ratios))
+        return first_throws(some, loads=loads, cells=self._cells, cancelled=self._cancelled)
+
     def _keeps_limits(
-        self, ratios: Ratios, layers: NDArray[np.int64], wave_speed: Floats, factor: Floats
+        self,
+        ratios: Sequence[Floats],
+        layers: NDArray[np.int64],
+        speed: Floats,
+        wave_speed: Floats,
     ) -> NDArray[np.bool_]:
-        """Tell which layers keep the limits, in all throws or in the rig's own."""
-        assert self._limits is not None
-        count = self._order.size if self._objective.limits_hold_for_all else 1
-        loads = self._throws(_some(ratios, np.ix_(layers, np.arange(count))), loads=True)
-        omega = 2.0 * math.pi * factor[layers] * self._variants.frequency[:count]
-        speed = self.rig.engine.amplitude * omega
-        strain = loads.peak_strain * speed / wave_speed[layers]
-        acceleration = loads.peak_acceleration * speed * omega
-        excess = np.maximum(
-            strain / self._limits.max_strain, acceleration / self._limits.max_acceleration
+        """Tell which layers keep the limits, in all throws or in the rig's own, the first."""
+        is_for_all = isinstance(self._objective, Versatile)
+        columns = np.arange(self._order.size if is_for_all else 1)
+        throws = self._throw(ratios, layers, columns, loads=True)
+        speed = speed[:, columns]  # A omega
+        strain = throws.peak_strain * speed / wave_speed
+        acceleration = throws.peak_acceleration * speed * speed / self.rig.engine.amplitude
+        return np.asarray(
+            (strain <= self._limits.max_strain).all(axis=1)
+            & (acceleration <= self._limits.max_acceleration).all(axis=1)
         )
-        return np.asarray(excess.max(axis=1) <= 1.0)
-
-
-def _some(ratios: Ratios, chosen: tuple[NDArray[np.int64], ...]) -> Ratios:
-    """Return some of the throws of some of the layers."""
-    return Ratios(*(np.asarray(ratio)[chosen] for ratio in ratios))

@@ -6,10 +6,10 @@ Notes
 -----
 Scores are a landscape with cliffs, wherever the release jumps across 3, 5, 7 ... crossings or to
 another swing of the plate, and a limit is one more cliff; and it has several maxima. So nothing
-here takes it for smooth. It is computed on a grid of equal steps in the logarithms. Then patches
-of points around the highest local maxima move to their best points, and shrink where these are
-inside. In a patch the wave speed grows with the thickness, for ridges and cliffs run along lines
-of equal :math:`\kappa = c_s / (L_s f)`.
+here takes it for smooth. It is computed on a grid of equal steps in the logarithms, from coarse to
+fine, at last near the highest points only. Then patches of points around the highest local maxima
+move to their best points, and shrink where these are inside. In a patch the wave speed grows with
+the thickness, for ridges and cliffs run along lines of equal :math:`\kappa = c_s / (L_s f)`.
 
 What is narrower than the grid's steps may be missed. Such teeth have been seen where no layer
 reaches :math:`\alpha = 0.02`: heavy projectiles on slow layers.
@@ -24,11 +24,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 Floats = NDArray[np.float64]
 
 _FEWEST, _MOST = 9, 512  # points of the grid along an axis
-_STRIDES = (8, 4, 2, 1)  # of points computed in turn: the first tell which others are worth it
+_STRIDES = (8, 4, 2, 1)  # of points computed in turn
+_STEEPEST = 2.0  # slope, in logarithms, with which a score is expected to rise at most, ...
+_UNSURE = 0.2  # and by which part it may rise beside a cliff, however fine the grid
 _CANDIDATES = 4  # maxima of the grid that are looked at closely
 _CLOSE = 0.1  # part by which they may be lower than the highest, at first
 _SHRINK = 0.4
@@ -73,6 +76,8 @@ def find_best_layer(
     step: float,
     starts: tuple[Optimum, ...] = (),
     tolerance: float = 1e-5,
+    least: float = 0.0,
+    is_whole: bool = False,
 ) -> Optimum | None:
     """
     Find the layer with the highest score.
@@ -89,11 +94,16 @@ def find_best_layer(
         Layers within the range whose scores are known, around which to look as well.
     tolerance : float
         How closely the place is found, relative. [-]
+    least : float
+        What is lower does not matter. [-]
+    is_whole : bool
+        Whether the whole grid is computed, for scores that may rise from nothing anywhere.
 
     Returns
     -------
     Optimum or None
-        None if all scores are 0. Where scores are equal to 1e-9, the thinner layer.
+        None if all scores are 0, or below `least`. Where they are equal to 1e-9, the thinner
+        layer.
 
     """
     low, high = np.log(np.array(layers).T)
@@ -111,39 +121,55 @@ def find_best_layer(
         return score(thickness, wave_speed, least=least.ravel()).reshape(places.shape[:-1])
 
     grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
-    heights = np.zeros(grid.shape[:2])
-    is_known = np.zeros(heights.shape, dtype=np.bool_)
-    highest = max((start.score for start in starts), default=0.0)
-    for stride in _STRIDES:
-        chosen = np.zeros_like(is_known)
-        chosen[::stride, ::stride] = True
-        chosen &= ~is_known
-        least = np.full(np.count_nonzero(chosen), (1.0 - _CLOSE) * highest)
-        heights[chosen] = at(grid[chosen], least)
-        is_known |= chosen
-        highest = max(highest, heights.max())
+    highest = max((least, *(start.score for start in starts)))
+    slope = np.inf if is_whole else _STEEPEST * float(spacing.max())
+    heights = _climb(at, grid, highest, slope)
     indices = _highest_maxima(heights)
     places = [grid[i, j] for i, j in indices]
     values = [heights[i, j] for i, j in indices]
     for start in starts:
-        if not start.score > 0.0:
-            continue
-        places.append(np.log(start[:2]))
-        values.append(start.score)
+        if start.score > 0.0:
+            places.append(np.log(start[:2]))
+            values.append(start.score)
     if not places:
         return None
     place, value = _zoom(at, np.array(places), np.array(values), spacing, (low, high), tolerance)
     thickness, wave_speed = (float(np.clip(np.exp(place[i]), *layers[i])) for i in range(2))
-    return Optimum(thickness, wave_speed, value)
+    return Optimum(thickness, wave_speed, value) if value >= least else None
+
+
+def _climb(
+    at: Callable[[Floats, Floats], Floats], grid: Floats, highest: float, slope: float
+) -> Floats:
+    """
+    Compute scores on a grid from coarse to fine; those not worth it stay 0.
+
+    A point is worth it if a known one nearby may rise to the highest known with the `slope`, in
+    parts of the highest per step of the grid.
+    """
+    heights = np.zeros(grid.shape[:2])
+    is_known = np.zeros(heights.shape, dtype=np.bool_)
+    worth = 0.0
+    for stride in _STRIDES:
+        chosen = np.zeros_like(is_known)
+        chosen[::stride, ::stride] = True
+        chosen &= ~is_known
+        if stride < _STRIDES[0]:
+            is_close = is_known & (heights >= worth * highest)
+            chosen &= maximum_filter(is_close, size=4 * stride - 1)
+        worth = max(1.0 - max(stride * slope, _UNSURE), 0.0)  # in the next round
+        least = (1.0 - _CLOSE) * highest if np.isinf(slope) else worth * highest
+        heights[chosen] = at(grid[chosen], np.full(np.count_nonzero(chosen), least))
+        is_known |= chosen
+        highest = max(highest, heights.max())
+    return heights
 
 
 def _highest_maxima(heights: Floats) -> list[tuple[int, int]]:
     """List the highest points of the grid that no neighbour exceeds, the highest first."""
-    padded = np.pad(heights, 1, constant_values=-np.inf)
-    neighbours = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
-    is_maximum = (heights >= neighbours) & (heights > (1.0 - _CLOSE) * heights.max())
-    found = np.argwhere(is_maximum & (heights > 0.0))
-    order = np.argsort(-heights[is_maximum & (heights > 0.0)], kind='stable')
+    is_maximum = (heights >= maximum_filter(heights, size=3)) & (heights > 0.0)
+    found = np.argwhere(is_maximum & (heights > (1.0 - _CLOSE) * heights.max()))
+    order = np.argsort(-heights[tuple(found.T)], kind='stable')
     return [(int(i), int(j)) for i, j in found[order[:_CANDIDATES]]]
 
 
@@ -157,13 +183,9 @@ def _zoom(
 ) -> tuple[Floats, float]:
     """Move patches to their best points and shrink them, until they are as small as asked."""
     varies = spacing > 0.0
-    offsets = np.array(
-        [
-            (i, j)
-            for i, j in itertools.product(*(_PATCH if free else (0.0,) for free in varies))
-            if (i, j) != (0.0, 0.0)
-        ]
-    ).reshape(-1, 2)
+    axes = [_PATCH if free else (0.0,) for free in varies]
+    offsets = np.array([offset for offset in itertools.product(*axes) if any(offset)])
+    offsets = offsets.reshape(-1, 2)
     is_edge = np.abs(offsets).max(axis=1) == 1.0
     moves = offsets * spacing
     if varies.all():

@@ -8,109 +8,47 @@ What counts is the first release, for that is what can be relied on. See
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 import contextlib
 from dataclasses import dataclass, replace
 import functools
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design import texts
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, require_uniform, SEARCH_CELLS
-from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust, Versatile
+from soft_throw_ros.design.evaluate import Cancelled, SEARCH_CELLS
+from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
-from soft_throw_ros.design.search_space import Candidate, search_spaces, SearchSpace
-from soft_throw_ros.design.uncertainty import Variants
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.search_space import search_spaces, SearchSpace
+from soft_throw_ros.design.sensitivity import sensitivities, Sensitivity
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
-
-PAPER_RATIOS = (0.32, 8.4)
-"""What the paper quotes for the best mass and speed ratio. See `BestRatios`. [-]"""
-
-WITHIN = 0.05
-"""Part of the best score that may be lost within a `Sensitivity`'s interval. [-]"""
-
-TOLERATED = 0.02
-"""Part that may be lost within its tolerance. [-]"""
 
 _EQUAL = 1e-9  # relative; of scores so close the present layer is kept
 _DRAFT_ERROR = 2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is searched again ...
 _NEARBY = 0.03  # within this part of thickness and wave speed
-_SLIGHT = 1e-4  # change of a parameter for its elasticity
-_SMALL = 1e-3  # change of a parameter that ...
-_AT_EDGE = 0.01  # costs more than this part only at an edge
-_FARTHEST = math.log(2.0)  # where the interval of a sensitivity ends
-_HALVINGS = 8  # of a step, to find an interval's end
-_MAX_CANDIDATES = 8  # materials that are shown
-
-UNITS = {
-    'thickness': ('mm', 1e3),
-    'wave_speed': ('m/s', 1.0),
-    'mass': ('g', 1e3),
-    'frequency': ('Hz', 1.0),
-    'damping_ratio': ('', 1.0),
-}
-"""In which units people read the parameters of a `Sensitivity`, and how many make one in SI."""
+_HOLDING = 1.0  # gravity over the plate's acceleration, beyond which few layers throw well
+_MAX_CANDIDATES = 5  # materials that are shown
 
 
-@dataclass(frozen=True, kw_only=True)
-class BestRatios:
-    r"""
-    Mass and speed ratio, and what they give without gravity and loss.
-
-    Parameters
-    ----------
-    damping_ratio : float
-        Of the plate, :math:`\zeta`. [-]
-    mass_ratio, speed_ratio : float
-        :math:`\mu = m / (\rho_s S L_s)` and :math:`\kappa = c_s / (L_s f)`. [-]
-    ejection_phase : float
-        :math:`t_e f`, in plate periods. [-]
-    energy_transfer : float
-        :math:`\alpha`. [-]
-
-    Notes
-    -----
-    [1]_ has its optimum for a projectile and a layer of equal density, and gives it as
-    :math:`L_s / (L_s + L_r) = 0.8` and :math:`c_s / (L f) = 6.7`. Its :math:`\mu = 0.32` and
-    :math:`\kappa = 8.4` are made of these, but :math:`\mu` with the density ratio 1.3 of its own
-    rig, so that the two do not belong together. Without damping they transfer 4.110 instead of
-    4.123, which takes 0.234 and 8.242.
-
-    References
-    ----------
-    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
-
-    """
+class BestRatios(NamedTuple):
+    r"""Mass ratio, speed ratio, and what they give without gravity and loss. [-]"""
 
     damping_ratio: float
+    """Of the plate."""
     mass_ratio: float
+    r""":math:`\mu = m / (\rho_s S L_s)`."""
     speed_ratio: float
+    r""":math:`\kappa = c_s / (L_s f)`."""
     ejection_phase: float
+    """:math:`t_e f`."""
     energy_transfer: float
-
-    @classmethod
-    def at(cls, *, mass_ratio: float, speed_ratio: float, damping_ratio: float) -> BestRatios:
-        """Find out what given ratios give."""
-        ratios = {
-            'mass_ratio': mass_ratio,
-            'speed_ratio': speed_ratio,
-            'damping_ratio': damping_ratio,
-        }
-        release = first_release(**ratios)
-        return cls(
-            **ratios,
-            ejection_phase=float(release.ejection_phase),
-            energy_transfer=float(release.energy_transfer),
-        )
+    r""":math:`\alpha`."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -146,10 +84,10 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     (0.2554, 8.57592, 4.142897)
 
     """
-    checks.require_in_unit_interval('damping_ratio', damping_ratio)
+    damping_ratio = checks.require_in_unit_interval('damping_ratio', damping_ratio)
     # a rig whose layer has these very ratios for thickness and wave speed
     rig = Rig(
-        engine=Engine(frequency=1.0, amplitude=1.0, damping_ratio=float(damping_ratio)),
+        engine=Engine(frequency=1.0, amplitude=1.0, damping_ratio=damping_ratio),
         layer=Layer(thickness=1.0, wave_speed=1.0, density=1.0, diameter=2.0 / math.sqrt(math.pi)),
         projectile=Projectile(mass=1.0),
         gravity=0.0,
@@ -157,153 +95,14 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     layers = LayerRange(thickness=(1.5, 6.0), wave_speed=(15.0, 75.0))
     best = find_best_layer(LayerScore(rig, Peak()), layers, step=0.06, tolerance=1e-7)
     assert best is not None  # without gravity every layer throws
-    return BestRatios.at(
-        mass_ratio=1.0 / best.thickness,
-        speed_ratio=best.wave_speed / best.thickness,
-        damping_ratio=float(damping_ratio),
-    )
+    mass_ratio, speed_ratio = 1.0 / best.thickness, best.wave_speed / best.thickness
+    phase = first_release(
+        mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
+    ).ejection_phase
+    return BestRatios(damping_ratio, mass_ratio, speed_ratio, float(phase), best.score)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PredictedThrow:
-    r"""
-    What a throw gives, with the rig's damping, gravity and loss, up to the first release.
-
-    Parameters
-    ----------
-    thickness, wave_speed, density, youngs_modulus, loss_tangent : float
-        Of the layer: :math:`L_s` [m], :math:`c_s` [m/s], :math:`\rho_s` [kg/m3], [Pa], [-].
-    mass_ratio, speed_ratio : float
-        :math:`\mu` and :math:`\kappa = c_s / (L_s f)`. [-]
-    ejection_time, ejection_speed : float
-        :math:`t_e` [s] and :math:`V_e` [m/s].
-    energy_transfer : float
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    peak_strain : float
-        Largest magnitude of the strain anywhere in the layer. [-]
-    peak_acceleration : float
-        Largest magnitude of the projectile's acceleration. [m/s2]
-    peak_force : float
-        Largest magnitude of the layer's force on the plate. [N]
-    plate_work : float
-        Work of the plate from its start to the release, which an actuator has to deliver. [J]
-    kinetic_energy : float
-        Of the projectile, which is what the throw is for. [J]
-
-    """
-
-    thickness: float
-    wave_speed: float
-    density: float
-    youngs_modulus: float
-    loss_tangent: float
-    mass_ratio: float
-    speed_ratio: float
-    ejection_time: float
-    ejection_speed: float
-    energy_transfer: float
-    peak_strain: float
-    peak_acceleration: float
-    peak_force: float
-    plate_work: float
-    kinetic_energy: float
-
-
-def predict(rig: Rig) -> PredictedThrow:
-    """
-    Predict one throw of a rig.
-
-    Parameters
-    ----------
-    rig : Rig
-        With a layer of one material, with or without loss.
-
-    Raises
-    ------
-    ValueError
-        If the layer is not of one material.
-    ThrowUnresolvedError
-        If the projectile does not leave, or only after more crossings than are followed.
-
-    Examples
-    --------
-    >>> throw = predict(Rig())
-    >>> round(1e3 * throw.ejection_time, 3), round(throw.energy_transfer, 3)
-    (7.647, 3.637)
-    >>> f'{throw.peak_strain:.1%}, {throw.peak_acceleration / 9.81:.0f} g'
-    '11.6%, 40 g'
-
-    """
-    engine, layer, mass = rig.engine, require_uniform(rig).layer, rig.projectile.mass
-    ratios, _ = Variants.of(rig).ratios(rig, layer.thickness, layer.wave_speed)
-    throws = first_throws(ratios, loads=True)
-    phase, speed, transfer, strain, acceleration, force, work = (
-        float(values[0]) for values in throws
-    )
-    if not speed > 0.0:
-        raise ThrowUnresolvedError(
-            f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '
-            f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
-        )
-    speed_scale = engine.speed_scale
-    return PredictedThrow(
-        thickness=layer.thickness,
-        wave_speed=layer.wave_speed,
-        density=layer.density,
-        youngs_modulus=layer.youngs_modulus,
-        loss_tangent=layer.loss_tangent,
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        ejection_time=phase / engine.frequency,
-        ejection_speed=speed * speed_scale,
-        energy_transfer=transfer,
-        peak_strain=strain * speed_scale / layer.wave_speed,
-        peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
-        peak_force=force * speed_scale * layer.impedance,
-        plate_work=work * mass * speed_scale**2,
-        kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sensitivity:
-    r"""
-    How much a parameter matters around the recommended layer, all others as they are.
-
-    Parameters
-    ----------
-    name : {'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio'}
-        The parameter.
-    value : float
-        What it is.
-    elasticity : float
-        :math:`d \ln \alpha / d \ln` of the parameter, for the score. [-]
-    low, high : float
-        Between these at most `WITHIN` of the score is lost; looked for from half to twice `value`.
-    tolerance : float
-        What it may be off, up or down, for at most `TOLERATED` to be lost.
-    edge : {'', 'less', 'more', 'less or more'}
-        On which side, if any, the energy falls off at once.
-
-    """
-
-    name: str
-    value: float
-    elasticity: float
-    low: float
-    high: float
-    tolerance: float
-    edge: str
-
-    @property
-    def deviation(self) -> str:
-        """The tolerance with its unit."""
-        unit, scale = UNITS[self.name]
-        return f'{scale * self.tolerance:.2g} {unit}'.rstrip()
-
-
-@dataclass(frozen=True, kw_only=True)
-class LibraryCandidate:
+class LibraryCandidate(NamedTuple):
     """A layer from the library by its name, its thickness [m], and what it is ranked by [-]."""
 
     layer: str
@@ -339,13 +138,12 @@ class Recommendation(PredictedThrow):
         Layers of the library that came near, if one was to be picked; the best first.
     sensitivities : tuple of Sensitivity
         How much the parameters matter around the recommended layer.
-    optimum, paper : BestRatios
-        For the engine's damping the best ratios, were there no limits and no loss, and the
-        paper's.
+    optimum : BestRatios
+        The best ratios for the engine's damping, were there no limits and no loss.
     summary : str
         What changes and what is gained, in a sentence.
     remarks : str
-        What has to be known besides, about the paper's numbers, loss, gravity and large strain.
+        What has to be known besides, about the best ratios, gravity and large strain.
 
     """
 
@@ -362,7 +160,6 @@ class Recommendation(PredictedThrow):
     candidates: tuple[LibraryCandidate, ...]
     sensitivities: tuple[Sensitivity, ...]
     optimum: BestRatios
-    paper: BestRatios
     summary: str = ''
     remarks: str = ''
 
@@ -375,10 +172,12 @@ class Recommendation(PredictedThrow):
         """Return everything by name, with a dot between the name of a part and of its value."""
         flat: dict[str, float | str] = {}
         for name, value in vars(self).items():
-            if isinstance(value, (PredictedThrow, BestRatios)):
+            if isinstance(value, PredictedThrow):
                 flat.update({f'{name}.{part}': each for part, each in vars(value).items()})
             elif isinstance(value, (float, str)):
                 flat[name] = value
+        for name, each in self.optimum._asdict().items():
+            flat[f'optimum.{name}'] = each
         for item in self.sensitivities:
             for name in ('elasticity', 'low', 'high', 'tolerance', 'edge'):
                 flat[f'{item.name}.{name}'] = getattr(item, name)
@@ -448,19 +247,7 @@ def recommend(
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
     search = _Search(objective or Peak(), limits or Limits(), cancelled)
-    found: dict[str, Candidate] = {}
-    for name in ('thickness', 'wave_speed', 'both'):
-        if isinstance(search.objective, Peak) or name == vary:
-            (space,) = search_spaces(rig, name, search.limits, {})
-            best = search.run(space, starts=tuple(each.rig.layer for each in found.values()))
-            if best is not None:
-                found[name] = best
-    picked: list[Candidate] = []
-    if vary == 'library':
-        spaces = search_spaces(rig, vary, search.limits, materials or {})
-        picked = [each for space in spaces if (each := search.run(space)) is not None]
-        picked.sort(key=lambda each: -each.score)
-    best = found.get(vary) if vary != 'library' else next(iter(picked), None)
+    best, found, picked = _look(rig, vary, search, materials or {})
     if best is None:
         free = replace(search.limits, max_strain=math.inf, max_acceleration=math.inf)
         easier: Recommendation | None = None
@@ -471,17 +258,16 @@ def recommend(
                     cancelled=cancelled,
                 )  # fmt: skip
         raise ThrowUnresolvedError(texts.why_nothing(rig, vary, search.limits, easier))
-    of_space = search.objective_for(best.spread)
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
     by = {name: predict(each.rig) for name, each in found.items()}
-    damping_ratio = rig.engine.damping_ratio
+    of_space = search.objective_for(best.space)
     answer = Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
         objective=search.objective.name,
         vary=vary,
-        layer=best.layer,
+        layer=best.space.name,
         score=best.score,
         now=predict(rig) if now > 0.0 else None,
         now_score=now,
@@ -489,22 +275,40 @@ def recommend(
         by_wave_speed=by.get('wave_speed'),
         by_both=by.get('both'),
         candidates=tuple(
-            LibraryCandidate(
-                layer=each.layer, thickness=each.rig.layer.thickness, score=each.score
-            )
-            for each in picked[:_MAX_CANDIDATES]
+            LibraryCandidate(each.space.name, each.rig.layer.thickness, each.score)
+            for each in picked
         ),
-        sensitivities=tuple(_sensitivities(best.rig, of_space, cancelled)),
-        optimum=best_ratios(damping_ratio),
-        paper=BestRatios.at(
-            mass_ratio=PAPER_RATIOS[0], speed_ratio=PAPER_RATIOS[1], damping_ratio=damping_ratio
-        ),
+        sensitivities=tuple(sensitivities(best.rig, of_space, cancelled)),
+        optimum=best_ratios(rig.engine.damping_ratio),
     )
-    summary = texts.summary_of(
-        answer, rig.layer, search.limits,
-        score_name=search.objective.summary, tolerated=TOLERATED,
-    )  # fmt: skip
+    summary = texts.summary_of(answer, rig.layer, search.limits, search.objective.summary)
     return replace(answer, summary=summary, remarks=texts.remarks_of(answer))
+
+
+class _Found(NamedTuple):
+    """The best layer of a space."""
+
+    space: SearchSpace
+    rig: Rig
+    score: float
+
+
+def _look(
+    rig: Rig, vary: Vary, search: _Search, materials: Mapping[str, Material]
+) -> tuple[_Found | None, dict[str, _Found], list[_Found]]:
+    """Return the best layer; those by thickness, wave speed or both; those from the library."""
+    found: dict[str, _Found] = {}
+    for name in ('thickness', 'wave_speed', 'both'):
+        if isinstance(search.objective, Peak) or name == vary:
+            (space,) = search_spaces(rig, name, search.limits, {})
+            starts = tuple(each.rig.layer for each in found.values())
+            best = search.run(space, starts=starts)
+            if best is not None:
+                found[name] = best
+    picked: list[_Found] = []
+    if vary == 'library':
+        picked = search.pick(search_spaces(rig, vary, search.limits, materials))
+    return (picked[0] if picked else found.get(vary)), found, picked
 
 
 class _Search(NamedTuple):
@@ -514,44 +318,85 @@ class _Search(NamedTuple):
     limits: Limits
     cancelled: Cancelled | None
 
-    def objective_for(self, spread: float) -> Objective:
-        """Return the objective for a material whose wave speed may be off so far. [m/s]"""
+    def objective_for(self, space: SearchSpace) -> Objective:
+        """Return the objective for a material whose wave speed may be off by its spread."""
         objective = self.objective
-        if isinstance(objective, Robust) and spread > objective.uncertainties.wave_speed:
-            uncertainties = replace(objective.uncertainties, wave_speed=spread)
+        if isinstance(objective, Robust) and space.spread > objective.uncertainties.wave_speed:
+            uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
             return replace(objective, uncertainties=uncertainties)
         return objective
 
-    def run(self, space: SearchSpace, *, starts: tuple[Layer, ...] = ()) -> Candidate | None:
+    def run(self, space: SearchSpace, *, starts: tuple[Layer, ...] = ()) -> _Found | None:
         """Find the best layer of a space, which is that of its rig if no other is better."""
-        objective, present = self.objective_for(space.spread), space.rig.layer
-        has_loss = present.loss_tangent > 0.0
-        exact = LayerScore(space.rig, objective, self.limits, cancelled=self.cancelled)
-        draft = exact
-        if has_loss:
-            draft = LayerScore(
-                space.rig, objective, self.limits, cells=SEARCH_CELLS, cancelled=self.cancelled
-            )
+        draft = self.draft(space, starts=starts)
+        return self.finish(space, draft)
+
+    def pick(self, spaces: list[SearchSpace]) -> list[_Found]:
+        """Find the best layers among many spaces, the best first."""
+        drafts: list[tuple[SearchSpace, Optimum]] = []
+        least = 0.0
+        for space in self._promising_first(spaces):
+            best = self.draft(space, least=(1.0 - _DRAFT_ERROR) * least)
+            if best is not None:
+                drafts.append((space, best))
+                drafts.sort(key=lambda each: -each[1].score)
+            if len(drafts) >= _MAX_CANDIDATES:
+                least = drafts[_MAX_CANDIDATES - 1][1].score
+        found = [self.finish(*each) for each in drafts[:_MAX_CANDIDATES]]
+        return sorted((each for each in found if each is not None), key=lambda each: -each.score)
+
+    def _promising_first(self, spaces: list[SearchSpace]) -> list[SearchSpace]:
+        """Sort spaces by about their peaks, which are soon found: no objective gives more."""
+        if isinstance(self.objective, Peak):
+            return spaces
+        peak = _Search(Peak(), Limits(), self.cancelled)
+        drafts = [(peak.draft(space, tolerance=1.0), space) for space in spaces]
+        drafts.sort(key=lambda each: 0.0 if each[0] is None else -each[0].score)
+        return [space for _, space in drafts]
+
+    def score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
+        """Return the score of layers of a space."""
+        return LayerScore(
+            space.rig, self.objective_for(space), self.limits, cells=cells,
+            cancelled=self.cancelled,
+        )  # fmt: skip
+
+    def draft(
+        self,
+        space: SearchSpace,
+        *,
+        starts: tuple[Layer, ...] = (),
+        least: float = 0.0,
+        tolerance: float | None = None,
+    ) -> Optimum | None:
+        """Find the best layer of a space; with loss by few cells, and not as closely."""
+        has_loss = space.rig.layer.loss_tangent > 0.0
+        score = self.score(space, SEARCH_CELLS if has_loss else None)
         known = [
             (layer.thickness, layer.wave_speed)
-            for layer in (present, *starts)
-            if space.layers.contains(layer.thickness, layer.wave_speed)
+            for layer in (space.rig.layer, *starts)
+            if not space.is_single and space.layers.contains(layer.thickness, layer.wave_speed)
         ]
-        slowest = min(objective.frequencies) if isinstance(objective, Versatile) else None
-        best = find_best_layer(
-            draft,
+        return find_best_layer(
+            score,
             space.layers,
-            step=space.grid_step(slowest),
-            starts=tuple(Optimum(*layer, float(draft(*layer)[0])) for layer in known),
-            tolerance=5e-4 if has_loss else 1e-5,
+            step=space.step,
+            starts=tuple(Optimum(*layer, float(score(*layer, least=least)[0])) for layer in known),
+            tolerance=tolerance or (5e-4 if has_loss else 1e-5),
+            least=least,
+            is_whole=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING,
         )
-        if best is not None and has_loss:
-            best = _refine(exact, best, space.layers)
-        if space.layers.contains(present.thickness, present.wave_speed):
-            now = float(exact(present.thickness, present.wave_speed)[0])
+
+    def finish(self, space: SearchSpace, best: Optimum | None) -> _Found | None:
+        """Make sure of a draft, and prefer the layer that there is if it is as good."""
+        score, present = self.score(space), space.rig.layer
+        if best is not None and present.loss_tangent > 0.0:
+            best = _refine(score, best, space.layers)
+        if not space.is_single and space.layers.contains(present.thickness, present.wave_speed):
+            now = float(score(present.thickness, present.wave_speed)[0])
             if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
                 best = Optimum(present.thickness, present.wave_speed, now)
-        return None if best is None else space.candidate(best)
+        return None if best is None else _Found(space, space.rig_with(best), best.score)
 
 
 def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
@@ -565,76 +410,3 @@ def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | N
     ))  # fmt: skip
     start = (best._replace(score=score),) if score > 0.0 else ()
     return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)
-
-
-def _sensitivities(
-    rig: Rig, objective: Objective, cancelled: Cancelled | None
-) -> Iterator[Sensitivity]:
-    """Find out how much each parameter matters for the score of the rig's layer."""
-    values = {
-        'thickness': rig.layer.thickness,
-        'wave_speed': rig.layer.wave_speed,
-        'mass': rig.projectile.mass,
-        'frequency': rig.engine.frequency,
-        'damping_ratio': rig.engine.damping_ratio,
-    }
-    score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
-    best = float(score(values['thickness'], values['wave_speed'])[0])
-
-    def remaining(which: NDArray[np.int64], change: Floats, lost: float = 1.0) -> Floats:
-        """Compute the score over `best` after changes of one parameter each, in logarithms."""
-        factors = np.exp(np.where(which[:, None] == np.arange(len(values)), change[:, None], 0.0))
-        thickness, wave_speed, mass, frequency, damping = factors.T
-        return (
-            score(
-                values['thickness'] * thickness,
-                values['wave_speed'] * wave_speed,
-                least=(1.0 - lost) * best,
-                mass_factor=mass,
-                frequency_factor=frequency,
-                damping_factor=damping,
-            )
-            / best
-        )
-
-    near = np.array([-_SMALL, _SMALL, -_SLIGHT, _SLIGHT])
-    indices = np.arange(len(values))
-    beside = remaining(np.repeat(indices, near.size), np.tile(near, len(values)))
-    count = 8 if rig.layer.loss_tangent > 0.0 else 70
-    steps = np.linspace(0.0, _FARTHEST, count + 1)
-    # every parameter down, then every one up
-    ends = _reach(remaining, np.tile(indices, 2), np.repeat((-1.0, 1.0), len(values)), steps)
-    for i, (name, value) in enumerate(values.items()):
-        if value > 0.0:
-            less, more, slightly_less, slightly_more = beside[near.size * i :][: near.size]
-            down, up = -ends[:, i], ends[:, i + len(values)]
-            yield Sensitivity(
-                name=name,
-                value=value,
-                elasticity=float(slightly_more - slightly_less) / (2.0 * _SLIGHT),
-                low=value * math.exp(down[1]),
-                high=value * math.exp(up[1]),
-                tolerance=value * min(1.0 - math.exp(down[0]), math.exp(up[0]) - 1.0),
-                edge=' or '.join(
-                    side
-                    for side, part in (('less', less), ('more', more))
-                    if part < 1.0 - _AT_EDGE
-                ),
-            )
-
-
-def _reach(
-    remaining: Callable[..., Floats], which: NDArray[np.int64], sign: Floats, steps: Floats
-) -> Floats:
-    """Find how far parameters may change until TOLERATED, and until WITHIN, is lost."""
-    changes = np.outer(sign, steps[1:])
-    scan = remaining(np.repeat(which, steps.size - 1), changes.ravel(), WITHIN)
-    kept = 1.0 - np.repeat((TOLERATED, WITHIN), which.size)
-    is_lost = np.tile(scan.reshape(changes.shape), (2, 1)) < kept[:, None]
-    first = np.where(is_lost.any(axis=1), is_lost.argmax(axis=1), steps.size - 1)
-    good, bad = steps[first], steps[np.minimum(first + 1, steps.size - 1)]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (good + bad)
-        is_good = remaining(np.tile(which, 2), np.tile(sign, 2) * middle, WITHIN) >= kept
-        good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
-    return good.reshape(2, -1)

@@ -17,16 +17,6 @@ STRONG_GRAVITY = 0.2
 """Gravity over the plate's largest acceleration beyond which later swings throw, too. [-]"""
 
 
-class Candidate(NamedTuple):
-    """A rig with a layer that was found, the layer's name in the library if any, and its score."""
-
-    rig: Rig
-    layer: str
-    score: float
-    spread: float = 0.0
-    """How far the layer's wave speed may be off, up or down. [m/s]"""
-
-
 class SearchSpace(NamedTuple):
     """A rig whose layer may vary within a range, and the layer's name if it is of a library."""
 
@@ -41,26 +31,25 @@ class SearchSpace(NamedTuple):
         """Whether there is but one layer to choose."""
         return all(low == high for low, high in self.layers)
 
-    def grid_step(self, slowest: float | None = None) -> float:
+    @property
+    def step(self) -> float:
         """
-        Choose the step, in logarithms, of the grid on which a search begins.
+        The step, in logarithms, of the grid on which a search begins.
 
         A line is cheap; throws from a layer with loss, or under strong gravity, cost thirty times
-        what others do. Gravity is strongest at the slowest of the plate's frequencies [Hz].
+        what others do.
         """
         is_line = any(low == high for low, high in self.layers)
         if self.rig.layer.loss_tangent > 0.0:
             return 0.04 if is_line else 0.12
         if not is_line:
             return 0.06
-        frequency = self.rig.engine.frequency
-        gravity = self.rig.gravity_ratio * (frequency / (slowest or frequency)) ** 2
-        return 0.02 if gravity > STRONG_GRAVITY else 0.01
+        return 0.02 if self.rig.gravity_ratio > STRONG_GRAVITY else 0.01
 
-    def candidate(self, best: Optimum) -> Candidate:
+    def rig_with(self, best: Optimum) -> Rig:
         """Return the rig with a layer that was found."""
         layer = replace(self.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
-        return Candidate(replace(self.rig, layer=layer), self.name, best.score, self.spread)
+        return replace(self.rig, layer=layer)
 
 
 def search_spaces(
@@ -97,26 +86,30 @@ def search_spaces(
         is_slow_or_fast = not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
         if is_slow_or_fast or loss_tangent > limits.max_loss_tangent:
             continue
-        sheet = replace(
-            layer,
-            wave_speed=speed.value,
-            density=material.density.value,
-            loss_tangent=loss_tangent,
-            diameter=material.diameter or layer.diameter,
-        )
-        ranges = [
-            (thickness, thickness)
-            for thickness in material.thicknesses
-            if limits.thickness_min <= thickness <= limits.thickness_max
-        ]
-        for low, high in ranges if material.thicknesses else [limits.thickness]:
-            there = replace(sheet, thickness=low) if low == high else sheet
+        ranges = [limits.thickness]
+        if material.thicknesses:
+            sheets = [each for each in material.thicknesses if _is_within(each, limits.thickness)]
+            ranges = [(each, each) for each in sheets]
+        for thickness in ranges:
+            low, high = thickness
+            sheet = replace(
+                layer,
+                thickness=low if low == high else layer.thickness,
+                wave_speed=speed.value,
+                density=material.density.value,
+                loss_tangent=loss_tangent,
+                diameter=material.diameter or layer.diameter,
+            )
             spaces.append(
                 SearchSpace(
-                    replace(rig, layer=there),
-                    LayerRange((low, high), (speed.value, speed.value)),
+                    replace(rig, layer=sheet),
+                    LayerRange(thickness, (speed.value, speed.value)),
                     material.layer_name(low),
                     spread=0.5 * (speed.high - speed.low),
                 )
             )
     return spaces
+
+
+def _is_within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of recommendations and aims, for people to read."""
+"""What is said of a recommendation, for people to read."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.search_space import STRONG_GRAVITY
+from soft_throw_ros.design.sensitivity import TOLERATED
 
 if TYPE_CHECKING:
-    from soft_throw_ros.design.aiming import Aim
-    from soft_throw_ros.design.recommendation import PredictedThrow, Recommendation, Sensitivity
+    from soft_throw_ros.design.prediction import PredictedThrow
+    from soft_throw_ros.design.recommendation import Recommendation
+
+_CHANGING = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
 
 
-def summary_of(
-    found: Recommendation, before: Layer, limits: Limits, *, score_name: str, tolerated: float
-) -> str:
+def summary_of(found: Recommendation, old: Layer, limits: Limits, score_name: str) -> str:
     """Say what changes, what that gives, and how exactly it has to be met."""
-    if found.rig.layer == before:
+    if found.rig.layer == old:
         text = (
             f'the layer as it is cannot be bettered within the limits '
             f'({score_name} {found.score:.2f})'
@@ -27,29 +28,25 @@ def summary_of(
     else:
         now = f'{found.now_score:.2f}' if found.now_score else 'nothing'
         text = (
-            f'{_changes(found, before, limits)}: {_gain(found.gain)} '
+            f'{_changes(found, old, limits)}: {_gain(found.gain)} '
             f'({score_name} {now} -> {found.score:.2f})'
         )
-    names = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
-    parts = [
-        item for item in found.sensitivities if item.name in names.get(found.vary, (found.vary,))
+    names = _CHANGING.get(found.vary, (found.vary,))
+    changing = [item for item in found.sensitivities if item.name in names]
+    within = ' or '.join(f'+-{item.deviation}' for item in changing if not item.edge)
+    parts = [f'{within} costs {100.0 * TOLERATED:g} %'] if within else []
+    parts += [
+        f'a little {item.edge} {item.name.replace("_", " ")} falls off an edge'
+        for item in changing
+        if item.edge
     ]
-    within = ' or '.join(f'+-{item.deviation}' for item in parts if not item.edge)
-    text += f'; {within} costs {100.0 * tolerated:g} %' if within else ''
-    return text + ''.join(map(_edge, parts))
-
-
-def _edge(item: Sensitivity) -> str:
-    if not item.edge:
-        return ''
-    return f'; a little {item.edge} {item.name.replace("_", " ")} falls off an edge'
+    return '; '.join([text, *parts])
 
 
 def _changes(found: Recommendation, old: Layer, limits: Limits) -> str:
     """Name what changes, with what it was and will be."""
-    new, changes = found.rig.layer, []
-    if found.layer:
-        changes.append(f'layer {found.layer}')
+    new = found.rig.layer
+    changes = [f'layer {found.layer}'] if found.layer else []
     if found.vary != 'wave_speed':
         limit = _at_limit(new.thickness, limits.thickness)
         changes.append(
@@ -74,34 +71,23 @@ def _at_limit(value: float, limits: tuple[float, float]) -> str:
 def _gain(gain: float) -> str:
     if gain == math.inf:
         return 'as it is, the layer throws nothing'
-    if gain >= 1.0:
+    if gain >= 0.95:
         return f'{1.0 + gain:.3g} times the energy'
-    percent = 100.0 * abs(gain)
-    amount = f'{percent:.1f} %' if percent < 9.95 else f'{percent:.0f} %'
     if gain >= 0.0:
-        return f'{amount} more energy'
-    return f'{amount} less energy, for the layer as it is is not within the limits'
+        return f'{100.0 * gain:.2g} % more energy'
+    return f'{-100.0 * gain:.2g} % less energy, for the layer as it is is not within the limits'
 
 
 def remarks_of(found: Recommendation) -> str:
     """Say what has to be known of a recommendation besides."""
-    optimum, paper, rig = found.optimum, found.paper, found.rig
+    optimum, rig = found.optimum, found.rig
     remarks = [
         (
             f'for a plate of damping {optimum.damping_ratio:g} the best is a projectile of '
             f'{optimum.mass_ratio:.3f} times the mass of the layer and c_s / (L_s f) = '
-            f'{optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}'
-        ),
-        (
-            f'the paper says {paper.mass_ratio:g} and {paper.speed_ratio:g}, which mix two '
-            f'density ratios and give {paper.energy_transfer:.3f}'
-        ),
-    ]
-    if rig.layer.loss_tangent > 0.0:
-        remarks.append(
-            f'these are without loss, whereas the loss tangent of {rig.layer.loss_tangent:g} '
-            'counts in what is recommended'
+            f'{optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f} without loss'
         )
+    ]
     if rig.gravity_ratio > STRONG_GRAVITY:
         remarks.append(
             f'gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
@@ -134,31 +120,4 @@ def why_nothing(rig: Rig, vary: str, limits: Limits, free: PredictedThrow | None
         f'no throw with {text} can be computed: the projectile stays on the layer for too many '
         f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
         'plate) holds it'
-    )
-
-
-def excess_of(found: Aim, limits: Limits, max_amplitude: float) -> str:
-    """Say what of a throw is beyond the limits; nothing if nothing is."""
-    return ' and '.join(
-        f'{what} of {value:.3g}{unit} instead of at most {limit:.3g}{unit}'
-        for what, value, limit, unit in (
-            ('an amplitude', 1e3 * found.amplitude, 1e3 * max_amplitude, ' mm'),
-            ('a strain', 1e2 * found.peak_strain, 1e2 * limits.max_strain, ' %'),
-            ('an acceleration', found.peak_acceleration, limits.max_acceleration, ' m/s2'),
-        )
-        if value > limit * (1.0 + 1e-6)  # what is at its limit may be rounded up
-    )
-
-
-def layer_of(found: Aim) -> str:
-    """Describe the layer of a throw."""
-    name = f'{found.layer}, ' if found.layer else ''
-    return f'a layer of {name}{1e3 * found.thickness:.4g} mm and {found.wave_speed:.4g} m/s'
-
-
-def loads_of(found: Aim) -> str:
-    """Describe what a throw takes."""
-    return (
-        f'amplitude {1e3 * found.amplitude:.4g} mm, strain {1e2 * found.peak_strain:.3g} %, '
-        f'acceleration {found.peak_acceleration:.3g} m/s2'
     )

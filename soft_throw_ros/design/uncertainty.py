@@ -19,12 +19,11 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
@@ -37,6 +36,40 @@ COVERAGE = 0.95
 
 _SAMPLE = 1000
 _JUMP = 0.1  # of the range of ejection times: a gap without any
+_ROOT = 1.1347241384015194  # of x^6 = x + 1, for the five things that are uncertain
+
+
+class Variants(NamedTuple):
+    """
+    Throws in which a rig differs from what it is: arrays of one shape.
+
+    Mass [kg], frequency [Hz] and damping ratio are absolute; the errors [m], [m/s] are added to
+    thickness and wave speed of whatever layer is looked at.
+    """
+
+    mass: Floats
+    frequency: Floats
+    damping_ratio: Floats
+    thickness_error: Floats
+    wave_speed_error: Floats
+
+    @classmethod
+    def of(cls, rig: Rig) -> Variants:
+        """Return the one throw of the rig as it is."""
+        engine = rig.engine
+        values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
+        return cls(*(np.array([value]) for value in values))
+
+    def ratios(self, rig: Rig, thickness: Floats | float, wave_speed: Floats | float) -> Ratios:
+        """Return what decides these throws from layers of another thickness and wave speed."""
+        return Ratios.of(
+            rig,
+            mass=self.mass,
+            frequency=self.frequency,
+            damping_ratio=self.damping_ratio,
+            thickness=thickness + self.thickness_error,
+            wave_speed=wave_speed + self.wave_speed_error,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +104,9 @@ class Uncertainties:
     damping_ratio: float = 0.003
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            check = (
-                checks.require_in_unit_interval
-                if item.name == 'mass'
-                else checks.require_not_negative
-            )
-            name = f'uncertainty.{item.name}'
-            object.__setattr__(self, item.name, check(name, getattr(self, item.name)))
+        for name, value in vars(self).items():
+            checks.require_not_negative(f'uncertainty.{name}', value)
+        checks.require_in_unit_interval('uncertainty.mass', self.mass)
 
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
         """
@@ -109,98 +137,34 @@ class Uncertainties:
                     f'{uncertain:g}, got {value:g}'
                 )
         wave_speed, thickness, mass, frequency, damping = offsets.T
+        damping_ratio = rig.engine.damping_ratio + self.damping_ratio * damping
         return Variants(
             mass=rig.projectile.mass * (1.0 + self.mass * mass),
             frequency=rig.engine.frequency + self.frequency * frequency,
-            damping_ratio=np.clip(
-                rig.engine.damping_ratio + self.damping_ratio * damping, 0.0, 0.999
-            ),
+            damping_ratio=np.clip(damping_ratio, 0.0, 0.999),
             thickness_error=self.thickness * thickness,
             wave_speed_error=self.wave_speed * wave_speed,
         )
 
 
-class Variants(NamedTuple):
-    """
-    Throws in which a rig differs from what it is: arrays that broadcast against each other.
-
-    The errors [m], [m/s] are added to thickness and wave speed of the layer.
-    """
-
-    mass: Floats
-    frequency: Floats
-    damping_ratio: Floats
-    thickness_error: Floats
-    wave_speed_error: Floats
-
-    @classmethod
-    def of(cls, rig: Rig) -> Variants:
-        """Return the one throw of the rig as it is."""
-        engine = rig.engine
-        values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
-        return cls(*(np.array([value]) for value in values))
-
-    def ratios(
-        self, rig: Rig, thickness: ArrayLike, wave_speed: ArrayLike
-    ) -> tuple[Ratios, NDArray[np.bool_]]:
-        """
-        Return what decides these throws from layers of other thickness and wave speed.
-
-        Parameters
-        ----------
-        rig : Rig
-            Gives all else.
-        thickness, wave_speed : array_like
-            Of the layers as planned; they broadcast against the throws. [m], [m/s]
-
-        Returns
-        -------
-        Ratios, ndarray
-            All of one shape, and whether there is a layer at all: it may be off by more than
-            there is of it.
-
-        """
-        shape = np.broadcast_shapes(*map(np.shape, (thickness, wave_speed, *self)))
-        thickness = np.broadcast_to(np.asarray(thickness) + self.thickness_error, shape)
-        wave_speed = np.broadcast_to(np.asarray(wave_speed) + self.wave_speed_error, shape)
-        exists = (thickness > 0.0) & (wave_speed > 0.0)
-        thickness = np.where(exists, thickness, rig.layer.thickness)
-        wave_speed = np.where(exists, wave_speed, rig.layer.wave_speed)
-        layer = rig.layer
-        omega = 2.0 * np.pi * self.frequency
-        ratios = Ratios(
-            self.mass / (layer.density * layer.section * thickness),
-            wave_speed / (thickness * self.frequency),
-            self.damping_ratio,
-            rig.gravity / (rig.engine.amplitude * omega * omega),
-            layer.loss_tangent,
-        )
-        return Ratios(*(np.broadcast_to(ratio, shape) for ratio in ratios)), exists
-
-
 def even_offsets(count: int) -> Floats:
     """Return points that fill the cube from -1 to 1 evenly, the middle first: (count, 5)."""
-    size = len(fields(Uncertainties))
-    root = 1.0
-    for _ in range(60):
-        root = (1.0 + root) ** (1.0 / (size + 1))
-    steps = root ** -np.arange(1.0, size + 1.0)
+    steps = _ROOT ** -np.arange(1.0, len(fields(Uncertainties)) + 1.0)
     return 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Interval:
-    """Where a predicted value lies, with the probability `COVERAGE`: quantiles of the throws."""
+class Interval(NamedTuple):
+    """Where a predicted value lies, with the probability `COVERAGE`."""
 
     low: float
     high: float
 
     @classmethod
-    def of(cls, values: Sequence[float] | Floats) -> Interval:
+    def of(cls, values: Floats) -> Interval:
         """Leave out as much at one end as at the other."""
         rest = 0.5 * (1.0 - COVERAGE)
         low, high = np.quantile(values, [rest, 1.0 - rest])
-        return cls(low=float(low), high=float(high))
+        return cls(float(low), float(high))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,12 +210,11 @@ class PredictionUncertainty:
     def values(self) -> dict[str, float | bool]:
         """Return everything by name, with a dot between the name of an interval and its end."""
         flat: dict[str, float | bool] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
+        for name, value in vars(self).items():
             if isinstance(value, Interval):
-                flat[f'{item.name}.low'], flat[f'{item.name}.high'] = value.low, value.high
+                flat[f'{name}.low'], flat[f'{name}.high'] = value
             else:
-                flat[item.name] = value
+                flat[name] = value
         return flat
 
 
@@ -273,10 +236,6 @@ def prediction_uncertainty(
     cancelled : callable, optional
         Asked between batches of throws.
 
-    Returns
-    -------
-    PredictionUncertainty
-
     Raises
     ------
     ValueError
@@ -294,7 +253,7 @@ def prediction_uncertainty(
     """
     uncertainties = uncertainties or Uncertainties()
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
-    ratios, _ = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
+    ratios = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
     throws = first_throws(ratios, cells=SEARCH_CELLS, cancelled=cancelled)
     left = throws.speed > 0.0
     if not left.any():

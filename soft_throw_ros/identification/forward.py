@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form
-from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
@@ -50,7 +50,14 @@ class ThrowSimulator:
         self._limit = MAX_COST * throws
         self._cost = 0.0
 
-    def follow(self, rig: Rig, time: Floats, *, by_cells: bool = False) -> ProjectilePath:
+    def follow(
+        self,
+        rig: Rig,
+        time: Floats,
+        *,
+        motion: SampledMotion | None = None,
+        by_cells: bool = False,
+    ) -> ProjectilePath:
         """
         Follow a throw.
 
@@ -59,6 +66,8 @@ class ThrowSimulator:
         rig : Rig
         time : ndarray, shape (n,)
             Since the plate began to move, in any order; before that all is at rest. [s]
+        motion : SampledMotion, optional
+            How the plate moves; by default as the engine has it.
         by_cells : bool
             Whether to take cells though there is no internal loss: where the loss is fitted, all
             that is compared has to be of one model.
@@ -69,9 +78,10 @@ class ThrowSimulator:
             If the model refuses the rig, or would take too long.
 
         """
-        moments, places = np.unique(np.maximum(time, 0.0), return_inverse=True)
+        begin = 0.0 if motion is None else motion.start_time
+        moments, places = np.unique(np.maximum(time, begin), return_inverse=True)
         try:
-            stepper = self._make_stepper(rig, float(moments[-1]), moments.size, by_cells)
+            stepper = self._make_stepper(rig, motion, float(moments[-1]), moments.size, by_cells)
             states = np.empty((moments.size, stepper.state.size))
             for row, moment in zip(states, moments.tolist(), strict=True):
                 stepper.advance_to(moment)
@@ -91,11 +101,13 @@ class ThrowSimulator:
                     return event.time
         return float('inf')
 
-    def _make_stepper(self, rig: Rig, until: float, samples: int, by_cells: bool) -> Stepper:
+    def _make_stepper(
+        self, rig: Rig, motion: SampledMotion | None, until: float, samples: int, by_cells: bool
+    ) -> Stepper:
         """Make a stepper, and charge what it will cost."""
         has_cells = by_cells or rig.layer.loss_tangent > 0.0
         model = 'finite_difference' if has_cells else 'travelling_wave'
-        stepper = make_stepper(rig, model=model, field_points=2)
+        stepper = make_stepper(rig, motion, model=model, field_points=2)
         cost = stepper.cost * until + _COST_PER_SAMPLE * samples
         self._cost += cost
         limit = _SHARE_OF_PATH * MAX_COST

@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import changed_rig, LAYER, PARAMETERS
+from soft_throw_ros.identification.fit_description import changed_rig, DEFAULTS, LAYER
 from soft_throw_ros.identification.forward import EffortError
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import PlateFit
 from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
 
@@ -50,9 +51,11 @@ class LayerCandidate(NamedTuple):
         return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
 
 
-def find_layer(model: RigModel, plates: Sequence[PlateFit]) -> Rig:
+def find_layers(model: RigModel, plates: Sequence[PlateFit]) -> list[Rig]:
     """
     Find about which layer it is: look at many, nearer where it looks good, and refine the best.
+
+    Returns the best, and then others that might turn out to be.
 
     Where a stiff layer makes the projectile chatter, the sum of squares has valleys less than a
     percent wide. A loss that is looked for is none at first; it is small, and the model without
@@ -92,20 +95,21 @@ def find_layer(model: RigModel, plates: Sequence[PlateFit]) -> Rig:
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
     description = replace(
         model.description,
-        parameters={name: 'free' if name in free else 'held' for name in PARAMETERS},
+        parameters={name: 'free' if name in free else 'held' for name in DEFAULTS},
     )
     refined = []
     for candidate in _best_of(candidates, _REFINED):
         rig = changed_rig(candidate.rig, loss)
-        trial = replace(seen, rig=rig, description=description, known={})
+        trial = replace(seen, rig=rig, description=description)
+        noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in trial.tracks()])
         try:
-            found = trial.fit(trial.start(plates), max_evaluations=_REFINING_STEPS)
+            found = trial.fit(trial.start(plates), noise=noise, max_evaluations=_REFINING_STEPS)
         except EffortError:
             raise
         except FitError:
             continue  # it went where no model can follow
         refined.append(LayerCandidate(found.chi2, trial.rig_of(found.values)))
-    return _best_of(refined or candidates, 1)[0].rig
+    return [candidate.rig for candidate in _best_of(refined or candidates, _REFINED)]
 
 
 def _best_of(candidates: list[LayerCandidate], count: int) -> list[LayerCandidate]:
@@ -162,22 +166,28 @@ def _valleys(model: RigModel, plates: Sequence[PlateFit], rigs: list[Rig]) -> li
 
 def _mismatch(model: RigModel, plates: Sequence[PlateFit], rig: Rig) -> float:
     """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
-    times, tracks = [], []
+    trial = replace(model, rig=rig)
+    alike: dict[Rig, list[tuple[Floats, Track]]] = {}
     for throw, _, track in model.projectiles:
-        every = -(-track.time.size // _SAMPLES)
-        times.append(track.time[::every] - plates[throw].start_time)
-        tracks.append((track.position[::every], track.noise))
-    try:
-        path = model.simulator.follow(rig, np.concatenate(times))
-    except EffortError:
-        raise
-    except FitError:
-        return math.inf
-    heights = np.split(path.position, np.cumsum([time.size for time in times])[:-1])
-    return sum(
-        time.size * float(np.var(position - predicted)) / noise**2
-        for time, (position, noise), predicted in zip(times, tracks, heights, strict=True)
-    )
+        alike.setdefault(trial.rigs[throw], []).append(
+            (track.time - plates[throw].start_time, track)
+        )
+    total = 0.0
+    for each, tracks in alike.items():
+        parts = [slice(None, None, -(-track.time.size // _SAMPLES)) for _, track in tracks]
+        times = [since[part] for (since, _), part in zip(tracks, parts, strict=True)]
+        try:
+            path = model.simulator.follow(each, np.concatenate(times))
+        except EffortError:
+            raise
+        except FitError:
+            return math.inf
+        heights = np.split(path.position, np.cumsum([time.size for time in times])[:-1])
+        total += sum(
+            predicted.size * float(np.var(track.position[part] - predicted)) / track.noise**2
+            for (_, track), part, predicted in zip(tracks, parts, heights, strict=True)
+        )
+    return total
 
 
 def _thicknesses(model: RigModel, plates: Sequence[PlateFit], free: set[str]) -> list[float]:

@@ -4,21 +4,28 @@ Least squares with outliers left out: what comes out of a fit, and how far to tr
 
 Notes
 -----
-Weights are one over the noise of each track. If somebody knows the noise it is taken as it is,
-and so are the standard errors; if it was estimated, they are multiplied by the square root of
-chi squared per degree of freedom, so that only the ratios of noises matter to them.
+Weights are one over the noise of each sample. If somebody knows the noise it is taken as it is;
+else it is what residuals have from sample to sample, `estimate_noise`, with a part that grows with
+the speed of the body if stamps are off. What a model leaves out changes slowly, so that it makes
+chi squared large and not the noise. Standard errors are multiplied by the square root of chi
+squared per degree of freedom if that is above 1 or the noise was estimated, and by what the
+correlation of the residuals adds to the variance of a mean (`TrackResidual.inflation`).
 
 A sample is an outlier if its residual is away from those around it by more than `OUTLIER_LIMIT`
 times the noise; what a model that does not fit leaves changes slowly, and makes none. If there
 are any, the fit is repeated with a robust loss; then they are left out, and the rest is fitted by
 plain least squares.
 
+What is known with an error is one more residual. Information adds up, :math:`C^{-1} = \sum_i
+F_i`, hence :math:`C = \sum_i C F_i C`: what each source of it, noise or something known with an
+error, contributes to a variance (`Fit.budget`).
+
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 import math
 from typing import Any, NamedTuple
@@ -26,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, sparse, stats
-from scipy.ndimage import rank_filter
+from scipy.ndimage import rank_filter, uniform_filter1d
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -47,6 +54,12 @@ _SPARSE_ABOVE = 40  # parameters: of many throws each has its own, which no othe
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
 _NEGLIGIBLE_RMS = 0.5  # of the noise, below which the colour of residuals does not matter
 _ESTIMATED_NOISE_FACTOR = 3.0  # variance of chi squared if noise was estimated, over if known
+_NOISE_ROUNDS = 2  # of estimating the noise and fitting again, unless ...
+_NOISE_TOLERANCE = 0.1  # it changes by less, relatively
+_STRAY = 5.0  # standard deviations beyond which a difference tells nothing of the noise
+_JITTER_SIGNIFICANCE = 4.0  # standard errors by which noise must grow with the speed
+_SLOW_PART = 25  # samples over which residuals are averaged to see where they are not noise
+_CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # as large as white noise itself
 
 
 class FitError(ValueError):
@@ -87,6 +100,8 @@ class TrackResidual:
         The data that were fitted, without outliers.
     fitted : ndarray, shape (n,)
         What the model says at the same times. [m]
+    noise : ndarray, shape (n,)
+        Standard deviation of each sample. [m]
     outliers : tuple of Outlier
 
     """
@@ -94,6 +109,7 @@ class TrackResidual:
     name: str
     track: Track
     fitted: Floats
+    noise: Floats
     outliers: tuple[Outlier, ...] = ()
 
     @property
@@ -107,9 +123,14 @@ class TrackResidual:
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
+    def rms_noise(self) -> float:
+        """Root of the mean square of the noise. [m]"""
+        return float(np.sqrt(np.mean(self.noise**2)))
+
+    @property
     def reduced_chi2(self) -> float:
-        """Mean of their squares over that of the noise. [-]"""
-        return (self.rms / self.track.noise) ** 2
+        """Mean of their squares over those of the noise. [-]"""
+        return float(np.mean((self.values / self.noise) ** 2))
 
     @property
     def autocorrelation(self) -> float:
@@ -125,11 +146,43 @@ class TrackResidual:
         statistic = size * (size + 2) * float(np.sum(squares / (size - lags)))
         return float(stats.chi2.sf(statistic, lags.size))
 
+    @property
+    def is_white(self) -> bool:
+        """Whether it may be white noise, or is so small beside it that it does not matter."""
+        is_negligible = self.rms <= _NEGLIGIBLE_RMS * self.rms_noise
+        return is_negligible or self.whiteness > _SIGNIFICANCE
+
+    @property
+    def inflation(self) -> float:
+        r"""Variance of a mean over that of white noise, :math:`1 + 2 \sum_k \rho_k`. [-]"""
+        if self.is_white:
+            return 1.0
+        found = self._autocorrelations(self.track.time.size // 4)
+        # Up to where they are lost in what chance makes of them
+        last = int(np.argmax(np.append(found, -1.0) < 2.0 / math.sqrt(self.track.time.size)))
+        return 1.0 + 2.0 * float(found[:last].sum())
+
+    @property
+    def worst_part(self) -> tuple[float, float]:
+        """From when to when the residuals are least like noise. [s]"""
+        width = min(_SLOW_PART, self.track.time.size)
+        slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
+        part = self.track.time[max(0, int(np.argmax(slow)) - width // 2) :][:width]
+        return float(part[0]), float(part[-1])
+
     def _autocorrelations(self, lags: int) -> Floats:
         """Correlate the residuals with themselves, 1 to `lags` samples later."""
-        left = self.values - np.mean(self.values)
+        left = self.values / self.noise
+        left = left - np.mean(left)
         power = max(float(left @ left), 1e-300)
         return np.array([left[lag:] @ left[:-lag] for lag in range(1, lags + 1)]) / power
+
+
+class Alternative(NamedTuple):
+    """Another minimum: its values, and how much larger chi squared is there."""
+
+    values: Floats
+    excess: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +201,10 @@ class Fit:
     dof : int
         Degrees of freedom: samples, and parameters known with an error, less parameters.
     residuals : tuple of TrackResidual
+    known : mapping of int to Estimate
+        What was known of some parameters, by their places.
+    alternatives : tuple of Alternative
+        Other minima that are hardly worse; the covariance spans them.
 
     """
 
@@ -157,6 +214,8 @@ class Fit:
     chi2: float
     dof: int
     residuals: tuple[TrackResidual, ...]
+    known: Mapping[int, Estimate] = field(default_factory=dict)
+    alternatives: tuple[Alternative, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         place = self.names.index(name)
@@ -181,13 +240,43 @@ class Fit:
         errors = self.errors
         return self.covariance / np.outer(errors, errors)
 
+    def budget(self, name: str) -> dict[str, float]:
+        """Split the error of a parameter: noise, and what is known with an error."""
+        row = self.covariance[self.names.index(name)]
+        parts = {
+            self.names[place]: abs(float(row[place])) / known.error
+            for place, known in self.known.items()
+        }
+        rest = row[self.names.index(name)] - sum(part**2 for part in parts.values())
+        return {'noise': math.sqrt(max(float(rest), 0.0)), **parts}
+
+    def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
+        """Let intervals of 95 % reach to other minima."""
+        covariance = self.covariance.copy()
+        for each in alternatives:
+            covariance += np.outer(*2 * [0.5 * (each.values - self.values)])
+        return replace(self, covariance=covariance, alternatives=tuple(alternatives))
+
     def warnings(self) -> list[str]:
         """Say what there is to doubt, each in a sentence."""
         found = []
+        for each in self.alternatives:
+            apart = np.abs(each.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
+            place = next(
+                (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
+            )
+            found.append(
+                f'{self.names[place]} may as well be {each.values[place]:.5g} '
+                f'(chi squared is larger by {each.excess:.1f} there); the errors span both'
+            )
         correlation = self.correlation
         # Parameters of a single one of several throws have its number in brackets
-        shared = [place for place, name in enumerate(self.names) if not name.endswith(']')]
-        for i, j in combinations(shared, 2):
+        free = [
+            place
+            for place, name in enumerate(self.names)
+            if not name.endswith(']') and place not in self.known
+        ]
+        for i, j in combinations(free, 2):
             if abs(correlation[i, j]) > INSEPARABLE:
                 factor = 1.0 / math.sqrt(max(1.0 - correlation[i, j] ** 2, 1e-12))
                 found.append(
@@ -196,22 +285,21 @@ class Fit:
                     f'{factor:.0f} times what it would be if the other were known; hold one'
                 )
         if self.is_mismatch:
+            worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
+            start, end = worst.worst_part
             found.append(
                 f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
-                'leaves out something that these tracks show, and the errors do not tell how much'
+                f'leaves out something that these tracks show, most of {worst.name} from '
+                f'{start:.4g} s to {end:.4g} s; errors are larger by as much, and may be too small'
             )
-        coloured = [
-            residual
-            for residual in self.residuals
-            if residual.whiteness < _SIGNIFICANCE / len(self.residuals)
-            and residual.rms > _NEGLIGIBLE_RMS * residual.track.noise
-        ]
+        coloured = [residual for residual in self.residuals if not residual.is_white]
         if coloured:
-            worst = max(coloured, key=lambda residual: residual.autocorrelation)
+            worst = max(coloured, key=lambda residual: residual.inflation)
             more = f' and {len(coloured) - 1} more' if len(coloured) > 1 else ''
             found.append(
                 f'the residuals of {worst.name}{more} are no white noise (correlation of '
-                f'neighbours {worst.autocorrelation:.2f}): the errors are too small'
+                f'neighbours {worst.autocorrelation:.2f}): errors are up to '
+                f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger for that'
             )
         return found
 
@@ -235,6 +323,8 @@ class FitModel:
     high: Floats
     known: Mapping[int, Estimate] = field(default_factory=dict)
     """What is known of some parameters, by their places."""
+    speed: Callable[[Floats], Floats] | None = None
+    """Speeds [m/s] by which stamps that are off make noise; None if they are taken as right."""
 
     @classmethod
     def with_steps(
@@ -250,10 +340,11 @@ class FitModel:
         def jacobian(values: Floats) -> Floats:
             columns = []
             for place, step in enumerate(steps):
-                change, (width,) = central_difference(
-                    predict, values, [place], step=step, low=low[place], high=high[place]
-                )
-                columns.append(change / width)
+                above, below = values.copy(), values.copy()
+                above[place] = min(values[place] + step, high[place])
+                below[place] = max(values[place] - step, low[place])
+                width = above[place] - below[place]
+                columns.append((predict(above) - predict(below)) / width)
             return np.stack(columns, axis=1)
 
         return cls(names=tuple(names), predict=predict, jacobian=jacobian, low=low, high=high)
@@ -263,8 +354,13 @@ def fit_best(
     model: FitModel, starts: Iterable[Floats], track: tuple[str, Track], *, max_evaluations: int
 ) -> Fit:
     """Fit a model to a track from several starts, and return the fit of least chi squared."""
-    tried = [fit_tracks(model, each, [track], max_evaluations=max_evaluations) for each in starts]
-    return min(tried, key=lambda found: found.chi2)
+    noise = np.full(track[1].time.size, track[1].noise)
+    tried = [
+        fit_tracks(model, each, [track], noise=noise, max_evaluations=max_evaluations)
+        for each in starts
+    ]
+    best = min(tried, key=lambda found: found.chi2)
+    return fit_tracks(model, best.values, [track], max_evaluations=max_evaluations)
 
 
 def fit_tracks(
@@ -272,6 +368,7 @@ def fit_tracks(
     start: Floats,
     tracks: Sequence[tuple[str, Track]],
     *,
+    noise: Floats | None = None,
     max_evaluations: int = 100,
 ) -> Fit:
     """
@@ -283,6 +380,9 @@ def fit_tracks(
     start : ndarray, shape (n,)
     tracks : sequence of (str, Track)
         With their names, in the order of what the model predicts.
+    noise : ndarray, optional
+        Of each sample of all tracks, to compare fits by their chi squared. By default it starts
+        from that of the tracks, and is estimated from what the fit leaves. [m]
     max_evaluations : int
         Of the model, in one run of the solver.
 
@@ -297,38 +397,94 @@ def fit_tracks(
         raise FitError(
             f'{samples} samples are too few for {start.size} parameters: {", ".join(model.names)}'
         )
-    problem = _LeastSquares(model, tracks, max_evaluations)
-    values = problem.solve(start)
-    outliers = problem.find_outliers(values)
-    if outliers.any():
-        values = problem.solve(values, loss='soft_l1')
-        for _ in range(_OUTLIER_ROUNDS):
-            outliers = problem.find_outliers(values)
-            if (outliers == ~problem.kept).all():
+    problem = _LeastSquares(model, tracks, noise, max_evaluations)
+    values = problem.leave_out(problem.solve(start))
+    if noise is None:
+        for _ in range(_NOISE_ROUNDS):
+            if not problem.reweigh(values):
                 break
-            problem.kept = ~outliers
-            values = problem.solve(values)
+            values = problem.leave_out(problem.solve(values))
     return problem.conclude(values)
+
+
+def estimate_noise(residuals: Floats, speed: Floats | None = None) -> tuple[float, float]:
+    r"""
+    Estimate the noise of heights and of stamps from what a fit leaves.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+        [m]
+    speed : ndarray, shape (n,), optional
+        Of the body; without it stamps are taken as right. [m/s]
+
+    Returns
+    -------
+    height_noise : float
+        Standard deviation of heights. [m]
+    stamp_noise : float
+        Standard deviation of stamps, 0 if it is not significant. [s]
+
+    Notes
+    -----
+    Differences of second order pass on white noise, and next to nothing of what is slow. Their
+    squares are :math:`\sigma^2 + \tau^2 v^2` on average.
+
+    """
+    squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
+    kept = np.ones(squares.size, bool)
+    variance = squares.copy()
+    growth = 0.0
+    for _ in range(8):
+        variance = np.full(squares.size, float(np.mean(squares[kept])))
+        if speed is not None and kept.sum() > 8:
+            design = np.stack([np.ones(squares.size), speed[1:-1] ** 2], axis=1)
+            for _ in range(4):
+                weights = 1.0 / np.maximum(variance, 1e-300)
+                rows = (design * weights[:, None])[kept]
+                found, growth = optimize.nnls(rows, (squares * weights)[kept])[0]
+                # Of neighbouring differences of second order 0.94 more of the variance is shared
+                information = rows.T @ rows / (2.0 * 1.94)
+                significance = growth * math.sqrt(
+                    max(np.linalg.det(information) / max(information[0, 0], 1e-300), 0.0)
+                )
+                if significance < _JITTER_SIGNIFICANCE or found <= 0.0:
+                    growth = 0.0
+                    variance = np.full(squares.size, float(np.mean(squares[kept])))
+                    break
+                variance = design @ [found, growth]
+        inside = squares <= _STRAY**2 * variance
+        if (inside == kept).all():
+            break
+        kept = inside
+    level = float(np.min(variance)) if growth == 0.0 else float(found)
+    return math.sqrt(level), math.sqrt(growth)
 
 
 class _LeastSquares:
     """Tracks and a model as SciPy's solver takes them."""
 
     def __init__(
-        self, model: FitModel, tracks: Sequence[tuple[str, Track]], max_evaluations: int
+        self,
+        model: FitModel,
+        tracks: Sequence[tuple[str, Track]],
+        noise: Floats | None,
+        max_evaluations: int,
     ) -> None:
         self._model = model
         self._tracks = tracks
         self._max_evaluations = max_evaluations
         sizes = [track.time.size for _, track in tracks]
         self._position = np.concatenate([track.position for _, track in tracks])
-        self._noise = np.repeat([track.noise for _, track in tracks], sizes)
+        if noise is None:
+            noise = np.repeat([track.noise for _, track in tracks], sizes)
+        self._noise = noise
         self._ends = np.cumsum(sizes)[:-1]
         self._known = np.array(list(model.known), dtype=np.intp)
         self._known_values, self._known_errors = (
             np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
         )
-        self.kept: Flags = np.ones(self._position.size, bool)
+        self._kept: Flags = np.ones(self._position.size, bool)
 
     def solve(self, start: Floats, *, loss: str = 'linear') -> Floats:
         """Return the best values."""
@@ -355,7 +511,46 @@ class _LeastSquares:
         )
         return np.asarray(solution.x)
 
-    def find_outliers(self, values: Floats) -> Flags:
+    def leave_out(self, values: Floats) -> Floats:
+        """Leave outliers out, if there are any, and fit again until they stay the same."""
+        if (self._find_outliers(values) == ~self._kept).all():
+            return values
+        if self._kept.all():
+            values = self.solve(values, loss='soft_l1')
+        for _ in range(_OUTLIER_ROUNDS):
+            outliers = self._find_outliers(values)
+            if (outliers == ~self._kept).all():
+                break
+            self._kept = ~outliers
+            values = self.solve(values)
+        return values
+
+    def reweigh(self, values: Floats) -> bool:
+        """Estimate the noise of tracks of which it is not known; tell whether it changes much."""
+        left = self._position - self._model.predict(values)
+        speed = self._model.speed(values) if self._model.speed else None
+        speeds = np.split(speed, self._ends) if speed is not None else [None] * len(self._tracks)
+        noises = []
+        for (_, track), each, kept, old, moving in zip(
+            self._tracks,
+            np.split(left, self._ends),
+            np.split(self._kept, self._ends),
+            np.split(self._noise, self._ends),
+            speeds,
+            strict=True,
+        ):
+            if track.known_noise:
+                noises.append(old)
+                continue
+            height, stamp = estimate_noise(each[kept], None if moving is None else moving[kept])
+            noise = np.full(each.size, max(height, track.least_noise, 1e-15))
+            noises.append(noise if moving is None else np.hypot(noise, stamp * moving))
+        found = np.concatenate(noises)
+        change = float(np.max(np.abs(np.log(found / self._noise))))
+        self._noise = found
+        return change > _NOISE_TOLERANCE
+
+    def _find_outliers(self, values: Floats) -> Flags:
         """Tell which samples are outliers beside a model with such values."""
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
@@ -372,66 +567,61 @@ class _LeastSquares:
         squares = self._residuals(values) ** 2
         dof = squares.size - values.size
         chi2 = float(squares.sum())
-        scale = 1.0
-        if not all(track.known_noise for _, track in self._tracks):
-            scale = math.sqrt(chi2 / dof)
-        jacobian = self._jacobian(values)
-        jacobian[: jacobian.shape[0] - self._known.size] /= max(scale, 1e-150)
-        residuals = []
-        fitted = np.split(self._model.predict(values), self._ends)
-        kept = np.split(self.kept, self._ends)
-        for (name, track), heights, is_kept in zip(self._tracks, fitted, kept, strict=True):
-            left_out = zip(track.time[~is_kept], (track.position - heights)[~is_kept], strict=True)
-            residuals.append(
-                TrackResidual(
-                    name=name,
-                    track=track if is_kept.all() else track.where(is_kept),
-                    fitted=heights[is_kept],
-                    outliers=tuple(Outlier(float(at), float(apart)) for at, apart in left_out),
-                )
+        fitted = self._model.predict(values)
+        residuals = tuple(
+            self._residual_of(name, track, heights, noise, kept)
+            for (name, track), heights, noise, kept in zip(
+                self._tracks,
+                np.split(fitted, self._ends),
+                np.split(self._noise, self._ends),
+                np.split(self._kept, self._ends),
+                strict=True,
             )
-        return Fit(
+        )
+        fit = Fit(
             names=self._model.names,
             values=values,
-            covariance=_covariance(jacobian),
+            covariance=np.eye(values.size),
             chi2=chi2,
             dof=dof,
-            residuals=tuple(residuals),
+            residuals=residuals,
+            known=dict(self._model.known),
+        )
+        scale = 1.0
+        if fit.is_mismatch or not all(track.known_noise for _, track in self._tracks):
+            scale = max(math.sqrt(chi2 / dof), 1e-150)
+        sizes = [residual.values.size for residual in residuals]
+        scales = [scale * math.sqrt(max(residual.inflation, 1.0)) for residual in residuals]
+        jacobian = self._jacobian(values)
+        jacobian[: sum(sizes)] /= np.repeat(scales, sizes)[:, None]
+        return replace(fit, covariance=_covariance(jacobian))
+
+    @staticmethod
+    def _residual_of(
+        name: str, track: Track, fitted: Floats, noise: Floats, kept: Flags
+    ) -> TrackResidual:
+        """Say what is left of a track, and of what was left out."""
+        left_out = zip(track.time[~kept], (track.position - fitted)[~kept], strict=True)
+        return TrackResidual(
+            name=name,
+            track=track if kept.all() else track.where(kept),
+            fitted=fitted[kept],
+            noise=noise[kept],
+            outliers=tuple(Outlier(float(at), float(apart)) for at, apart in left_out),
         )
 
     def _residuals(self, values: Floats) -> Floats:
         """Weigh model less data, and values less what is known of them."""
         left = (self._model.predict(values) - self._position) / self._noise
         known = (values[self._known] - self._known_values) / self._known_errors
-        return np.concatenate([left[self.kept], known])
+        return np.concatenate([left[self._kept], known])
 
     def _jacobian(self, values: Floats) -> Floats:
         """Differentiate the residuals."""
         slopes = self._model.jacobian(values) / self._noise[:, None]
         known = np.zeros((self._known.size, values.size))
         known[np.arange(self._known.size), self._known] = 1.0 / self._known_errors
-        return np.concatenate([slopes[self.kept], known])
-
-
-def central_difference(
-    function: Callable[[Floats], Floats],
-    values: Floats,
-    places: Sequence[int],
-    *,
-    step: float,
-    low: float,
-    high: float,
-) -> tuple[Floats, Floats]:
-    """
-    Change values at `places` by a step up and down, within bounds.
-
-    Returns the change of the function, and for each place that of its value. Their quotient is
-    the derivative, of second order in the step, where no other of the values matters.
-    """
-    above, below = values.copy(), values.copy()
-    above[places] = np.minimum(values[places] + step, high)
-    below[places] = np.maximum(values[places] - step, low)
-    return function(above) - function(below), (above - below)[places]
+        return np.concatenate([slopes[self._kept], known])
 
 
 def _covariance(jacobian: Floats) -> Floats:

@@ -12,15 +12,17 @@ jumps do no harm.
 
 What of the layer can be seen are three times: :math:`t_s = L_s / c_s`, :math:`\tau = m / (\rho_s S
 c_s)`, and that of the loss. Mass, density and section enter by :math:`\tau` alone, so they have
-to be known. Wave speed and thickness are then seen apart if waves are. A thin, light layer is a
-spring and shows no more than :math:`t_s \tau`; a thick, heavy one shows :math:`t_s`.
-`least_squares.Fit.warnings` says when that is so.
+to be known, and what they are not known to is in the error of the wave speed. Wave speed and
+thickness are then seen apart if waves are. A thin, light layer is a spring and shows no more than
+:math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `least_squares.Fit.warnings` says when that
+is so.
 
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import math
 
@@ -36,10 +38,11 @@ from soft_throw_ros.identification.fit_description import (
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.layer_search import find_layer
+from soft_throw_ros.identification.layer_search import find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
+from soft_throw_ros.identification.model_choice import add_terms, find_best_minimum
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.rig_model import RigModel, START
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -58,44 +61,75 @@ class RigFit:
     Parameters
     ----------
     fit : Fit
-        Of what was varied of the rig, and for each throw of its `start_time`, and of
-        `plate_offset` and `projectile_offset`, the heights at rest, as far as they were free. The
-        number of the throw follows in brackets, from 1, if there are several.
+        Of what was varied, and for each throw of its `start_time`, and of `plate_offset` and
+        `projectile_offset`, the heights at rest, as far as they were free. What only some of
+        several throws have in common has the number of the first of them in brackets, from 1.
     rig : Rig
-        With the values that were found, their mean where each throw has its own.
+        With the values that were found, their mean where each throw has its own, and the wave
+        speed that the layer has when it is squeezed as much as in these throws.
     throws : tuple of ThrowTracks
         What they were found from: without what comes after a landing, and without outliers.
+    remarks : tuple of str
+        What had to be assumed to explain these throws, each in a sentence.
 
     """
 
     fit: Fit
     rig: Rig
     throws: tuple[ThrowTracks, ...]
+    remarks: tuple[str, ...] = ()
     _model: RigModel
 
     def estimates(self) -> dict[str, Estimate]:
         """Return what was varied of the rig, with the mean of what each throw has for itself."""
-        found = {}
-        for name in self._model.description.varied:
-            places = self._model.places_of(name)
-            variance = float(self.fit.covariance[np.ix_(places, places)].mean())
-            found[name] = Estimate(float(self.fit.values[places].mean()), math.sqrt(variance))
-        return found
+        return {name: self.estimate(name) for name in PARAMETERS if name in self._model.places}
+
+    def terms(self) -> dict[str, Estimate]:
+        """Return what else was varied, but for starts and heights at rest."""
+        shared = {name for name, key in self._model.groups if key is None}
+        return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
+
+    def estimate(self, name: str) -> Estimate:
+        """
+        Return what was found of a parameter of the rig, the mean if each throw has its own.
+
+        The wave speed is that of the squeezed layer, for a linear model, and its error that with
+        which it is the one of a layer at rest.
+        """
+        places = self._model.places_of(name)
+        if not any(isinstance(key, int) for part, key in self._model.groups if part == name):
+            places = places[:1]
+        variance = float(self.fit.covariance[np.ix_(places, places)].mean())
+        return Estimate(values_of(self.rig, [name])[name], math.sqrt(variance))
 
     def held_values(self) -> dict[str, float]:
-        """Return what was taken to be known of the rig."""
-        varied = self._model.description.varied
-        return values_of(self.rig, [name for name in PARAMETERS if name not in varied])
+        """Return what was taken to be known exactly of the rig."""
+        return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.places])
 
     def start_time(self, throw: int) -> float:
         """When a throw began, on the clock of its tracks; they count from 0. [s]"""
-        return self._model.value(self.fit.values, 'start_time', throw)
+        return self._model.value(self.fit.values, START, throw)
+
+    def sticking(self) -> float:
+        """For how long the layer holds the projectile when it would leave. [s]"""
+        return self._model.value(self.fit.values, 'projectile.sticking', 0)
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
         places = [(throw, body, time) for body in ('plate', 'projectile')]
-        (plate, _), (projectile, _) = self._model.paths(self.fit.values, places)
-        return plate, projectile
+        plate, projectile = self._model.paths(self.fit.values, places)
+        return plate.height, projectile.height
+
+    def draw(self, count: int, seed: int = 0) -> list[Rig]:
+        """Draw rigs that may be as well as the one that was fitted, of those that can be."""
+        rng = np.random.default_rng(seed)
+        powers, axes = np.linalg.eigh(self.fit.correlation)
+        steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
+        drawn = []
+        for step in steps @ axes.T:
+            with contextlib.suppress(ValueError):
+                drawn.append(self._model.rig_of(self.fit.values + self.fit.errors * step))
+        return drawn
 
 
 def fit_rig(
@@ -128,13 +162,49 @@ def fit_rig(
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
     throws = _with_like_noise(throws)
     plates = [_fit_plate(throw, description) for throw in throws]
-    known = description.known(rig)
     rig = _with_engine_of(plates, description.prepare(rig), description)
-    simulator = ThrowSimulator(throws=len(throws) if description.per_throw else 1)
-    model = RigModel(tuple(throws), rig, description, known, simulator)
+    simulator = ThrowSimulator(throws=len(throws))
+    model = RigModel(tuple(throws), rig, description, simulator)
+    others: list[Rig] = []
     if free:
-        model = replace(model, rig=find_layer(model, plates))
-    return _fit_until_landing(model, plates)
+        model, others = _find_layers(model, plates, free)
+    model, fit = _fit_until_landing(model, plates)
+    fit = find_best_minimum(model, plates, fit, others)
+    model, fit, remarks = add_terms(model, plates, fit)
+    kept = {
+        (channel.throw, channel.body): residual.track
+        for channel, residual in zip(model.channels, fit.residuals, strict=True)
+    }
+    throws = tuple(
+        replace(throw, plate=kept[number, 'plate'], projectile=kept.get((number, 'projectile')))
+        for number, throw in enumerate(model.throws)
+    )
+    return RigFit(
+        fit=fit,
+        rig=model.rig_of(fit.values),
+        throws=throws,
+        remarks=tuple(remarks),
+        _model=model,
+    )
+
+
+def _find_layers(
+    model: RigModel, plates: Sequence[PlateFit], free: Sequence[str]
+) -> tuple[RigModel, list[Rig]]:
+    """Find about which layer each throw has, and what else it may be if all have the same."""
+    groups: dict[str | None, list[int]] = {}
+    for number, throw in enumerate(model.throws):
+        if throw.projectile is not None:
+            conditions = model.description.conditions(throw.name)
+            groups.setdefault(conditions.get('layer'), []).append(number)
+    found: dict[int, dict[str, float]] = {}
+    for numbers in groups.values():
+        part = replace(model, throws=tuple(model.throws[number] for number in numbers))
+        best, *others = find_layers(part, [plates[number] for number in numbers])
+        if len(groups) == 1:
+            return replace(model, rig=best), others
+        found |= dict.fromkeys(numbers, values_of(best, free))
+    return replace(model, found=found), []
 
 
 def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
@@ -183,25 +253,17 @@ def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescri
     return changed_rig(rig, values)
 
 
-def _fit_until_landing(model: RigModel, plates: Sequence[PlateFit]) -> RigFit:
+def _fit_until_landing(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, Fit]:
     """Fit to what comes before the projectile lands, which depends on the fit."""
-    seen = model
+    seen, rig = model, model.rig
     for _ in range(_LANDING_ROUNDS):
-        cut = _before_landing(model, seen.rig, plates)
+        cut = _before_landing(model, rig, plates)
         if seen is not model and _sizes(cut) == _sizes(seen):
             break
         seen = cut
         found = seen.fit(seen.start(plates))
-        seen = replace(seen, rig=seen.rig_of(found.values))
-    kept = {
-        (channel.throw, channel.body): residual.track
-        for channel, residual in zip(seen.channels, found.residuals, strict=True)
-    }
-    throws = tuple(
-        replace(throw, plate=kept[number, 'plate'], projectile=kept.get((number, 'projectile')))
-        for number, throw in enumerate(seen.throws)
-    )
-    return RigFit(fit=found, rig=seen.rig, throws=throws, _model=seen)
+        rig = seen.rig_of(found.values)
+    return seen, found
 
 
 def _sizes(model: RigModel) -> list[int]:

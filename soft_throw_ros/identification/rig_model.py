@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 import math
 from typing import NamedTuple
 
@@ -13,24 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
+    DEFAULTS,
     ENGINE,
     FitDescription,
+    PARAMETERS,
+    TERMS,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import (
-    central_difference,
-    Estimate,
-    Fit,
-    fit_tracks,
-    FitModel,
-)
+from soft_throw_ros.identification.least_squares import Estimate, Fit, fit_tracks, FitModel
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
+from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
+
+START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+"""What each throw has for itself: when it begins, and the heights of its bodies at rest."""
+
+WAVES = {
+    'plate.ringing': ('plate.ringing_cosine', 'plate.ringing_sine'),
+    'plate.mode': ('plate.mode_cosine', 'plate.mode_sine'),
+}
+"""Terms that are waves, each of two parts."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -42,10 +50,14 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.density': (1.0, 1e5),
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
+    'projectile.sticking': (0.0, math.inf),
 }
+_ANYTHING = (-math.inf, math.inf)
 _STEP = 3e-4  # relative, for derivatives: large against what steppers leave out ...
 _LEAST_STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # ... and absolute
-_START, _PLATE_ZERO, _PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+_WAVE_STEP = 1e-3  # for derivatives, of the plate's amplitude
+START_OF_STICKING = 1e-4  # [s]
+_JERK_STEP = 1e-2  # of the ejection time, over which the force is seen to vanish
 
 
 class Channel(NamedTuple):
@@ -56,32 +68,75 @@ class Channel(NamedTuple):
     track: Track
 
 
+class Path(NamedTuple):
+    """
+    Height [m] and velocity [m/s] of a body as it is seen.
+
+    `travel` is how far it is from where it rests, and `stuck` how the height changes with the time
+    for which the projectile is held. [m], [m/s]
+    """
+
+    height: Floats
+    velocity: Floats
+    travel: Floats
+    stuck: Floats
+
+
+class Nudge(NamedTuple):
+    """A parameter that is changed in all throws by a part of its value, or by so much at least."""
+
+    name: str
+    part: float
+    least: float = 0.0
+
+    def apply(self, value: float) -> float:
+        """Change a value within its bounds."""
+        low, high = _BOUNDS[self.name]
+        step = math.copysign(max(abs(self.part * value), self.least), self.part)
+        return min(max(value + step, low), high)
+
+
 @dataclass(frozen=True)
 class RigModel:
-    """
+    r"""
     What is fitted to what, from the values of `rig` on.
 
     Notes
     -----
-    The values that are fitted stand in a series, see `places`: those of the rig, and then those
-    of each throw: when it starts, the heights from which its tracks count, and whatever of the
-    rig each throw has for itself. Derivatives by start and heights are velocities and 1; the
-    others are central differences, for which a value that each throw has for itself changes in
-    all throws at once.
+    The values that are fitted stand in a series, see `places`: first those that all throws have in
+    common, and then those of one or some of them. Drift, scale, delay, start and zeros change
+    heights in ways that are known. Density and diameter matter by :math:`m / (\rho_s S)` alone,
+    so their derivatives are those by the mass, and a layer that stiffens has another wave speed.
+    The other derivatives are central differences, for which a parameter changes in all throws at
+    once.
 
     """
 
     throws: tuple[ThrowTracks, ...]
     rig: Rig
     description: FitDescription
-    known: Mapping[str, Estimate]
     simulator: ThrowSimulator
+    found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    """What was found before of the layers of some throws, to start from."""
+    mode: Mode | None = None
+    """Frequency and damping of a second mode of the plate."""
 
     @property
     def by_cells(self) -> bool:
         """Whether there is internal loss, or may be."""
-        loss = self.description.treatments['layer.loss_tangent']
-        return loss.is_varied or self.rig.layer.loss_tangent > 0.0
+        return any(
+            rig.layer.loss_tangent > 0.0
+            or self.description.treatment('layer.loss_tangent', throw.name).is_varied
+            for rig, throw in zip(self.rigs, self.throws, strict=True)
+        )
+
+    @cached_property
+    def rigs(self) -> list[Rig]:
+        """The rig of each throw, as far as it is said or was found before."""
+        return [
+            changed_rig(self.description.prepare(self.rig, throw.name), self.found.get(number, {}))
+            for number, throw in enumerate(self.throws)
+        ]
 
     @cached_property
     def channels(self) -> list[Channel]:
@@ -99,51 +154,102 @@ class RigModel:
         return [channel for channel in self.channels if channel.body == 'projectile']
 
     @cached_property
-    def places(self) -> dict[str, dict[int | None, int]]:
-        """Where each parameter stands among the values: by throw, or once, by None."""
-        per_throw = self.description.per_throw
-        shared = [name for name in self.description.varied if name not in per_throw]
-        places: dict[str, dict[int | None, int]] = {
-            name: {None: place} for place, name in enumerate(shared)
-        }
-        own = [*per_throw, _START]
-        own += [] if self.description.heights == 'absolute' else [_PLATE_ZERO]
-        own += [_PROJECTILE_ZERO] if self.description.heights == 'own' else []
-        count = len(places)
+    def groups(self) -> dict[tuple[str, Hashable], list[int]]:
+        """Throws that have a parameter in common, by its name and by what tells them apart."""
+        described, heights = self.description, self.description.heights
+        groups: dict[tuple[str, Hashable], list[int]] = {}
+        for name in DEFAULTS:
+            for number, throw in enumerate(self.throws):
+                is_seen = throw.projectile is not None or name.startswith(('engine', 'plate'))
+                if is_seen and described.treatment(name, throw.name).is_varied:
+                    key = described.group(name, throw.name, number)
+                    for part in WAVES.get(name, (name,)):
+                        groups.setdefault((part, key), []).append(number)
+        own = [START]
+        own += [] if heights == 'absolute' else [PLATE_ZERO]
+        own += [PROJECTILE_ZERO] if heights == 'own' else []
         for number, throw in enumerate(self.throws):
             for name in own:
-                if name != _PROJECTILE_ZERO or throw.projectile is not None:
-                    places.setdefault(name, {})[number] = count
-                    count += 1
+                if name != PROJECTILE_ZERO or throw.projectile is not None:
+                    groups[name, number] = [number]
+        return dict(sorted(groups.items(), key=lambda item: item[0][1] is not None))
+
+    @cached_property
+    def places(self) -> dict[str, dict[int, int]]:
+        """Where each parameter stands among the values, by throw."""
+        places: dict[str, dict[int, int]] = {}
+        for place, ((name, _), throws) in enumerate(self.groups.items()):
+            places.setdefault(name, {}).update(dict.fromkeys(throws, place))
         return places
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the values; of several throws each has its number from 1 in brackets."""
-        named = {
-            place: name if throw is None or len(self.throws) == 1 else f'{name}[{throw + 1}]'
-            for name, places in self.places.items()
-            for throw, place in places.items()
-        }
-        return tuple(named[place] for place in sorted(named))
+        """Names of the values; of some of several throws, with the number of the first from 1."""
+        return tuple(
+            name if key is None or len(self.throws) == 1 else f'{name}[{throws[0] + 1}]'
+            for (name, key), throws in self.groups.items()
+        )
+
+    @cached_property
+    def known(self) -> dict[int, Estimate]:
+        """What is known with an error, by places."""
+        found = {}
+        for place, ((part, _), throws) in enumerate(self.groups.items()):
+            names = [name for name in DEFAULTS if part in WAVES.get(name, (name,))]
+            for name in names:
+                known = self.description.known(
+                    name, self.rigs[throws[0]], self.throws[throws[0]].name
+                )
+                if known is not None:
+                    found[place] = known
+        return found
 
     def places_of(self, name: str) -> list[int]:
         """Where a parameter stands among the values, of all throws."""
-        return list(self.places[name].values())
+        return sorted(set(self.places[name].values()))
 
     def value(self, values: Floats, name: str, throw: int) -> float:
-        """Look up a parameter of a throw; a height from which none counts is 0."""
-        places = self.places.get(name, {})
-        place = places.get(throw, places.get(None))
-        return 0.0 if place is None else float(values[place])
+        """Look up what is no parameter of the rig, of a throw; 0 if nothing is said of it."""
+        place = self.places.get(name, {}).get(throw)
+        if place is not None:
+            return float(values[place])
+        if name in TERMS:
+            return self.description.value(name, self.rigs[throw], self.throws[throw].name)
+        return 0.0
 
-    def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
-        """Make the rig of a throw; by default with the mean of what each has for itself."""
-        changes = {}
-        for name in self.description.varied:
-            mean = float(np.mean(values[self.places_of(name)]))
-            changes[name] = mean if throw is None else self.value(values, name, throw)
-        return changed_rig(self.rig, changes)
+    def rig_of(self, values: Floats, throw: int | None = None, nudge: Nudge | None = None) -> Rig:
+        """
+        Make the rig of a throw, with the wave speed that its layer has at this strain.
+
+        By default that of the first throw, with the mean of what each has for itself.
+        """
+        number = 0 if throw is None else throw
+        changes = {
+            name: float(values[places[number]])
+            for name, places in self.places.items()
+            if name in PARAMETERS and number in places
+        }
+        if throw is None:
+            for name in changes:
+                if any(isinstance(key, int) for part, key in self.groups if part == name):
+                    changes[name] = float(np.mean(values[self.places_of(name)]))
+        rig = changed_rig(self.rigs[number], changes)
+        if nudge is not None:
+            value = values_of(rig, [nudge.name])[nudge.name]
+            rig = changed_rig(rig, {nudge.name: nudge.apply(value)})
+        stiffening = self.value(values, 'layer.stiffening', number)
+        if stiffening:
+            low, high = _BOUNDS['layer.wave_speed']
+            speed = rig.layer.wave_speed + stiffening * rig.engine.speed_scale
+            rig = changed_rig(rig, {'layer.wave_speed': min(max(speed, low), high)})
+        return rig
+
+    def nominal(self, values: Floats, name: str, throw: int) -> float:
+        """Look up a parameter of the rig of a throw."""
+        place = self.places.get(name, {}).get(throw)
+        if place is not None:
+            return float(values[place])
+        return values_of(self.rigs[throw], [name])[name]
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -155,115 +261,170 @@ class RigModel:
 
     def predict(self, values: Floats) -> Floats:
         """Heights of all tracks in one series."""
-        return np.concatenate([heights for heights, _ in self.paths(values)])
+        return np.concatenate([path.height for path in self.paths(values)])
+
+    def speed(self, values: Floats) -> Floats:
+        """Speeds of all bodies in one series."""
+        return np.asarray(np.abs(np.concatenate([path.velocity for path in self.paths(values)])))
 
     def paths(
-        self, values: Floats, places: Sequence[tuple[int, str, Floats]] | None = None
-    ) -> list[tuple[Floats, Floats]]:
+        self,
+        values: Floats,
+        places: Sequence[tuple[int, str, Floats]] | None = None,
+        *,
+        nudge: Nudge | None = None,
+    ) -> list[Path]:
         """
-        Compute heights [m] and velocities [m/s], or raise FitError if a throw cannot be followed.
+        Compute what is seen of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
         of all channels. Throws of the same rig are followed together.
         """
         if places is None:
             places = [(throw, body, track.time) for throw, body, track in self.channels]
-        since = [time - self.value(values, _START, throw) for throw, _, time in places]
-        found: dict[int, tuple[Floats, Floats]] = {}
-        alike: dict[Rig, list[int]] = {}
-        for number, (throw, body, _) in enumerate(places):
-            rig = self.rig_of(values, throw)
+        found: dict[int, Path] = {}
+        alike: dict[tuple[Rig, PlateWithModes, float], list[int]] = {}
+        since: dict[int, Floats] = {}
+        for number, (throw, body, time) in enumerate(places):
+            rig, motion = self._rig_and_motion(values, throw, nudge)
+            since[number] = time - self.value(values, START, throw)
             if body == 'plate':
-                motion = Underdamped.of(rig.engine)
-                height = self.value(values, _PLATE_ZERO, throw) + motion.position(since[number])
-                found[number] = height, motion.velocity(since[number])
+                height = self.value(values, PLATE_ZERO, throw) + motion.position(since[number])
+                height += self._drift(values, throw, body, time)
+                nothing = np.zeros_like(height)
+                found[number] = Path(height, motion.velocity(since[number]), nothing, nothing)
             else:
-                alike.setdefault(rig, []).append(number)
-        for rig, numbers in alike.items():
+                since[number] = since[number] - self.value(values, 'projectile.delay', throw)
+                sticking = self.value(values, 'projectile.sticking', throw)
+                alike.setdefault((rig, motion, sticking), []).append(number)
+        for (rig, motion, sticking), numbers in alike.items():
             times = np.concatenate([since[number] for number in numbers])
-            path = self.simulator.follow(rig, times, by_cells=self.by_cells)
             ends = np.cumsum([since[number].size for number in numbers])[:-1]
-            parts = np.split(path.position, ends), np.split(path.velocity, ends)
-            for number, position, velocity in zip(numbers, *parts, strict=True):
-                zero = self._projectile_zero(values, places[number][0], rig)
-                found[number] = zero + position, velocity
+            parts = self._follow(rig, motion, times, sticking)
+            pieces = zip(*(np.split(each, ends) for each in parts), strict=True)
+            for number, (travel, velocity, stuck) in zip(numbers, pieces, strict=True):
+                throw, body, time = places[number]
+                scale = self.value(values, 'projectile.scale', throw)
+                height = self._projectile_rest(values, throw, rig) + scale * travel
+                height += self._drift(values, throw, body, time)
+                found[number] = Path(height, scale * velocity, travel, scale * stuck)
         return [found[number] for number in range(len(places))]
 
-    def _projectile_zero(self, values: Floats, throw: int, rig: Rig) -> float:
-        """Height that the track of a projectile has where that of its face is 0."""
+    def _rig_and_motion(
+        self, values: Floats, throw: int, nudge: Nudge | None
+    ) -> tuple[Rig, PlateWithModes]:
+        """Make the rig of a throw, and how its plate moves."""
+        rig = self.rig_of(values, throw, nudge)
+        waves = tuple(self.value(values, part, throw) for pair in WAVES.values() for part in pair)
+        return rig, PlateWithModes(Underdamped.of(rig.engine), waves, self.mode)
+
+    def _follow(
+        self,
+        rig: Rig,
+        motion: PlateWithModes,
+        since: Floats,
+        sticking: float,
+    ) -> tuple[Floats, Floats, Floats]:
+        """Follow a projectile: travel, velocity, and how the former changes with sticking."""
+        sampled = motion.sampled(float(since.min()), float(since.max()))
+        follow = partial(self.simulator.follow, rig, motion=sampled, by_cells=self.by_cells)
+        path = follow(since)
+        travel, velocity = path.position - rest_height(rig), path.velocity
+        left = ejections(path.events)
+        if not sticking or not left:
+            return travel, velocity, np.zeros_like(travel)
+        # While it sticks, the force goes on changing as when it vanished
+        step = _JERK_STEP * left[-1].time
+        before = follow(left[-1].time - step * np.arange(3.0)).velocity
+        jerk = float(before[0] - 2.0 * before[1] + before[2]) / step**2
+        after = np.maximum(since - left[-1].time, 0.0)
+        held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
+        travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
+        velocity = velocity + 0.5 * jerk * held**2
+        return travel, velocity, jerk * sticking * free
+
+    def _drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
+        """Height that drift adds, none at the middle of a record. [m]"""
+        plate = self.throws[throw].plate
+        part = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
+        size = self.value(values, f'{body}.drift', throw) * self.rig.engine.amplitude
+        return np.asarray(size * part)
+
+    def _projectile_rest(self, values: Floats, throw: int, rig: Rig) -> float:
+        """Height of the resting projectile as its track has it. [m]"""
         if self.description.heights == 'own':
-            return self.value(values, _PROJECTILE_ZERO, throw) - rest_height(rig)
+            return self.value(values, PROJECTILE_ZERO, throw)
         half = 0.5 * rig.projectile.length if self.description.reference == 'centre' else 0.0
-        return self.value(values, _PLATE_ZERO, throw) + half
+        scale = self.value(values, 'projectile.scale', throw)
+        return self.value(values, PLATE_ZERO, throw) + scale * (half + rest_height(rig))
 
     def jacobian(self, values: Floats) -> Floats:
         """Differentiate `predict`."""
         sizes = [each.track.time.size for each in self.channels]
         rows = np.repeat([each.throw for each in self.channels], sizes)
-        is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
-        velocity = np.concatenate([velocities for _, velocities in self.paths(values)])
+        paths = self.paths(values)
         jacobian = np.zeros((rows.size, values.size))
+        slopes = _Slopes(self, values, paths)
         for name, by_throw in self.places.items():
-            places = self.places_of(name)
-            widths = np.ones(len(places))
-            if name == _START:
-                change = -velocity
-            elif name == _PLATE_ZERO:
-                change = (is_plate | (self.description.heights != 'own')).astype(np.float64)
-            elif name == _PROJECTILE_ZERO:
-                change = (~is_plate).astype(np.float64)
-            else:
-                low, high = _BOUNDS[name]
-                step = max(
-                    _STEP * float(np.abs(values[places]).max()), _LEAST_STEPS.get(name, 0.0)
-                )
-                change, widths = central_difference(
-                    self.predict, values, places, step=step, low=low, high=high
-                )
-            for (throw, place), width in zip(by_throw.items(), widths, strict=True):
-                inside = slice(None) if throw is None else rows == throw
-                jacobian[inside, place] = change[inside] / width
+            slope = slopes.of(name)
+            for throw, place in by_throw.items():
+                jacobian[rows == throw, place] = slope[rows == throw]
         return jacobian
 
     def start(self, plates: Sequence[PlateFit]) -> Floats:
         """Find where to start from, given fits of the plates alone."""
         values = np.zeros(len(self.names))
-        for name, value in values_of(self.rig, self.description.varied).items():
-            values[self.places_of(name)] = value
+        for name, places in self.places.items():
+            for throw, place in places.items():
+                if name in PARAMETERS:
+                    values[place] = values_of(self.rigs[throw], [name])[name]
+                elif name in TERMS:
+                    values[place] = self.description.value(name, self.rig, self.throws[throw].name)
+        if 'projectile.sticking' in self.places:
+            values[self.places_of('projectile.sticking')] = START_OF_STICKING
         for throw, plate in enumerate(plates):
-            found = {_START: plate.start_time, _PLATE_ZERO: plate.offset}
+            found = {START: plate.start_time, PLATE_ZERO: plate.offset}
             engine = dict(zip(ENGINE, plate.fit.values[:3].tolist(), strict=True))
-            found |= {name: engine[name] for name in ENGINE if name in self.description.per_throw}
+            own = {name for name, key in self.groups if key is not None}
+            found |= {name: engine[name] for name in ENGINE if name in own}
             for name, value in found.items():
                 if name in self.places:
                     values[self.places[name][throw]] = value
-        if _PROJECTILE_ZERO in self.places:
+        if PROJECTILE_ZERO in self.places:
             paths = self.paths(values)
-            for (throw, body, track), (heights, _) in zip(self.channels, paths, strict=True):
+            for (throw, body, track), path in zip(self.channels, paths, strict=True):
                 if body == 'projectile':
-                    zero = float(np.median(track.position - heights))
-                    values[self.places[_PROJECTILE_ZERO][throw]] = zero
+                    zero = float(np.median(track.position - path.height))
+                    values[self.places[PROJECTILE_ZERO][throw]] = zero
         return values
 
-    def fit(self, start: Floats, *, max_evaluations: int = 100) -> Fit:
-        """Fit, or raise FitError if it cannot be done."""
+    def start_from(self, fit: Fit, plates: Sequence[PlateFit]) -> Floats:
+        """Start from a fit of fewer, or more, parameters."""
+        before = dict(zip(fit.names, fit.values.tolist(), strict=True))
+        start = self.start(plates)
+        return np.array(
+            [before.get(n, v) for n, v in zip(self.names, start.tolist(), strict=True)]
+        )
+
+    def fit(
+        self, start: Floats, *, noise: Floats | None = None, max_evaluations: int = 100
+    ) -> Fit:
+        """Fit, or raise FitError if it cannot be done; see `fit_tracks`."""
         low, high = np.full((2, start.size), [[-math.inf], [math.inf]])
-        for name in self.description.varied:
-            places = self.places_of(name)
-            low[places], high[places] = _BOUNDS[name]
+        for place, (name, _) in enumerate(self.groups):
+            low[place], high[place] = _BOUNDS.get(name, _ANYTHING)
         model = FitModel(
             names=self.names,
             predict=self.predict,
             jacobian=self.jacobian,
             low=low,
             high=high,
-            known={
-                place: estimate
-                for name, estimate in self.known.items()
-                for place in self.places_of(name)
-            },
+            known=self.known,
+            speed=self.speed,
         )
-        return fit_tracks(model, start, self.tracks(), max_evaluations=max_evaluations)
+        return fit_tracks(
+            model, start, self.tracks(), noise=noise, max_evaluations=max_evaluations
+        )
 
     def cut(self, plates: Sequence[PlateFit], after: float) -> RigModel:
         """Leave out what the projectiles do later than so long after the start. [s]"""
@@ -276,6 +437,105 @@ class RigModel:
                 projectile = projectile.between(-math.inf, end) if is_seen else None
             throws.append(replace(throw, projectile=projectile))
         return replace(self, throws=tuple(throws))
+
+
+class _Slopes:
+    """Derivatives of the heights of all tracks by parameters, each computed once."""
+
+    def __init__(self, model: RigModel, values: Floats, paths: Sequence[Path]) -> None:
+        self._model = model
+        self._values = values
+        self._paths = paths
+        self._sizes = [channel.track.time.size for channel in model.channels]
+        self._is_plate = self._spread([channel.body == 'plate' for channel in model.channels])
+        self._by_rig: dict[str, Floats] = {}
+
+    def of(self, name: str) -> Floats:
+        """Differentiate by a parameter."""
+        model, paths, is_plate = self._model, self._paths, self._is_plate
+        velocity = np.concatenate([path.velocity for path in paths])
+        if name == START:
+            return -velocity
+        if name == PLATE_ZERO:
+            return is_plate if model.description.heights == 'own' else np.ones_like(is_plate)
+        if name == PROJECTILE_ZERO:
+            return 1.0 - is_plate
+        if name == 'projectile.delay':
+            return -velocity * (1.0 - is_plate)
+        if name == 'projectile.scale':
+            return self._of_scale()
+        if name == 'projectile.sticking':
+            return np.concatenate([path.stuck for path in paths])
+        if name.endswith('.drift'):
+            return self._of_drift(name)
+        if name == 'layer.stiffening':
+            return self._of_rig('layer.wave_speed') * self._spread(
+                [rig.engine.speed_scale for rig in self._rigs()]
+            )
+        if name in ('layer.density', 'layer.diameter'):
+            power = {'layer.density': -1.0, 'layer.diameter': -2.0}[name]
+            return self._of_rig('projectile.mass') * self._spread(
+                [
+                    power * rig.projectile.mass / values_of(rig, [name])[name]
+                    for rig in self._rigs()
+                ]
+            )
+        return self._of_rig(name) if name in PARAMETERS else self._of_wave(name)
+
+    def _rigs(self) -> list[Rig]:
+        return [self._model.rig_of(self._values, each.throw) for each in self._model.channels]
+
+    def _spread(self, numbers: Sequence[float]) -> Floats:
+        """Repeat a number for each sample of each track."""
+        return np.repeat(np.asarray(numbers, dtype=np.float64), self._sizes)
+
+    def _of_rig(self, name: str) -> Floats:
+        """Take a central difference of the rigs of all throws."""
+        if name not in self._by_rig:
+            nudges = [
+                Nudge(name, sign * _STEP, _LEAST_STEPS.get(name, 0.0)) for sign in (1.0, -1.0)
+            ]
+            ahead, behind = (self._model.paths(self._values, nudge=each) for each in nudges)
+            change = [up.height - down.height for up, down in zip(ahead, behind, strict=True)]
+            widths = []
+            for each in self._model.channels:
+                value = self._model.nominal(self._values, name, each.throw)
+                widths.append(nudges[0].apply(value) - nudges[1].apply(value))
+            self._by_rig[name] = np.concatenate(change) / self._spread(widths)
+        return self._by_rig[name]
+
+    def _of_wave(self, name: str) -> Floats:
+        """Take a central difference by a part of a wave, in all throws at once."""
+        change = np.zeros_like(self._values)
+        change[self._model.places_of(name)] = _WAVE_STEP
+        ahead, behind = (self._model.predict(self._values + sign * change) for sign in (1.0, -1.0))
+        return np.asarray((ahead - behind) / (2.0 * _WAVE_STEP))
+
+    def _of_scale(self) -> Floats:
+        """Differentiate by the scale of the projectile, about where its heights count from."""
+        model = self._model
+        travel = np.concatenate([path.travel for path in self._paths])
+        if model.description.heights == 'own':
+            return travel
+        rests = []
+        for (_, body, _), rig in zip(model.channels, self._rigs(), strict=True):
+            half = 0.5 * rig.projectile.length if model.description.reference == 'centre' else 0.0
+            rests.append(0.0 if body == 'plate' else half + rest_height(rig))
+        return travel + self._spread(rests)
+
+    def _of_drift(self, name: str) -> Floats:
+        """Differentiate by the drift of a body."""
+        model = self._model
+        values = self._values.copy()
+        values[model.places_of(name)] = 1.0
+        return np.concatenate(
+            [
+                model._drift(values, throw, body, track.time)
+                if name == f'{body}.drift'
+                else np.zeros_like(track.time)
+                for throw, body, track in model.channels
+            ]
+        )
 
 
 def rest_height(rig: Rig) -> float:

@@ -8,7 +8,6 @@ rig that was fitted, which is several times as exact if the model is right.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import contextlib
 from dataclasses import dataclass, replace
 import math
@@ -16,8 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import changed_rig, PARAMETERS
 from soft_throw_ros.identification.forward import first_releases
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
@@ -36,6 +33,7 @@ _MIN_FLIGHT_SAMPLES = 8
 _SPEED_OVER_NOISE = 10.0  # that averages leave, at least
 _MAX_TIME_ERROR = 0.125  # plate periods, beyond which the ejection is not determined, ...
 _MAX_SPEED_ERROR = 0.25  # and of the speed
+_JUMP_SHARE = 0.025  # of them with other echoes, from which on an interval of 95 % holds both
 _DRAWS = 400  # of rigs that may be as well as the one that was fitted
 
 
@@ -234,7 +232,7 @@ def ejection_of(found: RigFit) -> Ejection:
     :math:`t_e` and :math:`\alpha` jump and have no derivative there.
 
     """
-    releases = first_releases([found.rig, *_rigs_like(found)])
+    releases = first_releases([found.rig, *found.draw(_DRAWS)])
     if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
     seen = ~np.isnan(releases.time)
@@ -244,24 +242,9 @@ def ejection_of(found: RigFit) -> Ejection:
         return Estimate(float(values[0]), error)
 
     return Ejection(
-        time=estimate(releases.time),
+        time=estimate(releases.time + found.sticking()),
         speed=estimate(releases.speed),
         peak_plate_speed=estimate(releases.peak_plate_speed),
         energy_transfer=estimate(releases.energy_transfer),
-        is_near_jump=bool(np.ptp(releases.echoes[seen]) > 0),
+        is_near_jump=bool(np.mean(releases.echoes[seen] != releases.echoes[0]) > _JUMP_SHARE),
     )
-
-
-def _rigs_like(found: RigFit) -> Iterator[Rig]:
-    """Draw rigs that may be as well as the one that was fitted."""
-    names = [name for name in PARAMETERS if name in found.fit]
-    if not names:
-        return
-    places = [found.fit.names.index(name) for name in names]
-    values, errors = found.fit.values[places], found.fit.errors[places]
-    powers, axes = np.linalg.eigh(found.fit.correlation[np.ix_(places, places)])
-    steps = np.random.default_rng(0).normal(size=(_DRAWS, len(places)))
-    for step in (steps * np.sqrt(np.maximum(powers, 0.0))) @ axes.T:
-        drawn = dict(zip(names, (values + errors * step).tolist(), strict=True))
-        with contextlib.suppress(ValueError):  # beyond what is physical
-            yield changed_rig(found.rig, drawn)

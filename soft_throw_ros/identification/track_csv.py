@@ -37,8 +37,9 @@ def read_csv(
         A time [s] and the heights of bodies in each, separated by commas, semicolons, tabs or
         blanks. A first line may name the columns (`t` or `time`, and `COLUMN_NAMES`, a unit in
         brackets may follow); others are then passed over. Without one they are time and `bodies`
-        in this order. Lines that begin with # are comments; a height that is empty or nan was
-        not seen. Unless commas separate, one may also be the decimal sign.
+        in this order. Lines that begin with # are comments, and spreadsheets' `sep=;` is passed
+        over; a height that is empty or nan was not seen. Unless commas separate, one may also be
+        the decimal sign.
     name : str
         What to call the text if something is wrong.
     bodies : sequence of str
@@ -56,9 +57,12 @@ def read_csv(
     if not rows:
         raise TrackError(f'{name}: is empty; a time and the height of the {bodies[0]} are needed')
     number, first = rows[0]
+    number_of_first = number
     columns = dict(zip(('time', *bodies), range(len(first)), strict=False))
     if not any(map(_is_number, first)):
         columns = _named_columns(rows.pop(0)[1], bodies, unit, f'{name}:{number}')
+    if not rows:
+        raise TrackError(f'{name}:{number}: names columns, but no line with numbers follows')
     if len(columns) < 2:
         raise TrackError(
             f'{name}:{number}: must have a time and the height of the {bodies[0]}, '
@@ -68,8 +72,14 @@ def read_csv(
     values = np.empty((len(rows), len(columns)))
     for place, (number, cells) in enumerate(rows):
         where = f'{name}:{number}'
+        if len(cells) == len(first) + 1 and not cells[-1]:
+            del cells[-1]  # the line ends with a separator
         if len(cells) != len(first):
-            raise TrackError(f'{where}: must have {len(first)} values as above, got {len(cells)}')
+            hint = '; the same sign must separate the values of all lines' * (len(cells) == 1)
+            raise TrackError(
+                f'{where}: must have {len(first)} values as line {number_of_first} has, '
+                f'got {len(cells)}{hint}'
+            )
         for column, (body, cell) in enumerate(columns.items()):
             values[place, column] = _read_number(cells[cell], body, where)
         time, before = values[place, clock], values[place - 1, clock] if place else -math.inf
@@ -106,7 +116,7 @@ def _rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     separator: str | None = ''
     for number, line in enumerate(lines, 1):
         text = line.strip(' \r\n\ufeff')
-        if not text.strip() or text.startswith('#'):
+        if not text.strip() or text.startswith('#') or re.fullmatch('sep=.', text):
             continue
         if separator == '':
             separator = next((each for each in (';', '\t', ',') if each in text), None)
@@ -152,6 +162,7 @@ def _named_columns(
     for body in ('time', bodies[0]):
         if body not in columns:
             raise TrackError(
-                f'{where}: no column is named {known[body][0][0]!r}, got {", ".join(cells)}'
+                f'{where}: no column is named {known[body][0][0]!r}, got {", ".join(cells)}; '
+                'what is above the names must begin with #'
             )
     return columns

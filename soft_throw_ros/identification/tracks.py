@@ -19,12 +19,17 @@ Places = NDArray[np.intp]
 FEWEST = 12
 """Samples of a track at least."""
 
-_DIFFERENCE_ORDER = 4  # of the differences that noise is taken from
+_STRAY_LIMIT = 5.0  # median deviations from the cubic beyond which it is a kink, not noise
+_ROUNDING_TOLERANCE = 0.1  # of a step, that heights may be off from multiples of it
+_MAX_ROUNDING_STEPS = 1e5  # that heights extend over; who rounds more finely adds no noise
 _SPIKE_LIMIT = 8.0  # times what is usual that a sample is away from the cubic through neighbours
 _SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # samples that say what is usual
 _SPIKE_SHARE = 1e-4  # of the whole way is usual at least: motions without noise have kinks
 _SPIKE_ROUNDS = 4  # of leaving them out, since there may be some in a row
 _MAX_SPIKE_SHARE = 0.1  # of the samples; where there are more it is the motion
+
+_LONGEST_BREAK = 1.0  # within a throw [s], and ...
+_LONGEST_BREAK_SAMPLES = 100.0  # in intervals between samples
 
 # In plate periods:
 _KEPT_BEFORE = 0.25  # of a throw among others, and ...
@@ -35,6 +40,7 @@ _SMOOTHING = 0.125  # that are averaged over to see where it rests
 
 _ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, an oscillation is at least
 _SEGMENT = 2**15  # samples of one spectrum
+_MAX_EVEN_SAMPLES = 2**24  # of a record, made even to look for its period
 
 
 class TrackError(ValueError):
@@ -90,7 +96,7 @@ class Track:
         object.__setattr__(self, 'time', time)
         object.__setattr__(self, 'position', position)
         if self.known_noise is None:
-            noise = max(noise_of(position), self.least_noise)
+            noise = max(noise_of(time, position), self.least_noise)
         else:
             noise = checks.require_positive('known_noise', self.known_noise)
         object.__setattr__(self, 'noise', noise)
@@ -133,7 +139,7 @@ class Track:
         least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
         kept = np.arange(self.time.size)
         for _ in range(_SPIKE_ROUNDS):
-            apart = np.abs(_beside_neighbours(self.time[kept], self.position[kept]))
+            apart = np.abs(_beside_neighbours(self.time[kept], self.position[kept])[0])
             largest = maximum_filter1d(apart, 5)
             places = np.flatnonzero((apart > _SPIKE_LIMIT * least) & (apart >= largest))
             sides = np.clip(places[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
@@ -178,28 +184,66 @@ class ThrowTracks:
         )
 
 
-def noise_of(position: Floats) -> float:
+def noise_of(time: Floats, position: Floats) -> float:
     r"""
     Estimate the standard deviation of white noise on a smooth motion. [m]
 
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Of the samples, which may be uneven, as where some were lost. [s]
+    position : ndarray, shape (n,)
+        [m]
+
     Notes
     -----
-    From differences of fourth order, which a motion of n samples per period passes on by
-    :math:`(2 \pi / n)^4 / \sqrt{70}`; those beyond five median deviations, at kinks and jumps,
-    are left out. Never 0, so that one can divide by it.
+    From how far each sample is from the cubic through the two on either side, over what that is
+    if they are equally noisy. A motion of n even samples per period is passed on by
+    :math:`(2 \pi / n)^4 / \sqrt{70}`. What is beyond five median deviations, at kinks and jumps,
+    is left out. Heights that are rounded err by :math:`1 / \sqrt{12}` of a step; while nothing
+    moves they do so all alike, so that only samples that move by a step tell the noise. Never 0,
+    so that one can divide by it.
 
     """
-    order = _DIFFERENCE_ORDER
-    steps = np.diff(position, order) / math.sqrt(math.comb(2 * order, order))
-    usual = 1.4826 * float(np.median(np.abs(steps)))
-    kept = steps[np.abs(steps) <= 5.0 * usual]
-    noise = float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
-    return max(noise, 1e-9 * float(np.ptp(position)), 1e-15)
+    apart, spread = _beside_neighbours(time, position)
+    steps = (apart / spread)[2:-2]
+    noise = _rms_without_strays(steps)
+    step = _rounding_step(position)
+    if step > 0.0:
+        moving = np.abs(position[4:] - position[:-4]) >= 4.0 * step
+        if moving.sum() >= FEWEST:
+            noise = max(noise, _rms_without_strays(steps[moving]))
+    return max(noise, step / math.sqrt(12.0), 1e-9 * float(np.ptp(position)), 1e-15)
 
 
-def _beside_neighbours(time: Floats, position: Floats) -> Floats:
-    """Subtract the cubic through two samples on either side from each; 0 at the ends."""
-    apart = np.zeros_like(position)
+def _rms_without_strays(values: Floats) -> float:
+    """Root mean square of what is not far beyond the usual."""
+    usual = 1.4826 * float(np.median(np.abs(values)))
+    kept = values[np.abs(values) <= _STRAY_LIMIT * usual]
+    return float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
+
+
+def _rounding_step(position: Floats) -> float:
+    """Find the step that all heights are multiples of, from one of them; 0 if there is none."""
+    levels = np.unique(position)
+    steps = np.diff(levels)
+    steps = steps[steps > np.ptp(position) / _MAX_ROUNDING_STEPS]
+    if not steps.size:
+        return 0.0
+    # The mean over many steps of one size is far more precise than any of them
+    step = float(np.mean(steps[steps < 1.5 * steps.min()]))
+    multiples = (levels - levels[0]) / step
+    is_rounded = np.abs(multiples - np.round(multiples)).max() < _ROUNDING_TOLERANCE
+    return step if is_rounded else 0.0
+
+
+def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
+    """
+    Subtract the cubic through two samples on either side from each; 0 at the ends.
+
+    The second series is how noisy that is, over the noise of a single sample.
+    """
+    apart, variance = np.zeros_like(position), np.ones_like(position)
     inner = np.arange(2, time.size - 2)
     apart[inner] = position[inner]
     beside = [inner + offset for offset in (-2, -1, 1, 2)]
@@ -209,7 +253,28 @@ def _beside_neighbours(time: Floats, position: Floats) -> Floats:
             if other is not each:
                 weight *= (time[inner] - time[other]) / (time[each] - time[other])
         apart[inner] -= weight * position[each]
-    return apart
+        variance[inner] += weight**2
+    return apart, np.sqrt(variance)
+
+
+def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
+    """
+    Cut a record where the plate was not seen for long, as between sessions or clocks.
+
+    Pieces of less than `FEWEST` samples are left out, unless there is nothing else.
+    """
+    time = record.plate.time
+    longest = max(_LONGEST_BREAK, _LONGEST_BREAK_SAMPLES * record.plate.interval)
+    breaks = np.flatnonzero(np.diff(time) > longest) + 1
+    pieces = [each for each in np.split(time, breaks) if each.size >= FEWEST]
+    if not breaks.size or not pieces:
+        return [record]
+    parts = [record.between(float(piece[0]), float(piece[-1])) for piece in pieces]
+    if len(parts) == 1:
+        return parts
+    return [
+        replace(part, name=f'{record.name}, part {number}') for number, part in enumerate(parts, 1)
+    ]
 
 
 def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
@@ -238,7 +303,7 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
     plate = plate.without_spikes()
     time = plate.time
-    period = _dominant_period(plate)
+    period = dominant_period(plate)
     size = max(3, round(_REST * period / plate.interval))
     if size >= time.size:
         return []
@@ -274,9 +339,9 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     ]
 
 
-def _dominant_period(plate: Track) -> float:
+def dominant_period(plate: Track) -> float:
     """Find the period of the strongest oscillation of the plate's velocity."""
-    count = max(16, round(plate.duration / plate.interval) + 1)
+    count = min(max(16, round(plate.duration / plate.interval) + 1), _MAX_EVEN_SAMPLES)
     even, step = np.linspace(plate.time[0], plate.time[-1], count, retstep=True)
     velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
     frequency, _, powers = spectrogram(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))

@@ -10,9 +10,8 @@ told. That takes seconds, and waits for the twin's answers, in a thread of its o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-import queue
 import threading
 from typing import Any
 
@@ -25,7 +24,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from soft_throw_ros.configuration.interface import JOINTS, resolve, TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import USUAL
+from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time
@@ -33,6 +32,7 @@ from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.topics import create_subscription, full_name
+from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 from soft_throw_ros.twin.results import ThrowResult
 from std_srvs.srv import Trigger
@@ -47,6 +47,9 @@ _ANSWER_TIMEOUT = 10.0  # of other nodes [s]
 _PAUSE = 0.5  # before the recommendation is asked for again, ...
 _MAX_ATTEMPTS = 120  # so many times
 _STOP_TIMEOUT = 0.3  # for the thread to end [s]
+# The twin keeps what is not found here, and follows one amplitude with a linear layer
+_HELD = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
+_DESCRIPTION = FitDescription(dict.fromkeys(_HELD, 'held'))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
@@ -72,6 +75,7 @@ class Calibrator(RunnableNode):
         self._twin = full_name(self, settings['twin'])
         self._rig = full_name(self, settings['rig']) if settings['rig'] else ''
         self._measured = _Measured(self, self._twin)
+        self.at_end(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
         self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
         self._set = {
@@ -88,23 +92,13 @@ class Calibrator(RunnableNode):
         self._rig_of_mispredicted: Rig | None = None
         self._is_busy = False
         self._closing = threading.Event()
-        self._tasks: queue.SimpleQueue[tuple[list[ThrowTracks], Rig] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name='calibrator', daemon=True)
+        self._worker = LatestOnlyWorker(self._identify, self._on_identified)
+        self.at_end(self._worker.close, _STOP_TIMEOUT)
+        self.at_end(self._closing.set)
 
     def start(self) -> None:
         """Watch."""
-        self._thread.start()
         self.get_logger().info('ready')
-
-    def destroy_node(self) -> None:
-        """Stop waiting, and let go of everything."""
-        if hasattr(self, '_thread'):  # else it was not finished, since a parameter was refused
-            self._closing.set()
-            self._tasks.put(None)
-            if self._thread.is_alive():
-                self._thread.join(_STOP_TIMEOUT)
-            self._measured.close()
-        super().destroy_node()
 
     # in the executor's thread
 
@@ -146,21 +140,24 @@ class Calibrator(RunnableNode):
                 f'{1e3 * comparison.position_rms:.3g} mm rms in the last one; identifying'
             )
             self._is_busy = True
-            self._tasks.put((self._mispredicted, result.rig))
+            self._worker.submit((self._mispredicted, result.rig))
             self._mispredicted = []
 
     # in the thread of the work
 
-    def _work(self) -> None:
+    def _identify(
+        self, task: tuple[list[ThrowTracks], Rig], _cancelled: Callable[[], bool]
+    ) -> None:
         """Identify, and tell the twin."""
-        while (task := self._tasks.get()) is not None:
-            try:
-                self._apply_fit(fit_rig(task[0], task[1]))
-            except (_Unanswered, ValueError) as error:
-                if not self._closing.is_set():
-                    self.get_logger().warning(f'nothing has been changed: {error}')
-            finally:
-                self._is_busy = False
+        tracks, rig = task
+        try:
+            self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
+        except (_Unanswered, ValueError) as error:
+            if not self._closing.is_set():
+                self.get_logger().warning(f'nothing has been changed: {error}')
+
+    def _on_identified(self, _answer: None) -> None:
+        self._is_busy = False
 
     def _apply_fit(self, found: RigFit) -> None:
         """Give the twin what was found, and the rig the layer that it then recommends."""
@@ -168,7 +165,7 @@ class Calibrator(RunnableNode):
             self.get_logger().warning(warning)
         if found.fit.is_mismatch:
             raise ValueError('no parameters of the model make it do what the projectile does')
-        values = {name: found.fit[name] for name in USUAL}
+        values = {name: found.estimate(name) for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
 from rclpy.qos import (
@@ -17,13 +18,13 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from rclpy.time import Time
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.configuration.interface import FRAME
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
+from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
-
-_SECOND = 1_000_000_000
 
 _POLICIES = {
     'history': HistoryPolicy,
@@ -34,28 +35,15 @@ _POLICIES = {
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
-_RELEASE = {
-    'ejection_time': 'time',
-    'ejection_speed': 'speed',
-    'energy_transfer': 'energy_transfer',
-}
-"""The attributes of a release by the keys that they have in a status."""
 
-_COMPARISON = 'residual.'
-
-_STRUCTURED = ('rig', 'first', 'last', 'models', 'lead', 'comparison')
-"""What of a result is not one value, or may be none."""
+def msg_to_time(msg: TimeMessage) -> int:
+    """Join seconds and nanoseconds. [ns]"""
+    return int(Time.from_msg(msg).nanoseconds)
 
 
-def time_to_msg(time_ns: int) -> Time:
+def time_to_msg(time_ns: int) -> TimeMessage:
     """Split nanoseconds."""
-    seconds, nanoseconds = divmod(time_ns, _SECOND)
-    return Time(sec=seconds, nanosec=nanoseconds)
-
-
-def msg_to_time(msg: Time) -> int:
-    """Join to nanoseconds."""
-    return int(msg.sec) * _SECOND + int(msg.nanosec)
+    return Time(nanoseconds=time_ns).to_msg()
 
 
 def profile_to_qos(profile: QoSProfile) -> Qos:
@@ -87,7 +75,7 @@ def status_to_msg(
     node_name: str,
     task: str,
     message: str,
-    values: Mapping[str, Any],
+    values: Mapping[str, Any] = MappingProxyType({}),
     *,
     warn: bool = False,
     level: bytes | None = None,
@@ -117,26 +105,11 @@ def throw_result_to_msg(
     result: ThrowResult, node_name: str, uncertainty: Mapping[str, float] | None = None
 ) -> DiagnosticStatus:
     """
-    Make a status of what a throw gave; what has not happened, or is not known, is left out.
+    Make a status of what a throw gave, with the rig that threw.
 
     It is a warning if the layer left its linear range, or the plate was not measured.
-
     """
-    names = (item.name for item in fields(result) if item.name not in _STRUCTURED)
-    values = {name: getattr(result, name) for name in names}
-    values['is_linear'] = result.is_linear
-    releases = {'': result.first, 'last_': result.last}
-    releases |= {f'{model}.': release for model, release in result.models.items()}
-    for prefix, release in releases.items():
-        if release is not None:
-            values |= {f'{prefix}{key}': getattr(release, _RELEASE[key]) for key in _RELEASE}
-    values |= uncertainty or {}
-    if result.lead is not None:
-        values['lead'] = result.lead
-    if result.comparison is not None:
-        differences = asdict(result.comparison).items()
-        values |= {f'{_COMPARISON}{key}': value for key, value in differences if value is not None}
-    values |= rig_to_values(result.rig)
+    values = {**result.values(), **(uncertainty or {}), **rig_to_values(result.rig)}
     is_bad = not (result.is_linear and result.is_valid)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
 
@@ -144,29 +117,7 @@ def throw_result_to_msg(
 def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
     """Return what a throw gave."""
     values = msg_to_values(msg)
-    time, *_ = _RELEASE
-    releases = {
-        key.removesuffix(time): Release(
-            **{_RELEASE[name]: values[key.removesuffix(time) + name] for name in _RELEASE}
-        )
-        for key in values
-        if key.endswith(time)
-    }
-    differences = {
-        key.removeprefix(_COMPARISON): value
-        for key, value in values.items()
-        if key.startswith(_COMPARISON)
-    }
-    names = (item.name for item in fields(ThrowResult) if item.name not in _STRUCTURED)
-    return ThrowResult(
-        **{name: values[name] for name in names},
-        rig=values_to_rig(values),
-        first=releases.pop('', None),
-        last=releases.pop('last_', None),
-        models={prefix.removesuffix('.'): release for prefix, release in releases.items()},
-        lead=values.get('lead'),
-        comparison=Comparison(**differences) if differences else None,
-    )
+    return ThrowResult.from_values(values, values_to_rig(values))
 
 
 def rig_to_values(rig: Rig) -> dict[str, float]:
@@ -182,11 +133,8 @@ def rig_to_values(rig: Rig) -> dict[str, float]:
 
 def values_to_rig(values: Mapping[str, Any]) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
-    parts: dict[str, Any] = {
-        part: kind(**{item.name: values[f'{part}.{item.name}'] for item in fields(kind)})
-        for part, kind in (('engine', Engine), ('layer', Layer), ('projectile', Projectile))
-    }
-    return Rig(**parts, gravity=values['gravity'])
+    named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
+    return rig_of({**named, 'engine.motion': 'underdamped'})
 
 
 def _text(value: Any) -> str:

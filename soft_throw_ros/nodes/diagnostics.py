@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict
+from functools import partial
 import math
 import time
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
-from soft_throw_ros.nodes.realtime import SECOND, Ticker
-from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.nodes.realtime import Ticker
+from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 MAX_LATE_SHARE = 0.01
 """What share of the ticks may be late before it is a warning. [-]"""
@@ -33,7 +33,7 @@ class Diagnostics:
         self._session = session
         self._ticker = ticker
         self._measurement = measurement
-        self._node_name = node_name
+        self._status = partial(status_to_msg, node_name)
         self._compared: ThrowResult | None = None
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
@@ -43,57 +43,53 @@ class Diagnostics:
         """Return the statuses for the time since the last call; `result` is the last throw's."""
         if result is not None and result.stage == 'final' and result.comparison is not None:
             self._compared = result
-        lateness, compute = self._ticker.statistics.take()
-        ticks = Counter(self._ticker.statistics.counts())
-        news, self._ticks = ticks - self._ticks, ticks
-        statuses = [
-            self._timing(lateness, ticks, news),
-            self._load(compute, news),
-            self._parameters(),
-            self._layer(result),
-        ]
+        statuses = [*self._timing_and_load(), self._parameters(), self._layer(result)]
         if self._session.is_measured:
             statuses += [self._measurements(), self._model()]
         return statuses
 
-    def _timing(
-        self, lateness: list[int], ticks: Counter[str], news: Counter[str]
-    ) -> DiagnosticStatus:
-        """Tell how late the ticks were."""
+    def _timing_and_load(self) -> list[DiagnosticStatus]:
+        """Tell how late the ticks were, and how much time they take."""
+        session, ticker, now = self._session, self._ticker, time.monotonic()
+        lateness, ticker.lateness = ticker.lateness, []
+        compute, ticker.compute = ticker.compute, []
+        passed, self._time = now - self._time, now
+        ticks = ticker.counts.copy()
+        news, self._ticks = ticks - self._ticks, ticks
         late, skipped = news['ticks_late'], news['ticks_skipped']
         is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
-        return self._status(
-            'timing',
-            f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time',
-            warn=is_bad,
-            **_percentiles('lateness', lateness),
-            **ticks,
-            scheduler=self._ticker.scheduler,
-        )
-
-    def _load(self, compute: list[int], news: Counter[str]) -> DiagnosticStatus:
-        """Tell how much time the ticks take."""
-        session, now = self._session, time.monotonic()
-        passed, self._time = now - self._time, now
         share = sum(compute) / SECOND / passed
-        return self._status(
-            'load',
-            f'{100.0 * share:.1f} % of the time goes into ticks',
-            warn=share > MAX_COMPUTE_SHARE,
+        load = {
             **_percentiles('compute', compute),
-            compute_part=share,
-            real_time_factor=news['ticks'] * session.time_scale / (session.rate * passed),
-            time_scale=session.time_scale,
-            rate=session.rate,
-        )
+            'compute_part': share,
+            'real_time_factor': news['ticks'] * session.time_scale / (session.rate * passed),
+            'time_scale': session.time_scale,
+            'rate': session.rate,
+        }
+        return [
+            self._status(
+                'timing',
+                f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time',
+                {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler},
+                warn=is_bad,
+            ),
+            self._status(
+                'load',
+                f'{100.0 * share:.1f} % of the time goes into ticks',
+                load,
+                warn=share > MAX_COMPUTE_SHARE,
+            ),
+        ]
 
     def _parameters(self) -> DiagnosticStatus:
         """Tell which changes are pending."""
         pending = self._session.pending
-        text = (
-            f'{len(pending)} wait for the next throw or ~/reset' if pending else 'none is pending'
+        text = f'{len(pending)} wait for the next throw or ~/reset'
+        return self._status(
+            'parameters',
+            text if pending else 'none is pending',
+            {'pending': len(pending), **pending},
         )
-        return self._status('parameters', text, warn=False, pending=len(pending), **pending)
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
         """Tell whether the layer stayed in its linear range in the last throw."""
@@ -104,10 +100,8 @@ class Diagnostics:
         return self._status(
             'layer',
             f'strain of {strain:.1f} % in throw {result.throw}, {beyond} the linear {limit:.3g} %',
+            {name: getattr(result, name) for name in ('throw', 'peak_strain', 'max_strain')},
             warn=not result.is_linear,
-            throw=result.throw,
-            peak_strain=result.peak_strain,
-            max_strain=result.max_strain,
         )
 
     def _measurements(self) -> DiagnosticStatus:
@@ -124,11 +118,13 @@ class Diagnostics:
             f'{news["samples"]} samples, {news["messages_lost"]} lost, '
             f'{news["samples_refused"]} refused'
             + (f'; the projectile is known {-1e3 * lead:.2f} ms too late' if lead <= 0.0 else ''),
+            {
+                'at_rest': self._session.is_at_rest,
+                **{name: news[name] for name in names},
+                'lead_min': lead,
+                **reasons,
+            },
             warn=bool(is_bad) or lead <= 0.0,
-            at_rest=self._session.is_at_rest,
-            **{name: news[name] for name in names},
-            lead_min=lead,
-            **reasons,
         )
 
     def _model(self) -> DiagnosticStatus:
@@ -136,20 +132,12 @@ class Diagnostics:
         result = self._compared
         if result is None or result.comparison is None:
             return self._status('model', 'no throw has been compared')
-        comparison = result.comparison
-        values = {name: item for name, item in asdict(comparison).items() if item is not None}
         return self._status(
             'model',
-            f'throw {result.throw}: {comparison.describe()}',
-            warn=not comparison.is_within_threshold,
-            throw=result.throw,
-            **values,
+            f'throw {result.throw}: {result.comparison.describe()}',
+            {'throw': result.throw, **known_values(result.comparison)},
+            warn=not result.comparison.is_within_threshold,
         )
-
-    def _status(
-        self, task: str, message: str, *, warn: bool = False, **values: Any
-    ) -> DiagnosticStatus:
-        return status_to_msg(self._node_name, task, message, values, warn=warn)
 
 
 def _percentiles(name: str, values: list[int]) -> dict[str, float]:

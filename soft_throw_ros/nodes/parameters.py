@@ -80,7 +80,7 @@ class NodeParameters:
         on_changed: Callable[[dict[str, Any]], None] = lambda _changes: None,
         *,
         describe: Callable[[str], str] = lambda _name: '',
-        check: Callable[[Settings], None] | None = None,
+        check: Callable[[Settings], None] = lambda _settings: None,
         arguments: Sequence[str] = (),
     ) -> None:
         self._node = node
@@ -129,8 +129,7 @@ class NodeParameters:
 
     def _check_complete(self, settings: Settings) -> None:
         try:
-            if self._check is not None:
-                self._check(settings)
+            self._check(settings)
         except ValueError as error:
             raise ParameterError(str(error)) from error
 

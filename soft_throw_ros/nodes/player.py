@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-import math
 import sys
 import threading
 import time
@@ -19,24 +18,19 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
+from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.realtime import set_realtime_priority
-from soft_throw_ros.nodes.topics import load_type
+from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
-from std_srvs.srv import Trigger
-
-PAUSE = '~/pause'
-RESUME = '~/resume'
-STEP = '~/step'
-
-CLOCK = '/clock'
+from soft_throw_ros.twin.session import RequestRejected
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 DISCOVERY_TIME = 0.5
 """Before the first message, so that those who listen already get it. [s]"""
@@ -57,6 +51,9 @@ LOG_PERIOD = 10.0
 """How often it is written elsewhere. [s]"""
 
 _LONG = 1e9  # longer than any bag [s]
+
+_REFUSALS = (ImportError, ValueError, TypeError, KeyError, OverflowError, RuntimeError)
+"""What rclpy raises, besides bad names, if it is asked for a publisher that it cannot make."""
 
 
 class Player(RunnableNode):
@@ -87,6 +84,11 @@ class Player(RunnableNode):
     skipped : dict of Channel to str
         What cannot be published, and why.
 
+    Raises
+    ------
+    BagError
+        If the beginning of the bag cannot be read.
+
     """
 
     def __init__(
@@ -103,43 +105,40 @@ class Player(RunnableNode):
         **kwargs: Any,
     ) -> None:
         super().__init__('replay', **kwargs)
-        self._begin = reader.start_time + round(start * SECOND)
-        self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))
-        self._pace: dict[str, Any] = {'rate': rate, 'is_looping': loop, 'is_paused': paused}
-        self._clock_rate = clock
         self.played = 0
         self.skipped: dict[Channel, str] = {}
         self._reader = reader
-        self._publishers_by_channel: dict[Channel, Publisher] = {}
-        self._clock_publisher: Publisher | None = None
-        self._schedule: PlaybackSchedule[Message] | None = None
-        self._clock_schedule: TickSchedule | None = None
-        self._clock_ticks = 0
+        self._is_paused_first = paused
         self._code: int | None = None
         self._has_failed = False
-        self._is_terminal = sys.stderr.isatty()
-        self._lock = threading.Lock()
+        self._clock_period = round(SECOND / clock) if clock else 0
+        self._clock_due = 0
+        if clock:
+            told = REPLAY_TOPICS.clock
+            self._clock_publisher = self.create_publisher(Clock, told.name, qos_profile(told))
+        self._publishers_by_channel = self._make_publishers(topics, without_clock=bool(clock))
+        self._begin = reader.start_time + round(start * SECOND)
+        self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))
+        self._schedule: PlaybackSchedule[Message] = PlaybackSchedule(
+            self._messages,
+            lambda message: message.log_time,
+            begin_ns=self._begin,
+            end_ns=self._end,
+            now=0,
+            rate=rate,
+            is_looping=loop,
+            is_paused=True,
+        )
+        self._lock = threading.Lock()  # of the schedule, and for publishing
         self._woken = threading.Event()
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
-        try:
-            if clock:
-                self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
-            for channel in reader.channels:
-                is_wanted = not topics or channel.topic in topics
-                if not is_wanted or (clock and channel.topic == CLOCK):
-                    continue
-                try:
-                    self._publishers_by_channel[channel] = self._publisher(channel)
-                except (ImportError, NameValidationException, *_REFUSALS) as error:
-                    self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
-            self.create_service(Trigger, PAUSE, self._on_pause)
-            self.create_service(Trigger, RESUME, self._on_resume)
-            self.create_service(Trigger, STEP, self._on_step)
-            self.call_every(TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD, self._show)
-        except BaseException:
-            super().destroy_node()
-            raise
+        self.at_end(self._stop)
+        create_service(self, REPLAY_SERVICES.pause, self._on_pause)
+        create_service(self, REPLAY_SERVICES.resume, self._on_resume)
+        create_service(self, REPLAY_SERVICES.step, self._on_step)
+        self._is_terminal = sys.stderr.isatty()
+        self.call_every(TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD, self._show)
 
     @property
     def exit_code(self) -> int | None:
@@ -151,22 +150,9 @@ class Player(RunnableNode):
         for channel, reason in self.skipped.items():
             count = self._reader.counts[channel]
             _say(f'{channel.topic} is skipped, {count} messages: {reason}')
-        now = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
-        try:
-            self._schedule = PlaybackSchedule(
-                self._messages,
-                lambda message: message.log_time,
-                begin_ns=self._begin,
-                end_ns=self._end,
-                now=now,
-                **self._pace,
-            )
-        except BagError as error:
-            self._fail(error)
-            self._code = 1
-            return
-        if self._clock_publisher is not None:
-            self._clock_schedule = TickSchedule(step=0, time_ns=now, rate=self._clock_rate)
+        self._clock_due = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
+        if not self._is_paused_first:
+            self._schedule.resume(self._clock_due)
         self._thread.start()
 
     def close(self) -> None:
@@ -176,18 +162,28 @@ class Player(RunnableNode):
             print(file=sys.stderr)
         _say(f'{self.played} messages of {len(self._publishers_by_channel)} topics played')
 
-    def destroy_node(self) -> None:
-        """Stop playing, and let go of everything."""
-        self._stop()
-        super().destroy_node()
-
     def _stop(self) -> None:
         self._is_stopping = True
         self._woken.set()
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
 
-    def _publisher(self, channel: Channel) -> Publisher:
+    def _make_publishers(
+        self, topics: Collection[str], *, without_clock: bool
+    ) -> dict[Channel, Publisher]:
+        """Make a publisher for every channel that is wanted, or note why there is none."""
+        made = {}
+        for channel in self._reader.channels:
+            is_ours = without_clock and channel.topic == REPLAY_TOPICS.clock.name
+            if is_ours or (topics and channel.topic not in topics):
+                continue
+            try:
+                made[channel] = self._make_publisher(channel)
+            except (NameValidationException, *_REFUSALS) as error:
+                self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
+        return made
+
+    def _make_publisher(self, channel: Channel) -> Publisher:
         kind = load_type(channel.type)
         try:
             here = find_schema(channel.type, prefixes()).type_hash
@@ -208,10 +204,8 @@ class Player(RunnableNode):
 
     def _run(self) -> None:
         set_realtime_priority()
-        schedule = self._schedule
-        assert schedule is not None
-        while not (self._is_stopping or self._has_failed or schedule.is_over):
-            due = self._play_due(schedule)
+        while not (self._is_stopping or self._has_failed or self._schedule.is_over):
+            due = self._play_due()
             pause = POLL if due is None else (due - time.monotonic_ns()) / SECOND
             if pause > 0.0:
                 self._woken.wait(min(pause, POLL))
@@ -223,11 +217,15 @@ class Player(RunnableNode):
         if not self._is_stopping:
             self._code = 1 if is_bad else 0
 
-    def _play_due(self, schedule: PlaybackSchedule[Message]) -> int | None:
+    def _play_due(self) -> int | None:
         """Publish what is due by now; return when something is next, if that is known. [ns]"""
         with self._lock:
             now = time.monotonic_ns()
-            clock_tick = self._publish_clock(schedule, now)
+            schedule = self._schedule
+            if self._clock_period and now >= self._clock_due:
+                self._clock_publisher.publish(Clock(clock=time_to_msg(schedule.time(now))))
+                missed = (now - self._clock_due) // self._clock_period
+                self._clock_due += (missed + 1) * self._clock_period
             try:
                 while (message := schedule.next_due(now)) is not None:
                     self._publishers_by_channel[message.channel].publish(message.data)
@@ -235,20 +233,12 @@ class Player(RunnableNode):
                     if self._is_stopping:
                         break
             except BagError as error:
-                self._fail(error)
+                _say(str(error))
+                self._has_failed = True
             deadline = schedule.deadline()
-        return min((time for time in (clock_tick, deadline) if time is not None), default=None)
-
-    def _publish_clock(self, schedule: PlaybackSchedule[Message], now: int) -> int | None:
-        """Publish the time of the bag if it is time to; return when it is next. [ns]"""
-        ticks = self._clock_schedule
-        if ticks is None or self._clock_publisher is None:
-            return None
-        if ticks.deadline(self._clock_ticks) <= now:
-            self._clock_publisher.publish(Clock(clock=time_to_msg(schedule.time(now))))
-            passed = (now - ticks.time_ns) * ticks.rate / SECOND
-            self._clock_ticks = max(self._clock_ticks, math.floor(passed)) + 1
-        return ticks.deadline(self._clock_ticks)
+        if not self._clock_period:
+            return deadline
+        return self._clock_due if deadline is None else min(deadline, self._clock_due)
 
     def _wait_for_acknowledgement(self) -> None:
         """Give those who acknowledge messages a moment."""
@@ -258,51 +248,39 @@ class Player(RunnableNode):
             while not is_done and not self._is_stopping and time.monotonic_ns() < end:
                 is_done = publisher.wait_for_all_acked(Duration(nanoseconds=SECOND // 20))
 
-    def _fail(self, error: BagError) -> None:
-        _say(str(error))
-        self._has_failed = True
-
     # in the executor's thread
 
-    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_pause(self) -> str:
         with self._lock:
-            self._active.pause(time.monotonic_ns())
-        return self._answer(response, 'paused')
+            self._schedule.pause(time.monotonic_ns())
+        return f'paused at {self._position()}'
 
-    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_resume(self) -> str:
         with self._lock:
-            self._active.resume(time.monotonic_ns())
+            self._schedule.resume(time.monotonic_ns())
         self._woken.set()
-        return self._answer(response, 'playing')
+        return f'playing at {self._position()}'
 
-    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_step(self) -> str:
         with self._lock:
-            has_next = self._active.step(time.monotonic_ns())
-            is_over = self._active.is_over
-        if has_next:
-            self._play_due(self._active)
-            return self._answer(response, 'paused')
-        response.message = 'nothing follows' if is_over else f'it is not paused; call {PAUSE}'
-        return response
-
-    @property
-    def _active(self) -> PlaybackSchedule[Message]:
-        assert self._schedule is not None  # no service is served before the start
-        return self._schedule
-
-    def _answer(self, response: Trigger.Response, state: str) -> Trigger.Response:
-        response.success = True
-        response.message = f'{state} at {self._position()}'
-        return response
+            has_next = self._schedule.step(time.monotonic_ns())
+        if not has_next:
+            pause = REPLAY_SERVICES.pause.name
+            is_over = self._schedule.is_over
+            raise RequestRejected(
+                'nothing follows' if is_over else f'it is not paused; call {pause}'
+            )
+        self._play_due()
+        return f'paused at {self._position()}'
 
     def _position(self) -> str:
         with self._lock:
-            passed = self._active.time(time.monotonic_ns()) - self._reader.start_time
+            passed = self._schedule.time(time.monotonic_ns()) - self._reader.start_time
         length = self._reader.end_time - self._reader.start_time
         return f'{passed / SECOND:.3f} s of {length / SECOND:.3f} s'
 
     def _show(self) -> None:
-        if self._schedule is None or self._code is not None:
+        if self._code is not None:
             return
         state = 'paused' if self._schedule.is_paused else 'playing'
         text = f'{state} at {self._position()}, {self.played} messages'
@@ -310,10 +288,6 @@ class Player(RunnableNode):
             print(f'\r\033[Kreplay: {text}', end='', file=sys.stderr, flush=True)
         else:
             _say(text)
-
-
-_REFUSALS = (ValueError, TypeError, KeyError, OverflowError, RuntimeError)
-"""What rclpy raises if it is asked for a publisher that it cannot make."""
 
 
 def _offer(offered: Collection[Qos]) -> Qos:

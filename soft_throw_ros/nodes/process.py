@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 import os
 import signal
 import sys
@@ -43,6 +44,7 @@ class RunnableNode(Node):
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
+        self._at_end = ExitStack()
         try:
             super().__init__(name, **kwargs)
         except (InvalidParameterTypeException, NameValidationException) as error:
@@ -52,6 +54,15 @@ class RunnableNode(Node):
         """Have something called by a clock that always goes, also when `/clock` does not."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
+
+    def at_end(self, callback: Callable[..., object], *args: Any) -> None:
+        """Have something called when the node is destroyed, before what was asked for earlier."""
+        self._at_end.callback(callback, *args)
+
+    def destroy_node(self) -> None:
+        """Let go of everything, also if the node was not finished: a parameter may be refused."""
+        self._at_end.close()
+        super().destroy_node()
 
     @property
     def exit_code(self) -> int | None:

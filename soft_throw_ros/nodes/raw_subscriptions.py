@@ -13,10 +13,11 @@ from dataclasses import replace
 from importlib import metadata
 import os
 import sys
+import time
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -30,6 +31,9 @@ from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, SchemaError
 
 EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
+
+SETTLE_TIME = 2.0
+"""What is found later than this after the beginning was not there before. [s]"""
 
 DEPTH = 10_000
 """How many messages of a topic may wait to be drained."""
@@ -52,6 +56,18 @@ class RawSubscription:
     """
     A subscription to the topic of a channel, for the bytes that come.
 
+    Parameters
+    ----------
+    node : Node
+        Which subscribes.
+    channel : Channel
+        Of the topic.
+    profile : QoSProfile
+        What is asked for.
+    joins_late : bool
+        Whether the publishers may have been there before: then what was published before the
+        first message that came is no loss.
+
     Attributes
     ----------
     received : int
@@ -72,11 +88,14 @@ class RawSubscription:
 
     """
 
-    def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
+    def __init__(
+        self, node: Node, channel: Channel, profile: QoSProfile, *, joins_late: bool = True
+    ) -> None:
         self.channel = channel
         self.received = 0
         self.is_shared = False
         self._node = node
+        self._joins_late = joins_late
         self._gaps = 0
         self._earlier = 0
         self._lost_by_event = 0
@@ -155,8 +174,10 @@ class RawSubscription:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
         last = self._last_numbers.get(publisher)
-        if last is None:
+        if last is None and self._joins_late:
             self._earlier += sequence - 1
+        elif last is None:
+            self._gaps += sequence - 1
         elif sequence > last + 1:
             self._gaps += sequence - last - 1
         self._last_numbers[publisher] = sequence
@@ -177,6 +198,7 @@ class RawSubscriptions:
         self.refused: dict[str, str] = {}
         self._node = node
         self._wanted = wanted
+        self._settled = time.monotonic() + SETTLE_TIME
         self._subscriptions: dict[str, RawSubscription] = {}
 
     def __iter__(self) -> Iterator[RawSubscription]:
@@ -198,7 +220,7 @@ class RawSubscriptions:
                     refused.append(topic)
         return refused
 
-    def drain(self, clock: Clock) -> list[Message]:
+    def drain(self) -> list[Message]:
         """
         Return what has come since the last call, in the order in which it was received.
 
@@ -206,16 +228,15 @@ class RawSubscriptions:
         before it goes.
 
         """
-        now = None
-        if isinstance(clock, ROSClock) and clock.ros_time_is_active:
-            now = clock.now().nanoseconds
-            if not now:
-                return []
+        clock = self._node.get_clock()
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        now = clock.now().nanoseconds
+        if is_simulated and not now:
+            return []
         messages = [message for subscription in self for message in subscription.drain()]
-        if now is not None:
+        if is_simulated:
             return [message._replace(log_time=now, publish_time=now) for message in messages]
-        messages.sort(key=lambda message: message.log_time)
-        return messages
+        return sorted(messages, key=lambda message: message.log_time)
 
     def close(self) -> None:
         """Unsubscribe from everything; what was counted stays."""
@@ -235,7 +256,9 @@ class RawSubscriptions:
             type_hash=schema.type_hash,
             qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
         )
-        return RawSubscription(self._node, channel, fitting_profile(publishers))
+        joins_late = time.monotonic() < self._settled
+        profile = fitting_profile(publishers)
+        return RawSubscription(self._node, channel, profile, joins_late=joins_late)
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:

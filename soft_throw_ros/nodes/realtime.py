@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 import ctypes
-from dataclasses import dataclass, field
 import os
 import threading
 import time
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 SPIN = 60_000
@@ -24,21 +25,6 @@ POLL = 0.1
 
 PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
-
-
-class Steps(Protocol):
-    """What steps are asked of: `twin.session.Session` is one."""
-
-    @property
-    def step(self) -> int:
-        """Number of the next step."""
-
-    @property
-    def rate(self) -> float:
-        """Steps per second, now. [Hz]"""
-
-    def set_tick_schedule(self, schedule: TickSchedule) -> None:
-        """Take note of when steps are due from the next one on."""
 
 
 class SystemClock:
@@ -128,44 +114,17 @@ class NodeClock:
 
 Clock: TypeAlias = SystemClock | NodeClock
 
-
-@dataclass
-class TickStatistics:
-    """How well time was kept: counts since the start, and lists since they were last taken."""
-
-    ticks: int = 0
-    late: int = 0
-    skipped: int = 0
-    caught_up: int = 0
-    jumps: int = 0
-    lateness: list[int] = field(default_factory=list)
-    compute: list[int] = field(default_factory=list)
-
-    def counts(self) -> dict[str, int]:
-        """Return the counts by the names under which they are published."""
-        return {
-            'ticks': self.ticks,
-            'ticks_late': self.late,
-            'ticks_skipped': self.skipped,
-            'ticks_caught_up': self.caught_up,
-            'clock_jumps': self.jumps,
-        }
-
-    def take(self) -> tuple[list[int], list[int]]:
-        """Return lateness and compute time of the ticks since the last call. [ns]"""
-        lateness, self.lateness = self.lateness, []
-        compute, self.compute = self.compute, []
-        return lateness, compute
+_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
 
 class Ticker:
     """
-    Have every step done that is due.
+    Have every step of a session done that is due.
 
     Parameters
     ----------
-    steps : Steps
-        Are due at their `rate`, the next one at the first look at the clock.
+    session : Session
+        Its steps are due at its rate, the next one at the first look at the clock.
     on_tick : callable
         Goes a step on; called with when it was due. [ns]
     clock : callable
@@ -173,8 +132,10 @@ class Ticker:
 
     Attributes
     ----------
-    statistics : TickStatistics
-        How well time was kept.
+    counts : Counter of str
+        Ticks since the start, and what was wrong with them, by the names that are published.
+    lateness, compute : list of int
+        Of the ticks, until somebody takes the lists away. [ns]
     scheduler : str
         What the operating system schedules the thread by, 'fifo' or 'other'.
 
@@ -185,11 +146,13 @@ class Ticker:
     """
 
     def __init__(
-        self, steps: Steps, on_tick: Callable[[int], None], clock: Callable[[], Clock]
+        self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
-        self.statistics = TickStatistics()
+        self.counts = Counter(dict.fromkeys(_COUNTED, 0))
+        self.lateness: list[int] = []
+        self.compute: list[int] = []
         self.scheduler = ''
-        self._steps = steps
+        self._session = session
         self._on_tick = on_tick
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
@@ -219,40 +182,38 @@ class Ticker:
         schedule = self._schedule_of(clock, now)
         if schedule is None:
             return now + 1
-        steps, statistics = self._steps, self.statistics
-        skipped = schedule.skip(step=steps.step, now=now, max_catch_up=clock.max_catch_up)
+        session, counts = self._session, self.counts
+        skipped = schedule.skip(step=session.step, now=now, max_catch_up=clock.max_catch_up)
         if skipped:
-            statistics.skipped += skipped
-            steps.set_tick_schedule(schedule)
-        due = schedule.deadline(steps.step)
-        is_first = True
+            counts['ticks_skipped'] += skipped
+            session.set_tick_schedule(schedule)
+        due = schedule.deadline(session.step)
+        done = 0
         while due <= now:
             begin = time.perf_counter_ns()
             self._on_tick(due)
-            statistics.compute.append(time.perf_counter_ns() - begin)
-            statistics.lateness.append(now - due)
-            statistics.ticks += 1
-            statistics.late += now - due > clock.tolerance
-            statistics.caught_up += not is_first
-            is_first = False
-            if steps.rate != schedule.rate:
-                schedule.change_rate(step=steps.step - 1, rate=steps.rate)
-                steps.set_tick_schedule(schedule)
-            due = schedule.deadline(steps.step)
+            self.compute.append(time.perf_counter_ns() - begin)
+            self.lateness.append(now - due)
+            counts['ticks_late'] += now - due > clock.tolerance
+            done += 1
+            if session.rate != schedule.rate:
+                schedule.change_rate(step=session.step - 1, rate=session.rate)
+                session.set_tick_schedule(schedule)
+            due = schedule.deadline(session.step)
+        counts['ticks'] += done
+        counts['ticks_caught_up'] += max(done - 1, 0)
         return due
 
     def _schedule_of(self, clock: Clock, now: int) -> TickSchedule | None:
         """Return when steps are due by a clock, or None if it does not go yet."""
-        followed = (clock, clock.epoch)
-        if followed != self._followed:
-            self.statistics.jumps += self._schedule is not None
-            self._followed = followed
+        if self._followed != (clock, clock.epoch):
+            self.counts['clock_jumps'] += self._schedule is not None
+            self._followed = (clock, clock.epoch)
             self._schedule = None
         if self._schedule is None and now > 0:
-            self._schedule = TickSchedule(
-                step=self._steps.step, time_ns=now, rate=self._steps.rate
-            )
-            self._steps.set_tick_schedule(self._schedule)
+            session = self._session
+            self._schedule = TickSchedule(step=session.step, time_ns=now, rate=session.rate)
+            session.set_tick_schedule(self._schedule)
         return self._schedule
 
     def _run(self) -> None:

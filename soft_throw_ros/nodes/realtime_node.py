@@ -61,7 +61,10 @@ class RealTimeNode(RunnableNode):
         """Have steps of a session done as soon as the node starts."""
         self.session = session
         self._node_clock = NodeClock(self)
+        self.at_end(self._node_clock.close)
         self.ticker = Ticker(session, self.on_tick, self._current_clock)
+        self.at_end(session.close)
+        self.at_end(self.ticker.stop, STOP_TIMEOUT)
         self.call_every(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
@@ -92,13 +95,6 @@ class RealTimeNode(RunnableNode):
         """Tick."""
         self.ticker.start()
         self.get_logger().info('ready')
-
-    def destroy_node(self) -> None:
-        """Stop the ticks, and let go of everything."""
-        if hasattr(self, 'ticker'):  # else it was not finished, since a parameter was refused
-            self.ticker.stop(STOP_TIMEOUT)
-            self._node_clock.close()
-        super().destroy_node()
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock

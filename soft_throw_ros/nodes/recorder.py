@@ -39,7 +39,7 @@ from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
-from std_srvs.srv import Trigger
+from soft_throw_ros.twin.session import RequestRejected
 
 DRAIN_TIME = 0.01
 """How often messages are taken. [s]"""
@@ -73,7 +73,6 @@ class Recording:
         self.writer: WriterThread | None = None
         self.live_stream: LiveStream | None = None
         self._settings = settings
-        self._clock = recorder.get_clock()
         self._began = time.monotonic()
         self._twins: dict[str, Any] = {}
         if settings['storage'] == 'mcap':
@@ -123,6 +122,11 @@ class Recording:
                 lost[channel.topic] += count
         return {topic: count for topic, count in sorted(lost.items()) if count}
 
+    def earlier(self) -> dict[str, int]:
+        """Return how many messages of which topics were published before we joined."""
+        counts = {item.channel.topic: item.earlier for item in self.subscriptions}
+        return {topic: count for topic, count in sorted(counts.items()) if count}
+
     def stop(self) -> None:
         """
         Take what has come, and bring bag and viewer to an end.
@@ -142,8 +146,7 @@ class Recording:
                 self.writer.add_metadata(
                     'losses', _texts({'total': sum(losses.values()), **losses})
                 )
-                counts = {item.channel.topic: item.earlier for item in self.subscriptions}
-                if earlier := {topic: count for topic, count in counts.items() if count}:
+                if earlier := self.earlier():
                     self.writer.add_metadata('published before recording', _texts(earlier))
                 self.writer.close()
         finally:
@@ -158,6 +161,9 @@ class Recording:
         text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
         if self.bag is not None:
             text += f', in {self.bag}'
+        if earlier := self.earlier():
+            text += f'; joined late, after {sum(earlier.values())} messages'
+            text += ''.join(f', {count} of {topic}' for topic, count in earlier.items())
         if self.error:
             text += f'; the end is missing: {self.error}'
         if self.live_stream is not None and self.live_stream.dropped:
@@ -182,7 +188,7 @@ class Recording:
         self._take()
 
     def _take(self) -> None:
-        messages = self.subscriptions.drain(self._clock)
+        messages = self.subscriptions.drain()
         if not messages:
             return
         if self.live_stream is not None:
@@ -190,30 +196,29 @@ class Recording:
         if self.writer is not None:
             self.writer.put(messages)
             for message in messages:
-                found = find_topic(message.channel.topic, message.channel.type)
-                if found is not None and found.topic == TWIN_TOPICS.journal:
-                    self._read_journal(self.writer, found.node, message)
+                if message.channel.type == TWIN_TOPICS.journal.type:
+                    self._read_journal(self.writer, message)
 
-    def _read_journal(self, writer: WriterThread, node: str, message: Message) -> None:
+    def _read_journal(self, writer: WriterThread, message: Message) -> None:
         """Write down what a twin tells of itself, at first and on change."""
         channel = message.channel
-        try:
-            text = decode(channel.type, channel.schema, message.data)
-            entry = journal.decode(text.data)
-            settings, versions = entry['settings'], entry['versions']
-        except (MessageError, journal.JournalError, AttributeError, KeyError):
-            return  # an entry that has none, or somebody else's topic
-        told = (settings, versions)
-        if self._twins.get(channel.topic) == told or not all(isinstance(x, dict) for x in told):
+        found = find_topic(channel.topic, channel.type)
+        if found is None or found.topic != TWIN_TOPICS.journal:
             return
-        if channel.topic not in self._twins:
+        try:
+            entry = journal.decode(decode(channel.type, channel.schema, message.data).data)
+            settings, versions = journal.checked_settings(entry, 'settings'), entry['versions']
+        except (MessageError, journal.JournalError, KeyError):
+            return  # an entry that has none, or somebody else's topic
+        node = found.node
+        if node not in self._twins:
+            name = f'{node.strip("/").replace("/", "_")}.yaml'
             text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
-            writer.attach(
-                f'{node.strip("/").replace("/", "_")}.yaml', text.encode(), 'application/yaml'
-            )
-        self._twins[channel.topic] = told
-        writer.add_metadata(f'parameters of {node}', _texts(settings))
-        writer.add_metadata(f'versions of {node}', _texts(versions))
+            writer.attach(name, text.encode(), 'application/yaml')
+        if self._twins.get(node) != (settings, versions):
+            self._twins[node] = settings, versions
+            writer.add_metadata(f'parameters of {node}', _texts(settings))
+            writer.add_metadata(f'versions of {node}', _texts(versions))
 
     def _inspect_command(self) -> list[str]:
         """Return what shows the stream."""
@@ -245,6 +250,7 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None
+        self.at_end(self.close)
         self._is_bag_gone = False
         self._last = 'nothing has been recorded yet'
         when = ', when recording is started again'
@@ -285,11 +291,6 @@ class Recorder(RunnableNode):
             self.end()
             self._is_bag_gone = bag is not None and not bag.exists()
 
-    def destroy_node(self) -> None:
-        """Finish what is being recorded, and let go of everything."""
-        self.close()
-        super().destroy_node()
-
     def begin(self) -> None:
         """
         Record.
@@ -321,28 +322,18 @@ class Recorder(RunnableNode):
         self._report()
         self.get_logger().info(self._last)
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        stop = RECORDER_SERVICES.stop.name
+    def _on_start(self) -> str:
         if self.recording is not None:
-            response.message = f'already {self._message()}; call {stop} first'
-            return response
-        try:
-            self.begin()
-        except ParameterError as error:
-            response.message = str(error)
-        else:
-            response.success = True
-            response.message = self._message()
-        return response
+            stop = RECORDER_SERVICES.stop.name
+            raise RequestRejected(f'already {self._message()}; call {stop} first')
+        self.begin()
+        return self._message()
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self) -> str:
         if self.recording is None:
-            response.message = f'nothing is being recorded; {self._last}'
-        else:
-            self.end()
-            response.success = True
-            response.message = self._last
-        return response
+            raise RequestRejected(f'nothing is being recorded; {self._last}')
+        self.end()
+        return self._last
 
     def _on_discovery(self) -> None:
         recording = self.recording
@@ -382,39 +373,29 @@ class Recorder(RunnableNode):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         recording = self.recording
+        status = partial(status_to_msg, self.get_fully_qualified_name())
         if recording is None:
-            return [self._status_of('bag', self._message(), is_recording=False)]
+            return [status('bag', self._message(), {'is_recording': False})]
+        values = {
+            'is_recording': True,
+            'bag': recording.bag or '',
+            'messages': recording.received,
+            'topics': len(list(recording.subscriptions)),
+        }
+        message, error = self._message(), recording.error
         losses = recording.losses()
         lost = sum(losses.values())
         statuses = [
-            self._status_of(
-                'bag',
-                recording.error or self._message(),
-                warn=bool(recording.error),
-                is_recording=True,
-                bag=recording.bag or '',
-                messages=recording.received,
-                topics=len(list(recording.subscriptions)),
-            ),
-            self._status_of('losses', f'{lost} messages lost', warn=lost > 0, lost=lost, **losses),
+            status('bag', error or message, values, warn=bool(error)),
+            status('losses', f'{lost} messages lost', {'lost': lost, **losses}, warn=lost > 0),
         ]
         stream = recording.live_stream
         if stream is not None:
-            statuses.append(
-                self._status_of(
-                    'viewer',
-                    stream.error or f'{stream.dropped} messages not shown',
-                    warn=bool(stream.error or stream.dropped),
-                    dropped=stream.dropped,
-                    starts=stream.starts,
-                )
-            )
+            message = stream.error or f'{stream.dropped} messages not shown'
+            values = {'dropped': stream.dropped, 'starts': stream.starts}
+            is_bad = bool(stream.error or stream.dropped)
+            statuses.append(status('viewer', message, values, warn=is_bad))
         return statuses
-
-    def _status_of(
-        self, task: str, message: str, *, warn: bool = False, **values: Any
-    ) -> DiagnosticStatus:
-        return status_to_msg(self.get_fully_qualified_name(), task, message, values, warn=warn)
 
 
 def _check(settings: Settings) -> None:

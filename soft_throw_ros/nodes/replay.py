@@ -60,16 +60,13 @@ def main(args: list[str] | None = None) -> int:
         return 130
 
 
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     """Tell our arguments from those for ROS, which stand between --ros-args and --."""
-    own: list[str] = []
-    of_ros: list[str] = []
-    is_of_ros = False
-    for argument in arguments:
-        is_of_ros = is_of_ros or argument == '--ros-args'
-        (of_ros if is_of_ros else own).append(argument)
-        is_of_ros = is_of_ros and argument != '--'
-    return own, of_ros
+    if '--ros-args' not in arguments:
+        return arguments, []
+    begin = arguments.index('--ros-args')
+    end = arguments.index('--', begin) if '--' in arguments[begin:] else len(arguments)
+    return [*arguments[:begin], *arguments[end + 1 :]], arguments[begin:end]
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -118,7 +115,11 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _options(given: argparse.Namespace) -> dict[str, Any]:
     """Return what is said about playing, as `Player` takes it."""
-    return {name: value for name, value in vars(given).items() if name not in ('bag', 'check')}
+    return {
+        name: value
+        for name, value in vars(given).items()
+        if name not in ('bag', 'check', 'ros_args')
+    }
 
 
 def _positive(text: str) -> float:

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from soft_throw_ros.configuration import interface
+from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.twin.session import RequestRejected
+from std_srvs.srv import Trigger
 
 _MANY = 8  # joints, from which on arrays are quicker than single values
 
@@ -30,14 +30,11 @@ def load_type(name: str) -> Any:
 
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service of a topic."""
+    reliability, durability = ReliabilityPolicy, DurabilityPolicy
     return QoSProfile(
         depth=topic.depth,
-        reliability=(
-            ReliabilityPolicy.RELIABLE if topic.is_reliable else ReliabilityPolicy.BEST_EFFORT
-        ),
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else DurabilityPolicy.VOLATILE
-        ),
+        reliability=reliability.RELIABLE if topic.is_reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if topic.is_latched else durability.VOLATILE,
     )
 
 
@@ -51,28 +48,27 @@ def create_subscription(node: Node, topic: Topic, on_message: Callable[[Any], No
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
 
 
-def create_service(node: Node, service: Service, on_request: Callable[[Any, Any], Any]) -> None:
-    """Let a node offer a service."""
-    node.create_service(load_type(service.type), service.name, on_request)
+def create_service(node: Node, service: Service, act: Callable[[], str]) -> None:
+    """Let a node offer a service; `act` says what it has done, or raises why it has not."""
+
+    def on_request(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = act()
+            response.success = True
+        except (RequestRejected, ParameterError) as refusal:
+            response.message = str(refusal)
+        return response
+
+    node.create_service(Trigger, service.name, on_request)
 
 
 class Publishers:
     """All that a node publishes, made from its rows of topics, and sent as plain values."""
 
     def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
-        self._publishers: dict[str, Publisher] = {}
-        self._senders: dict[str, Callable[..., None]] = {}
-        for topic in topics:
-            if not topic.is_input:
-                publisher = node.create_publisher(
-                    load_type(topic.type), topic.name, qos_profile(topic)
-                )
-                self._publishers[topic.name] = publisher
-                self._senders[topic.name] = _make_sender(publisher, topic)
-
-    def __getitem__(self, topic: Topic) -> Publisher:
-        """Return the publisher of a topic."""
-        return self._publishers[topic.name]
+        self._senders = {
+            topic.name: _make_sender(node, topic) for topic in topics if not topic.is_input
+        }
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """
@@ -90,20 +86,16 @@ class Publishers:
         self._senders[topic.name](*values)
 
 
-def _make_sender(publisher: Publisher, topic: Topic) -> Callable[..., None]:
+def _make_sender(node: Node, topic: Topic) -> Callable[..., None]:
     """Return what turns values into a message, and publishes it."""
-    publish = publisher.publish
-    message_type: Any = publisher.msg_type
+    message_type = load_type(topic.type)
+    publish = node.create_publisher(message_type, topic.name, qos_profile(topic)).publish
     if topic.type == interface.JOINT_STATE:
         encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
         encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         return lambda stamp_ns, values: publish(encode(stamp_ns, values))
     if topic.type == interface.MULTI_ARRAY:
-        return lambda array: publish(_encode_array(topic, array))
+        return lambda array: publish(encode_array(topic.axes, array))
     if topic.type == interface.ARRAY:
         return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
     return lambda value: publish(message_type(data=value))
-
-
-def _encode_array(topic: Topic, array: np.ndarray[Any, Any]) -> bytes:
-    return ArrayEncoder(dict(zip(topic.axes, array.shape, strict=True))).encode(array)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from soft_throw_ros.configuration import ParameterError, TWIN
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import throw_result_to_msg
 from soft_throw_ros.nodes.diagnostics import Diagnostics
@@ -32,7 +32,6 @@ from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
-from std_srvs.srv import Trigger
 
 RECOMMENDATION_INTERVAL = 0.3
 """Least time from one search for a better layer to the next, so that ticks do not feel it. [s]"""
@@ -81,6 +80,8 @@ class Twin(RealTimeNode):
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
         self.measurement = Measurement(self, session)
+        self.at_end(self.measurement.close)
+        self.at_end(self._run_jobs)  # the last lines of the journal
         self.drive(session)
         self._diagnostics = Diagnostics(
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
@@ -88,6 +89,7 @@ class Twin(RealTimeNode):
         self._worker = LatestOnlyWorker(
             recommend_for, self._on_recommendation, interval=RECOMMENDATION_INTERVAL
         )
+        self.at_end(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.settings)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
@@ -97,16 +99,6 @@ class Twin(RealTimeNode):
         """Compile or load all kernels, those of the recommendation included."""
         recommend_for(TWIN.defaults())
         super().prepare()
-
-    def destroy_node(self) -> None:
-        """Stop the threads, publish what waits, and let go of everything."""
-        if hasattr(self, '_worker'):  # else it was not finished, since a parameter was refused
-            self.ticker.stop(STOP_TIMEOUT)
-            self.session.close()
-            self._worker.close(STOP_TIMEOUT)
-            self._run_jobs()
-            self.measurement.close()
-        super().destroy_node()
 
     # in the thread of the ticks
 
@@ -217,42 +209,25 @@ class Twin(RealTimeNode):
         """Say when a change takes effect."""
         return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
-    def _on_throw(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            self.session.request_throw()
-        except RequestRejected as refusal:
-            response.message = str(refusal)
-        else:
-            response.success = True
-            topic = self.outgoing[TWIN_TOPICS.throw_result].topic_name
-            response.message = f'the result comes on {topic}'
-        return response
+    def _on_throw(self) -> str:
+        self.session.request_throw()
+        topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
+        return f'the result comes on {topic.name}'
 
-    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self) -> str:
         self.session.reset()
-        response.success = True
-        response.message = 'the rig is being put back'
-        return response
+        return 'the rig is being put back'
 
-    def _on_apply_recommendation(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_apply_recommendation(self) -> str:
         found = self.recommendation
         if found is None:
-            response.message = 'the recommendation is being computed; ask again'
-        elif found.best is None:
-            response.message = found.describe()
-        else:
-            changes = found.changes()
-            try:
-                self.parameters.apply(changes)
-            except ParameterError as error:
-                response.message = str(error)
-            else:
-                response.success = True
-                values = ', '.join(f'{name} {value}' for name, value in changes.items())
-                response.message = f'{values}, from the next throw or ~/reset on'
-        return response
+            raise RequestRejected('the recommendation is being computed; ask again')
+        if found.best is None:
+            raise RequestRejected(found.describe())
+        changes = found.changes()
+        self.parameters.apply(changes)
+        values = ', '.join(f'{name} {value}' for name, value in changes.items())
+        return f'{values}, from the next throw or ~/reset on'
 
     def on_second(self) -> None:
         """Publish how well time is kept, and what is pending."""

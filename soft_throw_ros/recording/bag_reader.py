@@ -18,7 +18,6 @@ from soft_throw_ros.recording.mcap_file import (
     Chunk,
     DamageError,
     Definitions,
-    EndOfStreamError,
     Gap,
     Known,
     McapFile,
@@ -31,6 +30,8 @@ from soft_throw_ros.recording.qos import load_yaml
 
 _FILES = 'relative_file_paths'
 
+_SUFFIXES = ('.mcap', '.mcap.zstd')
+
 
 class BagReader:
     """
@@ -38,8 +39,8 @@ class BagReader:
 
     Parameters
     ----------
-    path : path_like
-        A folder with MCAP files, or one such file.
+    path : file_pathlike
+        A folder with MCAP files, or one such file; both may be compressed as rosbag2 does it.
     by_scan : bool
         Whether to look at every record first, instead of believing the indexes of the files.
 
@@ -74,11 +75,15 @@ class BagReader:
         self._gaps: list[Gap] = []
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
+        mode = str(information.get('compression_mode')).lower()
         known: Known = {}
         self._files: list[McapFile] = []
         try:
-            for file in self._paths(information):
-                self._files.append(McapFile(file, known, by_scan=by_scan))
+            for file_path in self._paths(information):
+                file = McapFile(
+                    file_path, known, by_scan=by_scan, has_compressed_messages=mode == 'message'
+                )
+                self._files.append(file)
         except BagError:
             self.close()
             raise
@@ -119,6 +124,11 @@ class BagReader:
         gaps = self.gaps
         more = f'; and {len(gaps) - 1} more' if len(gaps) > 1 else ''
         return f'{gaps[0]}{more}' if gaps else ''
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is left out of the definitions of channels, since it cannot be trusted."""
+        return [doubt for file in self._files for doubt in file.definitions.doubts]
 
     @property
     def metadata(self) -> list[mcap.Metadata]:
@@ -193,9 +203,9 @@ class BagReader:
         storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
         if storage != 'mcap':
             raise BagError(f'{self.path} {not_mcap(f"in {storage}")}')
-        if str(information.get('compression_mode')).lower() in ('file', 'message'):
-            raise BagError(f'{self.path} {not_mcap("compressed")}')
-        found = sorted(self.path.glob('*.mcap'), key=_by_number)
+        found = sorted(
+            (path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)), key=_by_number
+        )
         listed = [self.path / Path(name).name for name in information.get(_FILES, ())]
         self._gaps += [
             Gap(path, 0, 0, 'the file is missing') for path in listed if path not in found
@@ -222,7 +232,8 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
     Raises
     ------
     BagError
-        Where the stream is no MCAP (any more); not where it ends, since a writer may be killed.
+        Where the stream is no MCAP (any more), after all that came before; not where it ends
+        after a whole record, since a writer may be killed.
 
     """
     definitions = Definitions({})
@@ -238,8 +249,6 @@ def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message 
                         definitions.add(item)
                     case mcap.Metadata():
                         yield item
-    except EndOfStreamError:
-        return
     except DamageError as error:
         raise BagError(f'{name}: {error}') from None
 

@@ -7,18 +7,19 @@ Messages stay the bytes that came (see `cdr`); the files are written by the libr
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 import contextlib
-from dataclasses import dataclass
 import errno
 import fcntl
 import os
 from pathlib import Path
 import shutil
 from typing import Any
+import zlib
 
 from mcap.data_stream import RecordBuilder
-from mcap.records import Attachment
+from mcap.records import Attachment, Chunk
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import CompressionType, Writer
@@ -75,10 +76,6 @@ class BagWriter:
     ----------
     folder : Path
         The bag.
-    counts : dict of Channel to int
-        How many messages are in the bag as of the last `flush`.
-    lost : dict of Channel to int
-        How many messages were written in vain, because the bag was deleted or `close` failed.
 
     Raises
     ------
@@ -104,8 +101,6 @@ class BagWriter:
         sync: bool = False,
     ) -> None:
         self.folder = Path(folder)
-        self.counts: dict[Channel, int] = {}
-        self.lost: dict[Channel, int] = {}
         if compression not in _COMPRESSIONS:
             choices = ', '.join(_COMPRESSIONS)
             raise BagError(f'compression must be one of {choices}, got {compression!r}')
@@ -117,16 +112,11 @@ class BagWriter:
         self._max_size = max_size or _NEVER
         self._max_duration = round(max_duration * 1e9) or _NEVER
         self._sync = sync
-        self._files: list[_FileInformation] = []
+        self._files: list[_File] = []  # the last one is open, unless a next one cannot be begun
+        self._channels: dict[Channel, None] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: list[Attachment] = []
-        self._written: dict[Channel, int] = {}  # of these, `counts` are kept
-        self._kept_before: dict[Channel, int] = {}  # in the files before the open one
-        # Of the open file; there is no writer while a next file cannot be begun
-        self._writer: Writer | None = None
-        self._ids: dict[Channel, int] = {}
-        self._schemas: dict[tuple[str, str, str], int] = {}
-        self._until = 0  # the log time from which on a next file is due; 0 if not known yet
+        self._is_deleted = False
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -161,34 +151,28 @@ class BagWriter:
             If its times are none.
 
         """
-        channel, data, log_time, publish_time, sequence = message
+        channel, _, log_time, publish_time, _ = message
         if (log_time | publish_time) >> 63:
             raise ValueError(
                 f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
                 f'got {log_time} and {publish_time}'
             )
-        number = self._ids.get(channel)
-        if number is None or log_time >= self._until or self._output.needs_attention:
-            number = self._prepare(channel, log_time)
-        self._add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
-        self._written[channel] += 1
         file = self._files[-1]
-        file.count += 1
-        file.first = min(file.first, log_time)
-        file.last = max(file.last, log_time)
+        if file.output.needs_attention or log_time >= file.until or channel not in file.written:
+            file = self._prepare(channel, log_time)
+        file.add(message)
 
     def add_channel(self, channel: Channel) -> None:
         """Have a channel in the bag even if no message comes; `write` adds it otherwise."""
-        if channel not in self._written:
-            self.counts[channel] = self._written[channel] = 0
-            if self._writer is not None:
-                self._define(self._writer, self._output, channel)
+        self._channels[channel] = None
+        if not self._files[-1].is_finished:
+            self._files[-1].define(channel)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts; the last ones of a name are repeated in files that follow."""
         self._metadata[name] = dict(values)
-        if self._writer is not None:
-            self._writer.add_metadata(name, self._metadata[name])
+        if not self._files[-1].is_finished:
+            self._files[-1].writer.add_metadata(name, self._metadata[name])
 
     def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
         """
@@ -208,8 +192,8 @@ class BagWriter:
         """
         attachment = Attachment(time, time, name, media_type, data)
         self._attachments.append(attachment)
-        if self._writer is not None:
-            self._writer.add_attachment(**vars(attachment))
+        if not self._files[-1].is_finished:
+            self._files[-1].writer.add_attachment(**vars(attachment))
 
     def flush(self) -> None:
         """
@@ -224,18 +208,16 @@ class BagWriter:
         if self._is_closed:
             raise BagError(f'{self.folder} is closed')
         with self._guard():
-            if self._writer is not None:
-                self._writer.flush()
             self._keep()
-            if self._writer is None:
-                self._output.close()
+            if self._files[-1].is_finished:
+                self._files[-1].output.close()
                 self._begin_file()
 
     def split(self) -> None:
         """Go on in a next file, unless there is no message in this one."""
         self.flush()
         if self._files[-1].count:
-            self._finish_file()
+            self._files[-1].finish(self._information())
             self.flush()
 
     def close(self) -> None:
@@ -250,100 +232,86 @@ class BagWriter:
         """
         if self._is_closed:
             return
+        file = self._files[-1]
         try:
             with self._guard():
-                if self._writer is not None:
-                    self._writer.flush()
-                    self._keep()
-                    self._finish_file()
                 self._keep()
-                self._output.close()
+                if not file.is_finished:
+                    file.finish(self._information())
+                    self._keep()
+                file.output.close()
                 self._write_information()
         finally:
-            self._count_lost()
-            self._output.close()
+            file.output.close()
             os.close(self._lock)
             self._lock = -1
+
+    @property
+    def counts(self) -> dict[Channel, int]:
+        """How many messages are in the bag as of the last `flush`."""
+        return {channel: sum(each.kept.get(channel, 0) for each in self._files)
+                for channel in list(self._channels)}  # fmt: skip
+
+    @property
+    def lost(self) -> dict[Channel, int]:
+        """How many messages were written in vain, because the bag was deleted, or closed so."""
+        if not (self._is_closed or self._is_deleted):
+            return {}
+        written = sum((Counter(each.written) for each in self._files), Counter())
+        return dict(written - Counter(self.counts))
 
     @property
     def _is_closed(self) -> bool:
         return self._lock < 0
 
-    def _prepare(self, channel: Channel, log_time: int) -> int:
-        """Have a file that can take a message; return the number of its channel."""
+    def _prepare(self, channel: Channel, log_time: int) -> _File:
+        """Return a file that can take a message."""
         if self._is_closed:
             raise BagError(f'{self.folder} is closed')
-        if self._output.error is not None or self._writer is None:
+        if self._files[-1].output.error is not None or self._files[-1].is_finished:
             self.flush()
-        if self._output.needs_attention or (self._until and log_time >= self._until):
+        if self._files[-1].output.needs_attention or 0 < self._files[-1].until <= log_time:
             self.split()
-        if not self._until:
-            self._until = log_time + self._max_duration
+        file = self._files[-1]
+        file.until = file.until or log_time + self._max_duration
         self.add_channel(channel)
-        return self._ids[channel]
+        return file
 
     def _begin_file(self) -> None:
         """Open the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        output = _Output(path, self._max_size)
-        writer = Writer(
-            output,  # type: ignore[arg-type]  # all that a writer needs of a stream
-            chunk_size=CHUNK_SIZE,
-            compression=self._compression,
-        )
-        writer.start(PROFILE, LIBRARY)
+        file = _File(path, self._max_size, self._compression)
         for name, values in self._metadata.items():
-            writer.add_metadata(name, values)
+            file.writer.add_metadata(name, values)
         for attachment in self._attachments:
-            writer.add_attachment(**vars(attachment))
-        self._ids, self._schemas, self._until = {}, {}, 0
-        for channel in self._written:
-            self._define(writer, output, channel)
-        self._files.append(_FileInformation(path.name))
+            file.writer.add_attachment(**vars(attachment))
+        for channel in self._channels:
+            file.define(channel)
+        self._files.append(file)
         try:
-            output.keep(sync=self._sync)
+            file.output.keep(sync=self._sync)
             self._write_information()  # not before there is a file that can be read
             if self._sync:
                 os.fsync(self._lock)  # that there are such files
         except OSError:
             self._files.pop()
-            output.close()
+            file.output.close()
             path.unlink(missing_ok=True)  # so that the next attempt can make it
             raise
-        self._output, self._kept_before = output, dict(self.counts)
-        self._writer, self._add_message = writer, writer.add_message
-
-    def _define(self, writer: Writer, output: _Output, channel: Channel) -> None:
-        """Define a channel: for its chunk, and once more outside of it."""
-        builder = RecordBuilder()
-        for record in register_channel(writer, channel, self._schemas):
-            record.write(builder)
-            self._ids[channel] = record.id
-        output.write(builder.end())
-
-    def _finish_file(self) -> None:
-        """Write the end of the open file, which is kept with the next flush."""
-        assert self._writer is not None
-        self._writer.add_metadata(
-            'rosbag2', {'serialized_metadata': qos.dump_yaml(self._information())}
-        )
-        self._writer.finish()
-        self._writer, self._ids = None, {}
 
     def _keep(self) -> None:
-        """Hand what waits to the system, and count what is kept then."""
-        self._output.keep(sync=self._sync)
+        """Hand what waits to the system, and note what is kept then."""
+        file = self._files[-1]
+        if not file.is_finished:
+            file.writer.flush()
+        file.output.keep(sync=self._sync)
         if not os.fstat(self._lock).st_nlink:
-            self._kept_before = {}
-        if not self._output.exists:
-            self.counts = {**dict.fromkeys(self.counts, 0), **self._kept_before}
-            self._count_lost()
+            for each in self._files:
+                each.kept = {}
+        if not file.output.exists:
+            file.kept, self._is_deleted = {}, True
             raise FileNotFoundError(errno.ENOENT, 'it was deleted while it was written')
-        self.counts = dict(self._written)
-
-    def _count_lost(self) -> None:
-        lost = {channel: count - self.counts[channel] for channel, count in self._written.items()}
-        self.lost = {channel: count for channel, count in lost.items() if count}
+        file.kept = dict(file.written)
 
     @contextlib.contextmanager
     def _guard(self) -> Iterator[None]:
@@ -401,16 +369,66 @@ class BagWriter:
             raise
 
 
-@dataclass
-class _FileInformation:
-    """A file of a bag: how many messages of which log times are in it. [ns]"""
+class _File:
+    """A file of a bag, complete by itself: how it is written, and what is in it."""
 
-    name: str
-    count: int = 0
-    first: int = LATEST
-    last: int = 0
+    def __init__(self, path: Path, max_size: int, compression: CompressionType) -> None:
+        self.name = path.name
+        self.count = 0
+        self.first, self.last = LATEST, 0  # log times [ns]
+        self.until = 0  # the log time from which on a next file is due; 0 if not known yet [ns]
+        self.written: dict[Channel, int] = {}
+        self.kept: dict[Channel, int] = {}  # of these, whatever happens
+        self.is_finished = False
+        self.output = _Output(path, max_size)
+        self.writer = Writer(
+            self.output,  # type: ignore[arg-type]  # all that a writer needs of a stream
+            chunk_size=CHUNK_SIZE,
+            compression=compression,
+        )
+        self.writer.start(PROFILE, LIBRARY)
+        self._ids: dict[Channel, int] = {}
+        self._schemas: dict[tuple[str, str, str], int] = {}
+
+    def define(self, channel: Channel) -> None:
+        """Define a channel: for the chunk of its messages, and before in one of its own."""
+        if channel in self._ids:
+            return
+        builder = RecordBuilder()
+        for record in register_channel(self.writer, channel, self._schemas):
+            record.write(builder)
+            self._ids[channel] = record.id
+        data = builder.end()
+        Chunk(
+            compression='',
+            data=data,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        ).write(builder)
+        self.output.write(builder.end())
+        self.written[channel] = 0
+
+    def add(self, message: Message) -> None:
+        """Add a message of a channel that is defined."""
+        channel, data, log_time, publish_time, sequence = message
+        number = sequence & 0xFFFFFFFF
+        self.writer.add_message(self._ids[channel], log_time, data, publish_time, number)
+        self.written[channel] += 1
+        self.count += 1
+        self.first = min(self.first, log_time)
+        self.last = max(self.last, log_time)
+
+    def finish(self, information: Mapping[str, Any]) -> None:
+        """Write the end, which is kept with the next flush."""
+        text = qos.dump_yaml(information)
+        self.writer.add_metadata('rosbag2', {'serialized_metadata': text})
+        self.writer.finish()
+        self.is_finished = True
 
     def to_dict(self) -> dict[str, Any]:
+        """Return what rosbag2 wants to know of it."""
         return {
             'path': self.name,
             'starting_time': {'nanoseconds_since_epoch': self.first},

@@ -10,17 +10,17 @@ is read in one go, since it is all of one layout. For everything else there is a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+import contextlib
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 import math
-from operator import itemgetter
 import struct
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.twin.results import Floats
 
 _SECOND = 1_000_000_000
@@ -28,39 +28,31 @@ _SECOND = 1_000_000_000
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
 
-_SERIES = ('position', 'velocity', 'effort')
-
-_unpack_stamp = struct.Struct('<iI').unpack_from
+_STAMP = struct.Struct('<iI')
 
 
 class MessageError(ValueError):
     """Bytes are no message of their type."""
 
 
-class _Template:
-    """Bytes of a message, written field by field; `offset` counts as CDR does, from the header."""
+class _Writer:
+    """Writes a message field by field; alignment counts from behind the header, as CDR has it."""
 
     def __init__(self) -> None:
         self.data = bytearray(_HEADER)
 
-    def add(self, code: str, *values: Any) -> int:
-        """Append numbers of one type, aligned, and return where they begin in `data`."""
-        size = struct.calcsize(f'<{code}')
-        self.data.extend(bytes(-(len(self.data) - 4) % size))
-        begin = len(self.data)
-        self.data.extend(struct.pack(f'<{len(values)}{code}', *values))
-        return begin
+    def numbers(self, kind: str, *values: ArrayLike) -> None:
+        """Append numbers of a type of numpy."""
+        array = np.concatenate([np.ravel(each) for each in values]).astype(kind)
+        if array.size:
+            self.data.extend(bytes((len(_HEADER) - len(self.data)) % array.itemsize))
+            self.data.extend(array.tobytes())
 
-    def add_string(self, text: str) -> None:
+    def text(self, text: str) -> None:
         """Append a string: its length with the final zero, its bytes, the zero."""
         encoded = text.encode() + b'\x00'
-        self.add('I', len(encoded))
+        self.numbers('<u4', len(encoded))
         self.data.extend(encoded)
-
-    def add_doubles(self, count: int) -> int:
-        """Append a sequence of doubles, zero for now, and return where they begin in `data`."""
-        self.add('I', count)
-        return self.add('d', *[0.0] * count)
 
 
 class JointStateEncoder:
@@ -79,28 +71,22 @@ class JointStateEncoder:
     """
 
     def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
-        template = _Template()
-        self._stamp = template.add('i', 0)
-        template.add('I', 0)
-        template.add_string(frame)
-        template.add('I', len(names))
+        writer = _Writer()
+        writer.numbers('<u4', 0, 0)
+        writer.text(frame)
+        writer.numbers('<u4', len(names))
         for name in names:
-            template.add_string(name)
-        count = len(names)
-        begins = [template.add_doubles(count) for _ in range(series)]
-        for _ in range(series, len(_SERIES)):
-            template.add('I', 0)
-        self._begin = begins[0]
-        self._count = count
-        # one series after another, with the length of the next one between them, and its padding
-        places = list(range(series * count))
-        for first in range((series - 1) * count, 0, -count):
-            places.insert(first, series * count)
-        self._arrange = itemgetter(*places)
-        self._data = template.data
-        self._arrays = [np.frombuffer(self._data, '<f8', count, begin) for begin in begins]
-        self._pack_stamp = struct.Struct('<iI').pack_into
-        self._pack_values = struct.Struct('<' + 'I4x'.join([f'{count}d'] * series)).pack_into
+            writer.text(name)
+        for number in range(3):
+            count = len(names) if number < series else 0
+            writer.numbers('<u4', count)
+            writer.numbers('<f8', np.zeros(count))
+        self._data = writer.data
+        self._layout = _Layout(bytes(writer.data))
+        self._arrays = [
+            np.frombuffer(self._data, '<f8', each.size, each.begin)
+            for each in self._layout.series[:series]
+        ]
 
     def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """
@@ -108,48 +94,31 @@ class JointStateEncoder:
 
         `values` are those of one series after another, as in a `State` of plate and projectile.
         """
-        data = self._data
-        self._pack_stamp(data, self._stamp, *divmod(stamp_ns, _SECOND))
-        self._pack_values(data, self._begin, *self._arrange((*values, self._count)))
+        data, first = self._data, 0
+        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
+        for begin, size, numbers in self._layout.series:
+            numbers.pack_into(data, begin, *values[first : first + size])
+            first += size
         return bytes(data)
 
     def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
         """Return a message made of an array per series, which is quick with many joints."""
-        self._pack_stamp(self._data, self._stamp, *divmod(stamp_ns, _SECOND))
+        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
         for array, values in zip(self._arrays, series, strict=True):
             array[:] = values
         return bytes(self._data)
 
 
-class ArrayEncoder:
-    """
-    Write std_msgs/Float64MultiArray of always the same shape.
-
-    Parameters
-    ----------
-    dimensions : mapping of str to int
-        Labels and sizes, the slowest first.
-
-    """
-
-    def __init__(self, dimensions: Mapping[str, int]) -> None:
-        template = _Template()
-        template.add('I', len(dimensions))
-        sizes = list(dimensions.values())
-        for index, (label, size) in enumerate(dimensions.items()):
-            template.add_string(label)
-            template.add('I', size)
-            template.add('I', math.prod(sizes[index:]))
-        template.add('I', 0)  # data_offset
-        count = math.prod(sizes)
-        begin = template.add_doubles(count)
-        self._data = template.data
-        self._values = np.frombuffer(self._data, '<f8', count, begin)
-
-    def encode(self, values: Floats) -> bytes:
-        """Return the message as bytes to publish."""
-        self._values[:] = values.reshape(-1)
-        return bytes(self._data)
+def encode_array(labels: Sequence[str], values: Floats) -> bytes:
+    """Write std_msgs/Float64MultiArray with labels of its dimensions, the slowest first."""
+    writer = _Writer()
+    writer.numbers('<u4', values.ndim)
+    for index, (label, size) in enumerate(zip(labels, values.shape, strict=True)):
+        writer.text(label)
+        writer.numbers('<u4', size, math.prod(values.shape[index:]))
+    writer.numbers('<u4', 0, values.size)  # data_offset, and how many follow
+    writer.numbers('<f8', values)
+    return bytes(writer.data)
 
 
 class JointValues(NamedTuple):
@@ -187,10 +156,20 @@ class JointStateReader:
         if layout is None or not layout.fits(data):
             self._layout = None  # in case that it is no message
             self._layout = layout = _Layout(data)
-        seconds, nanoseconds = _unpack_stamp(data, layout.stamp)
-        position, velocity, effort = [unpack(data, begin) for begin, _, unpack in layout.series]
+        seconds, nanoseconds = _STAMP.unpack_from(data, layout.stamp)
+        position, velocity, effort = [
+            each.numbers.unpack_from(data, each.begin) for each in layout.series
+        ]
         stamp_ns = seconds * _SECOND + nanoseconds
         return JointValues(stamp_ns, layout.names, position, velocity, effort)
+
+
+class _Series(NamedTuple):
+    """Where the numbers of a series begin, how many there are, and how they are (un)packed."""
+
+    begin: int
+    size: int
+    numbers: struct.Struct
 
 
 class _Layout:
@@ -203,12 +182,12 @@ class _Layout:
         cursor.text()
         self.names = tuple(cursor.text() for _ in range(cursor.number('I')))
         self.series = [
-            (begin, count, struct.Struct(f'<{count}d').unpack_from)
-            for begin, count in (cursor.doubles() for _ in _SERIES)
+            _Series(begin, count, struct.Struct(f'<{count}d'))
+            for begin, count in (cursor.doubles() for _ in range(3))
         ]
         end = cursor.end()
-        varying = [(self.stamp, self.stamp + 8), *cursor.padding, (end, end)]
-        varying += [(begin, begin + 8 * count) for begin, count, _ in self.series]
+        varying = [(self.stamp, self.stamp + _STAMP.size), *cursor.padding, (end, end)]
+        varying += [(each.begin, each.begin + 8 * each.size) for each in self.series]
         varying.sort()
         self.fixed = [
             (last, begin, data[last:begin])
@@ -252,7 +231,8 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
     rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
     stamps = rows[:, layout.stamp : layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
     position, velocity, effort = [
-        rows[:, begin : begin + 8 * count].copy().view('<f8') for begin, count, _ in layout.series
+        rows[:, each.begin : each.begin + 8 * each.size].copy().view('<f8')
+        for each in layout.series
     ]
     return JointStates(
         stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
@@ -312,20 +292,32 @@ def decode(type_name: str, schema: str, data: bytes) -> Any:
 
     """
     try:
-        return _decoder(type_name, schema)(data)
+        return decoder_of(type_name, schema)(data)
     except Exception as error:  # whatever damaged bytes lead the library to
         raise MessageError(f'not a message {type_name}: {error}') from error
 
 
 @lru_cache(maxsize=256)
-def _decoder(type_name: str, schema: str) -> Callable[[bytes], Any]:
-    """Make what reads messages of a type, which takes the library milliseconds."""
+def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
+    """
+    Make what reads messages of a type, which takes the library milliseconds.
+
+    Raises
+    ------
+    MessageError
+        If the definition is none.
+
+    """
     from mcap.records import Schema  # not needed by who only writes
     from mcap.well_known import MessageEncoding, SchemaEncoding
     from mcap_ros2.decoder import DecoderFactory
 
     definition = Schema(id=1, name=type_name, encoding=SchemaEncoding.ROS2, data=schema.encode())
-    decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
+    try:
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # it would print
+            decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
+    except Exception as error:  # whatever a damaged definition leads the library to
+        raise MessageError(f'no definition of {type_name}: {error!r:.100}') from error
     if decoder is None:
         raise MessageError(f'no definition of {type_name}: {schema[:60]!r}')
     return decoder

@@ -2,8 +2,8 @@
 """
 One MCAP file of a bag: which chunks it has, and what is in them.
 
-Records are read by the library `mcap`. Its own readers stop at the first damage, so that the whole
-chunks after it are found here.
+Records are parsed by the library `mcap`. Its own readers stop at the first damage, so that the
+whole chunks after it are found here.
 """
 
 from __future__ import annotations
@@ -11,36 +11,47 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 import contextlib
+from io import BytesIO
 import mmap
 import os
 from pathlib import Path
 import re
 import struct
+import tempfile
 from typing import BinaryIO, NamedTuple
 import zlib
 
 from mcap import records as mcap
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.stream_reader import breakup_chunk, StreamReader
+from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording import qos
+from soft_throw_ros.recording.cdr import decoder_of, MessageError
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 import zstandard
 
 LARGEST_RECORD = 256 * 2**20
-"""A record that claims to be larger is taken for damaged. [bytes]"""
+"""A record, or a message, that claims to be larger is taken for damaged. [bytes]"""
 
+_HEAD = struct.Struct('<BQ')  # of a record: opcode and length
 _FOOTER = struct.Struct('<BQQQI')  # its head, where summary and offsets begin, and the checksum
+_OPCODES = {*map(int, Opcode), *range(0x80, 0x100)}  # those from 0x80 on are anybody's own
 
 _CHUNK_HEAD = re.compile(
     rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
 )
 """The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
 
+_TOPIC = re.compile(r'(/[A-Za-z_]\w*)+', re.ASCII)
+_TYPE = re.compile(r'\w+/msg/\w+', re.ASCII)
+
 _UNCHUNKED = -1  # instead of the offset of a chunk, for messages that are in none
 
-_OTHERS = {b'SQLite format 3': 'in sqlite3', b'#ROSBAG V': 'of ROS 1', b'(\xb5/\xfd': 'compressed'}
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+_OTHERS = {b'SQLite format 3': 'in sqlite3', b'#ROSBAG V': 'of ROS 1'}
 
 Known = dict[tuple[object, ...], Channel]
 
@@ -53,10 +64,6 @@ _LIBRARY_ERRORS = (
 
 class DamageError(ValueError):
     """Bytes are not what they should be; the message says why."""
-
-
-class EndOfStreamError(DamageError):
-    """There is no more, maybe in the middle of a record."""
 
 
 class Gap(NamedTuple):
@@ -89,20 +96,30 @@ class Definitions:
     The channels of a file or stream, by their numbers in it.
 
     `known` has the channels of all files of a bag, so that what is the same is one object.
+
+    Attributes
+    ----------
+    doubts : list of str
+        What is left out of channels whose definition has no checksum.
+
     """
 
     def __init__(self, known: Known) -> None:
+        self.doubts: list[str] = []
         self._known = known
         self._schemas: dict[int, mcap.Schema] = {}
         self._records: dict[int, mcap.Channel] = {}
-        self._channels: dict[int, Channel] = {}
+        self._checked: set[tuple[type, int]] = set()
+        self._channels: dict[int, Channel | None] = {}
 
-    def add(self, record: mcap.Schema | mcap.Channel) -> None:
-        """Take a definition; the last one counts, which in our files has a checksum."""
-        if isinstance(record, mcap.Schema):
-            self._schemas[record.id] = record
-        else:
-            self._records[record.id] = record
+    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = True) -> None:
+        """Take a definition; one whose checksum is not right by now only if there is no other."""
+        records = self._schemas if isinstance(record, mcap.Schema) else self._records
+        if is_checked:
+            self._checked.add((type(record), record.id))
+        elif record.id in records:
+            return
+        records[record.id] = record  # type: ignore[assignment]  # of the kind that is in there
         self._channels.clear()
 
     def all(self) -> dict[int, Channel]:
@@ -110,7 +127,7 @@ class Definitions:
         for number, record in self._records.items():
             if number not in self._channels and record.schema_id in self._schemas:
                 self._channels[number] = self._make(record, self._schemas[record.schema_id])
-        return self._channels
+        return {number: channel for number, channel in self._channels.items() if channel}
 
     def message(self, record: mcap.Message) -> Message:
         """Return a message, or raise DamageError."""
@@ -121,7 +138,17 @@ class Definitions:
             raise DamageError('a message has no valid times')
         return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
 
-    def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel:
+    def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel | None:
+        """Make a channel, of what can be trusted; None if that is not enough."""
+        schema_text = schema.data.decode(errors='replace')
+        type_hash = record.metadata.get('topic_type_hash', '')
+        keys = {(mcap.Schema, schema.id), (mcap.Channel, record.id)}
+        if not keys <= self._checked:
+            if not _is_plausible(record, schema, schema_text):
+                return None
+            if type_hash:
+                self.doubts.append(f'the type hash of {record.topic}, which has no checksum')
+                type_hash = ''
         if record.message_encoding != 'cdr':
             raise BagError(
                 f'{record.topic} has messages in {record.message_encoding!r}, not in '
@@ -134,12 +161,22 @@ class Definitions:
         channel = Channel(
             topic=record.topic,
             type=schema.name,
-            schema=schema.data.decode(errors='replace'),
-            type_hash=record.metadata.get('topic_type_hash', ''),
+            schema=schema_text,
+            type_hash=type_hash,
             qos=profiles,
             schema_encoding=schema.encoding,
         )
         return self._known.setdefault(tuple(vars(channel).values()), channel)
+
+
+def _is_plausible(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
+    """Tell whether a definition without a checksum may be what was written."""
+    is_named = _TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)
+    if not is_named or schema.encoding not in ('ros2msg', 'ros2idl'):
+        return False
+    with contextlib.suppress(MessageError):
+        return schema.encoding == 'ros2idl' or decoder_of(schema.name, text) is not None
+    return False
 
 
 class McapFile:
@@ -150,20 +187,24 @@ class McapFile:
     looking at all records.
     """
 
-    def __init__(self, path: Path, known: Known, *, by_scan: bool) -> None:
+    def __init__(
+        self, path: Path, known: Known, *, by_scan: bool, has_compressed_messages: bool
+    ) -> None:
         self.gaps: list[Gap] = []
         self.chunks: list[Chunk] = []
         self.metadata: list[mcap.Metadata] = []
+        self.definitions = Definitions(known)
         self._path = path
+        self._has_compressed_messages = has_compressed_messages
         self._attachments: list[int] = []  # offsets
         self._unchunked: list[mcap.Message] = []
-        self._is_chunk_lost = False
-        self._definitions = Definitions(known)
         self._stream = _open(path, is_lenient=by_scan)
         self._size = os.fstat(self._stream.fileno()).st_size
         try:
-            counts = None if by_scan else self._read_summary()
-            self.counts = self._by_channel(self._scan() if counts is None else counts)
+            counts = self._read_summary()
+            if counts is None or by_scan:
+                counts = self._scan()
+            self.counts = self._by_channel(counts)
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -178,7 +219,7 @@ class McapFile:
             try:
                 record = self._record_at(offset)
             except DamageError as error:
-                self._note(offset, 0, str(error))
+                self._note(offset, self._stream.tell() - offset, str(error))
             else:
                 if isinstance(record, mcap.Attachment):
                     yield record
@@ -205,24 +246,27 @@ class McapFile:
                     and record.channel_id in numbers
                     and span.start <= record.log_time < span.stop
                 ):
-                    yield self._definitions.message(record)
+                    message = self.definitions.message(record)
+                    if self._has_compressed_messages:
+                        message = message._replace(data=_decompress(message.data))
+                    yield message
         except DamageError as error:
             self._note(chunk.offset, self._stream.tell() - chunk.offset, str(error))
 
     def _numbers(self, topics: Collection[str] | None) -> set[int]:
         """Return the numbers of the channels that are wanted."""
-        channels = self._definitions.all().items()
+        channels = self.definitions.all().items()
         return {number for number, item in channels if topics is None or item.topic in topics}
 
     def _by_channel(self, counts: Mapping[int, int]) -> dict[Channel, int]:
         """Name the channels of which there are so many messages."""
-        channels = self._definitions.all()
+        channels = self.definitions.all()
         named = dict.fromkeys(channels.values(), 0)
         for number, count in counts.items():
             if number in channels:
                 named[channels[number]] += count
             else:
-                self._note(0, 0, f'nothing defines channel {number}', count)
+                self._note(0, 0, f'nothing that can be trusted defines channel {number}', count)
         return named
 
     def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
@@ -242,16 +286,18 @@ class McapFile:
             reader = SeekingReader(self._stream, record_size_limit=LARGEST_RECORD)
             summary = reader.get_summary()
             metadata = list(reader.iter_metadata())
+            is_checked = self._is_summary_checked()
         except _LIBRARY_ERRORS:
             return None
-        if summary is None or summary.statistics is None or not self._has_sound_summary():
+        if summary is None or summary.statistics is None:
             return None
         statistics = summary.statistics
-        definitions: list[mcap.Schema | mcap.Channel] = [*summary.schemas.values()]
-        for record in [*definitions, *summary.channels.values()]:
-            self._definitions.add(record)
+        for schema in summary.schemas.values():
+            self.definitions.add(schema, is_checked=is_checked)
+        for channel in summary.channels.values():
+            self.definitions.add(channel, is_checked=is_checked)
         is_complete = (
-            self._definitions.all().keys() >= statistics.channel_message_counts.keys()
+            summary.channels.keys() >= statistics.channel_message_counts.keys()
             and len(summary.chunk_indexes) == statistics.chunk_count
             and bool(summary.chunk_indexes or not statistics.message_count)
             and len(summary.attachment_indexes) == statistics.attachment_count
@@ -272,19 +318,22 @@ class McapFile:
         )
         return statistics.channel_message_counts
 
-    def _has_sound_summary(self) -> bool:
-        """Tell whether the checksum of the summary is right, or there is none."""
+    def _is_summary_checked(self) -> bool:
+        """Tell whether the summary has a checksum; raise DamageError if it is wrong."""
         self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
         _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
         self._stream.seek(start)
         data = self._stream.read(self._size - len(MAGIC) - 4 - start)
-        return not checksum or checksum == zlib.crc32(data)
+        if checksum not in (0, zlib.crc32(data)):
+            raise DamageError('the checksum of the summary is wrong')
+        return bool(checksum)
 
     def _scan(self) -> Mapping[int, int]:
         """Look at all records, those after damage from the next chunk on; count the messages."""
+        self.chunks, self.metadata, self._attachments = [], [], []
         counts: Counter[int] = Counter()
         offset = sound_end = len(MAGIC)  # of the last record, and the last chunk without damage
-        is_complete = False
+        is_complete = is_chunk_lost = False
         while offset < self._size and not is_complete:
             self._stream.seek(offset)
             try:
@@ -293,16 +342,22 @@ class McapFile:
                     is_complete = isinstance(record, mcap.DataEnd)
                     if is_complete:
                         break
-                    found = self._take(begin, record)
-                    counts += found
-                    if isinstance(record, mcap.Chunk) and found:
-                        sound_end = offset
+                    if isinstance(record, mcap.Chunk):
+                        found = self._take_chunk(begin, record)
+                        is_chunk_lost = found is None
+                        if found is not None:
+                            sound_end = offset
+                            counts += found
+                    elif isinstance(record, mcap.MessageIndex) and is_chunk_lost:
+                        gap = self.gaps[-1]
+                        self.gaps[-1] = gap._replace(messages=gap.messages + len(record.records))
+                    else:
+                        self._take(begin, record)
             except DamageError as error:
-                reason, begin = str(error), offset
-                offset = self._find_chunk(sound_end)
+                begin, offset = offset, self._find_chunk(sound_end)
                 sound_end = offset + 1  # so that no chunk is found twice
                 if offset != begin:
-                    self._note(min(begin, offset), max(offset - begin, 0), reason)
+                    self._note(min(begin, offset), max(offset - begin, 0), str(error))
         if not is_complete or not self._has_end():
             self._note(self._size, 0, 'the file has no end')
         return counts + self._add_messages(_UNCHUNKED, self._unchunked)
@@ -311,24 +366,24 @@ class McapFile:
         self._stream.seek(-len(MAGIC), os.SEEK_END)
         return self._stream.read() == MAGIC
 
-    def _take(self, offset: int, record: mcap.McapRecord) -> Counter[int]:
-        """Take over a record; return how many messages of which channels a chunk has."""
+    def _take_chunk(self, offset: int, chunk: mcap.Chunk) -> Counter[int] | None:
+        """Take over a chunk; return how many messages of which channels, None if it is damaged."""
+        records: list[mcap.McapRecord] = []
+        is_sound = False
+        try:
+            records, is_sound = unpack(chunk), True
+        except DamageError as error:
+            self._note(offset, self._stream.tell() - offset, str(error))
+            with contextlib.suppress(*_LIBRARY_ERRORS):  # a definition is better than none
+                records = breakup_chunk(chunk)
+        for record in records:
+            if isinstance(record, mcap.Schema | mcap.Channel):
+                self.definitions.add(record, is_checked=is_sound and chunk.uncompressed_crc != 0)
+        return self._add_messages(offset, records) if is_sound else None
+
+    def _take(self, offset: int, record: mcap.McapRecord) -> None:
+        """Take over a record that is in no chunk."""
         match record:
-            case mcap.Chunk():
-                self._is_chunk_lost = True
-                try:
-                    records = unpack(record)
-                except DamageError as error:
-                    self._note(offset, self._stream.tell() - offset, str(error))
-                    return Counter()
-                self._is_chunk_lost = False
-                for item in records:
-                    if isinstance(item, mcap.Schema | mcap.Channel):
-                        self._definitions.add(item)
-                return self._add_messages(offset, records)
-            case mcap.MessageIndex() if self._is_chunk_lost:
-                gap = self.gaps[-1]
-                self.gaps[-1] = gap._replace(messages=gap.messages + len(record.records))
             case mcap.Message():
                 self._unchunked.append(record)
             case mcap.Metadata():
@@ -336,8 +391,7 @@ class McapFile:
             case mcap.Attachment():
                 self._attachments.append(offset)
             case mcap.Schema() | mcap.Channel():
-                self._definitions.add(record)
-        return Counter()
+                self.definitions.add(record, is_checked=False)
 
     def _add_messages(self, offset: int, records: Iterable[mcap.McapRecord]) -> Counter[int]:
         messages = [record for record in records if isinstance(record, mcap.Message)]
@@ -359,15 +413,27 @@ class McapFile:
 
 def read_records(stream: BinaryIO) -> Iterator[mcap.McapRecord]:
     """Yield the records of a stream, chunks as they are; DamageError where that cannot go on."""
-    reader = StreamReader(
-        stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD
-    )
-    try:
-        yield from reader.records
-    except EndOfFile:
-        raise EndOfStreamError('it ends within a record') from None
-    except _LIBRARY_ERRORS as error:
-        raise DamageError(f'the record there is damaged, {error!r}') from None
+    while head := stream.read(_HEAD.size):
+        opcode, length = _HEAD.unpack(head.ljust(_HEAD.size, b'\0'))
+        if opcode not in _OPCODES:
+            raise DamageError(f'no record begins with {opcode:#04x}')
+        if length > LARGEST_RECORD:
+            raise DamageError(f'a record of {length} bytes, which is more than {LARGEST_RECORD}')
+        body = stream.read(length)
+        if len(head) + len(body) < _HEAD.size + length:
+            raise DamageError('it ends within a record')
+        checksum = int.from_bytes(body[-4:], 'little')
+        if opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(body[:-4])):
+            raise DamageError('the checksum of the attachment there is wrong')
+        try:  # a stream of this one record, so that no length in it leads beyond its end
+            records = StreamReader(BytesIO(head + body), skip_magic=True, emit_chunks=True).records
+            record = next(records, None) if opcode < 0x80 else None
+        except _LIBRARY_ERRORS as error:
+            raise DamageError(f'the record there is damaged, {error!r:.100}') from None
+        if record is not None:
+            yield record
+        if opcode == Opcode.FOOTER:
+            return
 
 
 def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
@@ -376,8 +442,18 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
         raise DamageError('there is no chunk')
     try:
         return breakup_chunk(chunk, validate_crc=True)
+    except CRCValidationError:
+        raise DamageError('the checksum of the chunk there is wrong') from None
     except _LIBRARY_ERRORS as error:
-        raise DamageError(f'the chunk there is damaged, {error}') from None
+        raise DamageError(f'the chunk there cannot be unpacked, {error!r:.100}') from None
+
+
+def _decompress(data: bytes) -> bytes:
+    """Decompress a message that was compressed by itself."""
+    try:
+        return zstandard.decompress(data, LARGEST_RECORD)
+    except zstandard.ZstdError as error:
+        raise DamageError(f'a message cannot be decompressed, {error}') from None
 
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
@@ -385,9 +461,14 @@ def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
     if path.exists() and not path.is_file():
         raise BagError(f'{path} is no file')
     try:
-        stream = path.open('rb')
+        stream: BinaryIO = path.open('rb')
+        if stream.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC:
+            stream = _decompressed(stream)
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
+    except zstandard.ZstdError as error:
+        raise BagError(f'{path} cannot be decompressed: {error}') from None
+    stream.seek(0)
     begin = stream.read(16)
     reason = '' if begin.startswith(MAGIC) or is_lenient else 'is no MCAP file'
     if not begin:
@@ -401,9 +482,19 @@ def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
     return stream
 
 
+def _decompressed(stream: BinaryIO) -> BinaryIO:
+    """Return a temporary file with what another one has compressed in it, and close that."""
+    with stream, contextlib.ExitStack() as stack:
+        whole = stack.enter_context(tempfile.TemporaryFile())
+        stream.seek(0)
+        zstandard.ZstdDecompressor().copy_stream(stream, whole)
+        stack.pop_all()
+    return whole
+
+
 def not_mcap(kind: str) -> str:
     """Say what to do with a bag that is stored otherwise."""
     return (
-        f'is a bag {kind}, not plain MCAP; convert it, as with rosbags: '
+        f'is a bag {kind}, not in MCAP; convert it, as with rosbags: '
         'rosbags-convert --src BAG --dst NEW_BAG --dst-storage mcap'
     )

@@ -20,6 +20,7 @@ class Recovery:
     target: Path  # The new bag
     saved: dict[str, int]  # How many messages are in it, by topic
     gaps: tuple[Gap, ...]  # What of the old bag is not
+    doubts: tuple[str, ...]  # What of its definitions is not, since it cannot be trusted
 
     @property
     def message_count(self) -> int:
@@ -37,7 +38,9 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     Write what can be read of a bag into a new one, which every reader opens.
 
     Every chunk is taken that is whole, by its checksum if it has one. The messages keep their
-    order, times and numbers; metadata and attachments come first; several files become one.
+    order, times and numbers; metadata and attachments come first; several files become one. Of
+    definitions that have no sound copy with a checksum, the type hash is left out; those that
+    cannot be what was written are left out with their messages.
 
     Parameters
     ----------
@@ -78,4 +81,6 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         saved = Counter[str]()
         for channel, count in writer.counts.items():
             saved[channel.topic] += count
-        return Recovery(target=target, saved=dict(saved), gaps=tuple(reader.gaps))
+        return Recovery(
+            target=target, saved=dict(saved), gaps=tuple(reader.gaps), doubts=tuple(reader.doubts)
+        )

@@ -62,6 +62,9 @@ _PLOTS = {
     'residual': 'Model less measurement (µm)',
 }
 
+_MARGIN = 0.036
+"""Part of the width of a plot that its axis takes."""
+
 _LOG = '/log'
 
 _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEBUG'))
@@ -235,6 +238,7 @@ class _TwinView:
         styles = {
             'phase': rr.StateConfiguration(values=list(_PHASES), colors=list(_PHASES.values())),
             'strain/picture': rr.Image.from_fields(magnification_filter='linear'),
+            'margin': rr.TextDocument(' '),
         }
         for name, style in styles.items():
             canvas.style(self._path(name), style)
@@ -360,7 +364,10 @@ class _TwinView:
     def _request_map(self, stamp: int, rig: Rig, settings: Settings) -> None:
         """Have a map computed; what was asked for last is shown last."""
         best = self._recommendation
-        values = {} if best is None or best.rig not in (None, rig) else best.values
+        values: Mapping[str, float | str] = {} if best is None else best.values
+        if best is not None and best.rig not in (None, rig):
+            values = {}
+            self._write('recommendation', stamp, _UNKNOWN_BEST)  # the table was of another rig
         self._map_rig = rig
         stamp = max([stamp, *(earlier for earlier, _ in self._maps)])
         self._maps.append((stamp, self._pool.submit(compute_energy_map, rig, settings, values)))
@@ -429,6 +436,9 @@ class _TwinView:
             if name != 'residual' or limit
         ]
         phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
+        # it has no axis to its left as the plots do, which begin so much later
+        margin = rrb.TextDocumentView(origin=self._path('margin'), name=' ', titlebar=False)
+        lane = rrb.Horizontal(margin, phase, column_shares=[_MARGIN, 1.0 - _MARGIN])
         strain, landscape = self._path('strain'), self._path('landscape')
         throw = rrb.TextDocumentView(origin=self._path('throw_result'), name='Throw')
         best = rrb.TextDocumentView(origin=self._path('recommendation'), name='Recommended layer')
@@ -449,7 +459,7 @@ class _TwinView:
         views, shares = zip(*right, strict=True)
         return rrb.Horizontal(
             rrb.Vertical(self._side.view(), throw, row_shares=[3.0, 2.1]),
-            rrb.Vertical(phase, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
+            rrb.Vertical(lane, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
             rrb.Vertical(*views, row_shares=shares),
             column_shares=[2.5, 4.2, 4.2],
             name=self._node or '/',
@@ -593,6 +603,8 @@ _MODELS = {
 """What other models are called where there is little room."""
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
+
+_UNKNOWN_BEST = 'The rig has changed; what is recommended for it has not come yet.'
 
 _VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
 

@@ -33,6 +33,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.cdr import decode, decode_array, decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -393,7 +394,7 @@ class _TwinDecoder:
         self._wanted: Settings = {}  # with what waits for the next throw
         self._number = 0  # of the last throw
         self._start: int | None = None  # when it began
-        self._deadline: Callable[[int], int] | None = None  # of a step
+        self._schedule: TickSchedule | None = None
         self._ejection_time: float | None = None
         self._rest: tuple[float, float] | None = None  # heights measured before the throw
         self._states: RigStates | None = None  # since the throw began, and one before
@@ -430,8 +431,8 @@ class _TwinDecoder:
         for message in messages:
             entry = journal.decode(_text(message))
             match entry['kind']:
-                case 'pace' | 'tick_schedule':
-                    self._deadline = _deadlines(entry)
+                case 'pace' | 'tick_schedule':  # the former is that of version 0.1
+                    self._schedule = journal.decode_schedule(entry)
                 case 'input' if entry.get('input') == 'parameters':
                     self._wanted = {**self._wanted, **_known(entry['values'])}
                 case 'input' if entry.get('input') == 'reset' and self._wanted:
@@ -454,9 +455,9 @@ class _TwinDecoder:
         settings, step = _complete(entry), operator.index(entry['step'])
         number = operator.index(entry.get('throw', 0))
         if entry.get('schedule'):
-            self._deadline = _deadlines(entry['schedule'])
-        due = stamp if self._deadline is None else self._deadline(step)
-        onset = entry.get('onset', entry.get('departure'))
+            self._schedule = journal.decode_schedule(entry['schedule'])
+        due = stamp if self._schedule is None else self._schedule.deadline(step)
+        onset = entry.get('onset', entry.get('departure'))  # the latter is that of version 0.1
         self._rest = None
         if onset is not None:
             due = operator.index(onset['onset_ns'])
@@ -723,15 +724,6 @@ def _check_numbers(*arrays: Floats) -> None:
     """Refuse numbers that no twin has, nor NaN."""
     if not all((np.abs(values) <= _LARGEST).all() for values in arrays):
         raise MessageError(f'a number beyond {_LARGEST:g}')
-
-
-def _deadlines(values: Mapping[str, Any]) -> Callable[[int], int]:
-    """Return what tells when a step is due, from an entry of the journal."""
-    step, time = operator.index(values['anchor_step']), operator.index(values['anchor_time_ns'])
-    rate = values['rate']
-    if not 0.0 < rate < math.inf:
-        raise ValueError(f'a schedule has a rate, got {rate!r}')
-    return lambda other: time + round((other - step) * SECOND / rate)
 
 
 def _complete(entry: journal.Entry) -> Settings:

@@ -36,7 +36,7 @@ from soft_throw_ros.twin.prepared_rig import (
 )
 from soft_throw_ros.twin.results import (
     Comparison,
-    Prediction,
+    PredictedState,
     Residual,
     State,
     ThrowField,
@@ -141,13 +141,13 @@ class MeasuredThrow(OngoingThrow):
 
     def _look_ahead(
         self, known: float, step: int, now_ns: int, config: TwinConfig
-    ) -> tuple[Prediction, ThrowResult | None]:
+    ) -> tuple[PredictedState, ThrowResult | None]:
         """Find out what the projectile does as long as the plate cannot change it any more."""
         prepared, fork, onset_ns = self._prepared, self._far_fork, self._start_ns
         ahead = known + prepared.lookahead
         self._send(fork, ahead)
         stamp_ns = onset_ns + round(ahead * SECOND)
-        prediction = Prediction(
+        prediction = PredictedState(
             stamp_ns,
             float(fork.state[PROJECTILE_POSITION]),
             float(fork.state[PROJECTILE_VELOCITY]),

@@ -6,21 +6,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, spring_mass, wave_stepper
-from soft_throw_ros.core.cell_stepper import cells_per_layer, CellStepper, first_throws
+from soft_throw_ros.core.cell_stepper import cells_per_layer, first_throws
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Stepper
-from soft_throw_ros.core.wave_stepper import steps_per_crossing, WaveStepper
+from soft_throw_ros.core.throw import make_stepper
+from soft_throw_ros.core.wave_stepper import steps_per_crossing
 from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
 
-FIELD_POINTS = 64  # heights at which the layer is published
 THROW_FIELD_ROWS = 200  # times at which the field of a throw holds the layer
 THROW_FIELD_LENGTH = 1.5  # how long the field of a throw lasts, in ejection times [-]
 LONGEST_WINDOW = 0.2  # of the smoothing, in plate periods: longer ones hide the start [-]
@@ -110,10 +111,12 @@ def stepper_of(config: TwinConfig) -> Stepper:
         If the rig cannot be stepped in real time, with the number.
 
     """
-    motion: Literal['measured'] | None = 'measured' if config.is_measured else None
-    if config.model == 'travelling_wave':
-        return WaveStepper(config.rig, motion, field_points=FIELD_POINTS)
-    return CellStepper(config.rig, motion, model=config.model, field_points=FIELD_POINTS)
+    return make_stepper(
+        config.rig,
+        'measured' if config.is_measured else None,
+        model=config.model,
+        field_points=FIELD_POINTS,
+    )
 
 
 def check_settings(settings: Settings) -> None:
@@ -176,21 +179,18 @@ def _other_models(rig: Rig, model: str) -> dict[str, Release | None]:
         'damping_ratio': rig.engine.damping_ratio,
         'gravity_ratio': rig.gravity_ratio,
     }
-    loss = rig.layer.loss_tangent
-    by_cells = partial(first_throws, **ratios, loss_tangent=loss, cells=_COMPARED_CELLS)
+    spring_ratio = rig.natural_frequency / rig.engine.frequency
     ways: dict[str, Callable[[], Any]] = {  # each returns its own type with the same three fields
-        'travelling_wave': partial(first_release, **ratios),
-        'finite_difference_elastic': partial(by_cells, crossing_ratio=rig.crossing_ratio),
-        'finite_difference_glued': partial(by_cells, glued_to='projectile'),
-        'spring_mass': partial(
-            spring_mass.first_release,
-            frequency_ratio=rig.natural_frequency / rig.engine.frequency,
-        ),
+        'spring_mass': partial(spring_mass.first_release, frequency_ratio=spring_ratio)
     }
-    if loss > 0.0:
-        del ways['travelling_wave']
-    if rig.speed_ratio > _STIFFEST:
-        del ways['finite_difference_elastic'], ways['finite_difference_glued']
+    if not rig.layer.loss_tangent:
+        ways['travelling_wave'] = partial(first_release, **ratios)
+    if rig.speed_ratio <= _STIFFEST:
+        ratios |= {'loss_tangent': rig.layer.loss_tangent, 'cells': _COMPARED_CELLS}
+        ways['finite_difference_elastic'] = partial(
+            first_throws, **ratios, crossing_ratio=rig.crossing_ratio
+        )
+        ways['finite_difference_glued'] = partial(first_throws, **ratios, glued_to='projectile')
     return {name: _released(rig, way) for name, way in ways.items() if name != model}
 
 

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -152,6 +152,55 @@ class ThrowResult:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
 
+    def values(self) -> dict[str, Any]:  # texts, truths and numbers
+        """
+        Return what is known, each by the name under which it is published; the rig is left out.
+
+        What has not happened, or was not measured, is left out, too. Names of another release
+        than the first begin with `last_`, or with the model that predicts it.
+        """
+        values = {name: getattr(self, name) for name in _SIMPLE}
+        values['is_linear'] = self.is_linear
+        releases = {'': self.first, 'last_': self.last}
+        releases |= {f'{model}.': release for model, release in self.models.items()}
+        for prefix, release in releases.items():
+            if release is not None:
+                values |= {prefix + name: getattr(release, _RELEASE[name]) for name in _RELEASE}
+        if self.lead is not None:
+            values['lead'] = self.lead
+        for part, (prefix, _) in _PARTS.items():
+            known = known_values(getattr(self, part))
+            values |= {prefix + name: value for name, value in known.items()}
+        return values
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any], rig: Rig) -> ThrowResult:
+        """Make the result of a rig whose `values` are known; of the models, those that predict."""
+        prefixes = [
+            name.removesuffix('ejection_time') for name in values if name.endswith('ejection_time')
+        ]
+        releases = {
+            prefix: Release(**{_RELEASE[name]: values[prefix + name] for name in _RELEASE})
+            for prefix in prefixes
+        }
+        parts: dict[str, Any] = {}  # of several types
+        for part, (prefix, kind) in _PARTS.items():
+            known = {
+                name.removeprefix(prefix): value
+                for name, value in values.items()
+                if name.startswith(prefix)
+            }
+            parts[part] = kind(**known) if known else None
+        return cls(
+            **{name: values[name] for name in _SIMPLE},
+            rig=rig,
+            first=releases.pop('', None),
+            last=releases.pop('last_', None),
+            models={prefix.removesuffix('.'): release for prefix, release in releases.items()},
+            lead=values.get('lead'),
+            **parts,
+        )
+
     def describe(self) -> str:
         """Say it for people to read."""
         if not self.is_valid:
@@ -176,7 +225,30 @@ class ThrowResult:
         return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
 
 
-class Prediction(NamedTuple):
+def known_values(part: object) -> dict[str, Any]:  # texts, truths and numbers
+    """Return what is known of a part of a result, by name; nothing if there is no such part."""
+    return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
+
+
+_PARTS = {'comparison': ('residual.', Comparison)}
+"""What of a result may be there, with values of its own, and how their names begin."""
+
+_SIMPLE = tuple(
+    item.name
+    for item in fields(ThrowResult)
+    if item.name not in ('rig', 'first', 'last', 'models', 'lead', *_PARTS)
+)
+"""What of a result is one value that is always there."""
+
+_RELEASE = {
+    'ejection_time': 'time',
+    'ejection_speed': 'speed',
+    'energy_transfer': 'energy_transfer',
+}
+"""What of a release is published under which name."""
+
+
+class PredictedState(NamedTuple):
     """The projectile, as far ahead as it is known."""
 
     stamp_ns: int  # the time of it [ns]
@@ -205,6 +277,6 @@ class Outputs(NamedTuple):
     results: tuple[ThrowResult, ...] = ()  # of the throw under way, or just over
     layer: LayerState | None = None  # at `rate.field`
     throw_field: ThrowField | None = None  # once per throw
-    prediction: Prediction | None = None  # in a throw of a measured plate
+    prediction: PredictedState | None = None  # in a throw of a measured plate
     residual: Residual | None = None  # when the projectile has been measured, too
     notices: tuple[str, ...] = ()  # what is to be said about the measurement

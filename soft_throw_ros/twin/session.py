@@ -69,11 +69,11 @@ class Session:
         self.step = step
         self._lock = Lock()  # held for microseconds
         self._changing = Lock()  # held while a rig is prepared, for milliseconds
-        self._staged = StagedSettings(settings, pending)
-        self._journal = JournalWriter(on_entry, step=step, rate=self.rate)
+        self._staged = StagedSettings(settings, pending or {})
+        self._journal = JournalWriter(on_entry, step=step)
         self._cycle = ThrowCycle(self._staged, self._journal, step=step)
         if pending is None:
-            self._journal.start(step, settings)
+            self._journal.begin('start', step, settings)
 
     @classmethod
     def from_entry(
@@ -93,19 +93,16 @@ class Session:
             If the rig cannot be stepped in real time.
 
         """
-        settings = journal.checked_settings(entry, 'settings')
-        try:
-            if entry['kind'] == 'start':
-                return cls(settings, step=entry['step'], on_entry=on_entry)
-            if entry['kind'] != 'throw':
-                raise journal.JournalError(
-                    f'a session starts with an entry start or throw, got {entry["kind"]!r}'
-                )
-            pending = journal.checked_settings(entry, 'pending')
-            session = cls(settings, step=entry['step'], on_entry=on_entry, pending=pending)
-            session._cycle.resume(entry['step'], entry)
-        except KeyError as error:
-            raise journal.JournalError(f'an entry lacks {error}: {dict(entry)!r}') from error
+        settings, step = journal.checked_settings(entry, 'settings'), entry['step']
+        if entry['kind'] == 'start':
+            return cls(settings, step=step, on_entry=on_entry)
+        if entry['kind'] != 'throw' or 'throw' not in entry:
+            raise journal.JournalError(
+                f'a session starts with an entry start or throw, got {dict(entry)!r}'
+            )
+        pending = journal.checked_settings(entry, 'pending')
+        session = cls(settings, step=step, on_entry=on_entry, pending=pending)
+        session._cycle.resume(step, entry)
         return session
 
     @property
@@ -131,6 +128,11 @@ class Session:
     def pending(self) -> dict[str, Any]:
         """The changes that wait, by name; values are as various as the parameters."""
         return self._staged.pending
+
+    @property
+    def wanted(self) -> Settings:
+        """All settings, with the changes that wait."""
+        return self._staged.wanted
 
     @property
     def is_measured(self) -> bool:
@@ -163,19 +165,16 @@ class Session:
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if self._cycle.request_throw(self.step):
-                self._journal.input(self.step, 'throw')
+            refusal = self._cycle.request_throw(self.step)
+            if refusal is None:
+                self._journal.write('input', self.step, input='throw')
                 return
-            reason, seconds = self._cycle.occupation(self.step)
-        # finding out how long may take milliseconds, for which no step is held up
-        raise RequestRejected(
-            reason if seconds is None else f'{reason}: ready in {seconds():.2f} s'
-        )
+        raise RequestRejected(refusal())  # which may take milliseconds: no step is held up
 
     def reset(self) -> None:
         """Break off a throw under way, put things back, and count the period from here."""
         with self._lock:
-            self._journal.input(self.step, 'reset')
+            self._journal.write('input', self.step, input='reset')
             self._cycle.reset(self.step)
 
     def change(self, values: Settings) -> None:
@@ -191,7 +190,7 @@ class Session:
         with self._changing:
             prepared = self._staged.prepare(values)
             with self._lock:
-                self._journal.input(self.step, 'parameters', values)
+                self._journal.write('input', self.step, input='parameters', values=dict(values))
                 self._staged.stage(values, prepared)
                 if 'throw.period' in values:
                     self._cycle.set_throw_due()
@@ -201,7 +200,7 @@ class Session:
         with self._lock:
             taken = self._cycle.take(self.step, samples)
             if taken:
-                self._journal.samples(self.step, taken)
+                self._journal.keep_samples(self.step, taken)
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """
@@ -213,12 +212,12 @@ class Session:
         """
         with self._lock:
             self._cycle.schedule = replace(schedule)  # whose owner goes on changing it
-            self._journal.schedule(self.step, schedule)
+            self._journal.write('tick_schedule', self.step, **journal.encode_schedule(schedule))
 
     def close(self) -> None:
         """Write down what is not in the journal yet, since there are no more steps."""
         with self._lock:
-            self._journal.close(self.step, rate=self.rate)
+            self._journal.close(self.step)
 
     # steps
 
@@ -227,9 +226,5 @@ class Session:
         with self._lock:
             outputs = self._cycle.advance(self.step)
             self.step += 1
-            self._journal.end_step(
-                outputs,
-                rate=self._staged.config.state_rate,
-                is_measured=self._cycle.monitor is not None,
-            )
+            self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
             return outputs

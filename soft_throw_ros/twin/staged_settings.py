@@ -12,7 +12,7 @@ from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 class StagedSettings:
     """
-    Settings in effect, and settings to come.
+    Settings in effect, as one value `config`, with the rig `prepared`; and settings `wanted`.
 
     A change of the rig, of the measurement, of rates or of the time scale waits for `commit`, and
     all that wait take effect together; every other change is effective at once.
@@ -31,50 +31,36 @@ class StagedSettings:
 
     """
 
-    def __init__(self, settings: Settings, pending: Settings | None = None) -> None:
-        self.settings = settings  # in effect, ...
-        self.config = TwinConfig.from_settings(settings)  # as one value
-        self.prepared = PreparedRig.from_config(self.config)  # and the rig that is
-        self._wanted = settings
-        self._wanted_prepared = self.prepared
+    def __init__(self, settings: Settings, pending: Settings) -> None:
+        self.settings = self.wanted = settings
+        self.config = TwinConfig.from_settings(settings)
+        self.prepared = self._wanted_prepared = PreparedRig.from_config(self.config)
         if pending:
-            self._wanted = {**settings, **pending}
-            self._wanted_prepared = _prepare(self._wanted)
+            self.stage(pending, self.prepare(pending))
 
     @property
     def pending(self) -> dict[str, Any]:
         """The changes that wait, by name; values are as various as the parameters."""
-        wanted = self._wanted.items()
+        wanted = self.wanted.items()
         return {name: value for name, value in wanted if value != self.settings[name]}
-
-    @property
-    def is_pending(self) -> bool:
-        """Whether a change waits."""
-        return self._wanted_prepared is not self.prepared
 
     def prepare(self, values: Settings) -> PreparedRig | None:
         """
         Make ready what a change asks for, which takes milliseconds and changes nothing yet.
 
         It is to be handed to `stage`, and None if what has been wanted before will do.
-
-        Raises
-        ------
-        ValueError
-            If the rig could not be stepped in real time, with the number.
-
         """
-        wanted = {**self._wanted, **values}
-        if any(_waits(name) and wanted[name] != self._wanted[name] for name in values):
-            return _prepare(wanted)
+        wanted = {**self.wanted, **values}
+        if any(_waits(name) and wanted[name] != self.wanted[name] for name in values):
+            return PreparedRig.from_config(TwinConfig.from_settings(wanted))
         return None
 
     def stage(self, values: Settings, prepared: PreparedRig | None) -> None:
         """Take a change, with what `prepare` returned for it."""
-        self._wanted = {**self._wanted, **values}
+        self.wanted = {**self.wanted, **values}
         self.settings = {
             name: self.settings[name] if _waits(name) else value
-            for name, value in self._wanted.items()
+            for name, value in self.wanted.items()
         }
         self.config = TwinConfig.from_settings(self.settings)
         if not self.pending:
@@ -85,12 +71,8 @@ class StagedSettings:
     def commit(self) -> None:
         """Put in effect what waits."""
         self.prepared = self._wanted_prepared
-        self.settings = self._wanted
+        self.settings = self.wanted
         self.config = TwinConfig.from_settings(self.settings)
-
-
-def _prepare(settings: Settings) -> PreparedRig:
-    return PreparedRig.from_config(TwinConfig.from_settings(settings))
 
 
 def _waits(name: str) -> bool:

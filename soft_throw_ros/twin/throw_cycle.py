@@ -110,40 +110,36 @@ class ThrowCycle:
         self._throw_requested_at = step
         self._phase = Phase.RETURNING  # until this very step, so that nothing delays it
         self._phases = ()
-        self.schedule = journal.entry_schedule(entry) or self.schedule
+        if 'schedule' in entry:
+            self.schedule = journal.decode_schedule(entry['schedule'])
         if self.monitor is not None:
             self._onset = journal.decode_onset(entry.get('onset'))
 
-    def request_throw(self, step: int) -> bool:
-        """Have a throw start; return whether the rig is at rest, without which it does not."""
-        if self._phase is not Phase.REST or self._throw_requested_at < math.inf:
-            return False
-        self._throw_requested_at = step
-        return True
-
-    def occupation(self, step: int) -> tuple[str, Callable[[], float] | None]:
+    def request_throw(self, step: int) -> Callable[[], str] | None:
         """
-        Tell why no throw can be requested now, and what finds out how long that lasts.
+        Have a throw start; or return what says why not, and how long it is until one can.
 
-        That may take as long as a throw takes to compute, and is in seconds of the clock; there is
-        none if it is just for this step.
+        To find that out may take as long as a throw takes to compute.
         """
-        prepared, throw, config = self._prepared, self._throw, self._staged.config
-        rate = config.state_rate
         if self._phase is Phase.REST:
-            return f'throw {self.throws + 1} is about to start', None
-        if throw is None:
-            steps = max(self._return[1] - step, 0)
-            return 'the rig is being put back', lambda: steps / rate
+            if self._throw_requested_at < math.inf:
+                return lambda: f'throw {self.throws + 1} is about to start'
+            self._throw_requested_at = step
+            return None
+        prepared, throw, config = self._prepared, self._throw, self._staged.config
         elapsed = (step - self._start) * prepared.tick
-        longest = self._throw_due - step
-        returning = prepared.return_ticks(config.throw_period)
+        longest = (self._return[1] if throw is None else self._throw_due) - step
 
-        def seconds() -> float:
-            left = time_until_over(prepared, elapsed, max_events=config.max_events)
-            return float(min(left / prepared.tick + returning, longest)) / rate
+        def refusal() -> str:
+            reason, ticks = 'the rig is being put back', max(longest, 0)
+            if throw is not None:
+                left = time_until_over(prepared, elapsed, max_events=config.max_events)
+                returning = prepared.return_ticks(config.throw_period)
+                reason = f'throw {throw.number} is under way'
+                ticks = min(left / prepared.tick + returning, longest)
+            return f'{reason}: ready in {ticks / config.state_rate:.2f} s'
 
-        return f'throw {throw.number} is under way', seconds
+        return refusal
 
     def reset(self, step: int) -> None:
         """Break off a throw under way, put things back, and count the period from here."""
@@ -194,7 +190,7 @@ class ThrowCycle:
         if step < min(self._throw_requested_at, self._throw_due):
             if has_returned:
                 self._enter(Phase.REST)
-        elif has_returned or not self._staged.is_pending:
+        elif has_returned or not self._staged.pending:
             self._begin_throw(step)
         else:
             self._put_back(step)
@@ -205,13 +201,14 @@ class ThrowCycle:
         self._start = step
         self._layer_start, self._layer_row = step, -1
         self.set_throw_due()
-        self._journal.begin_throw(
+        self._journal.begin(
+            'throw',
             step,
             self._staged.settings,
             throw=self.throws,
             pending=self._staged.pending,
-            schedule=self.schedule,
-            onset=onset,
+            schedule=journal.encode_schedule(self.schedule),
+            **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
         if onset is None:
             self._throw = ScheduledThrow(
@@ -273,8 +270,7 @@ class ThrowCycle:
 
     def _put_back(self, step: int) -> None:
         """Begin the way back to rest, with whatever has waited in effect."""
-        if self._staged.is_pending:
-            self._commit(step)
+        self._commit(step)
         config = self._staged.config
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
@@ -285,6 +281,8 @@ class ThrowCycle:
 
     def _commit(self, step: int) -> None:
         """Put in effect what has waited; the period goes on as long as it was for the rig."""
+        if not self._staged.pending:
+            return
         passed = (step - self._start) * self._prepared.tick
         self._staged.commit()
         self._start = step - round(passed / self._prepared.tick)
@@ -328,7 +326,7 @@ class ThrowCycle:
 
     def _report(self, step: int, result: ThrowResult) -> None:
         self._results += (result,)
-        self._journal.result(step, result)
+        self._journal.write_result(step, result)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
         """Wait for the next jump of the plate, if it is measured."""
@@ -354,8 +352,7 @@ class ThrowCycle:
         if onset is not None:
             if self._throw is not None:
                 self._end_throw(step, self._throw, 'next')
-            if self._staged.is_pending:
-                self._commit(step)
+            self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)
                 assert self.monitor is not None

@@ -16,7 +16,7 @@ from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_
 from soft_throw_ros.twin.results import (
     Comparison,
     LayerState,
-    Prediction,
+    PredictedState,
     Release,
     Residual,
     State,
@@ -34,7 +34,7 @@ class ThrowStep(NamedTuple):
     state: State
     events: tuple[Event, ...]  # which have happened, or become certain, since the last step
     forecast: ThrowResult | None = None  # when the first release has become known
-    prediction: Prediction | None = None
+    prediction: PredictedState | None = None
     residual: Residual | None = None  # at the last sample that could be compared
 
 

@@ -10,8 +10,8 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import predict
-from soft_throw_ros.design.uncertainty import prediction_uncertainty
+from soft_throw_ros.design.prediction import predict
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 COMMAND = (design.main, 'aim')
 
@@ -63,6 +63,23 @@ def test_target_out_of_reach_says_what_would_do_and_ends_with_1(command):
     layer = Layer(thickness=1e-3 * thickness, wave_speed=speed)
     limits = Limits(max_strain=0.12)
     assert aim(replace(Rig(), layer=layer), Target(height=0.2), limits=limits).is_reached
+
+
+def test_layer_is_picked_from_a_library_of_one_s_own(command, write):
+    path = write(
+        'jelly: {description: Firm jelly, source: measured, density: 1000.0, wave_speed: 22.6,\n'
+        '  loss_tangent: 0.0}\n'
+    )
+    args = ('--vary', 'library', '--library', path, '--target-speed', 2)
+    found = command.json(*args, '--uncertain-wave-speed', 1.0)
+    layer = found['aim']['layer'], found['aim']['wave_speed']
+    assert layer == ('jelly', 22.6)
+    best = aim(Rig(), Target(speed=2.0), vary='both')
+    assert best.amplitude <= found['aim']['amplitude'] * 1.00001 < 1.0002 * best.amplitude
+    rig = with_amplitude(found['aim']['amplitude'])
+    rig = replace(rig, layer=Layer(thickness=found['aim']['thickness'], wave_speed=22.6))
+    uncertainty = prediction_uncertainty(rig, Uncertainties(wave_speed=1.0))
+    assert found['uncertainty'] == uncertainty.values()
 
 
 @pytest.mark.parametrize(

@@ -35,16 +35,17 @@ def value(found, name):
 def test_sample_gives_its_rig(command):
     found = command.json(*OF_SAMPLE)
     truth = (58.0, 0.05, 1.8e-3, 6.9)
-    assert list(found['found']) == list(USUAL)
+    assert list(found['found'])[:4] == list(USUAL)
     for name, expected in zip(USUAL, truth, strict=True):
         best, error = value(found, name)
         assert best == pytest.approx(expected, abs=3.5 * error)
-        assert error < 0.01 * expected
-    assert found['held']['layer.thickness'] == 12e-3
+        assert error < 0.05 * expected
+    assert value(found, 'layer.thickness') == pytest.approx((12e-3, 1e-4), rel=0.05)
+    assert found['held']['layer.density'] == 1000.0
     assert found['warnings'] == []
-    assert found['fit']['names'][:4] == list(USUAL)
+    place = found['fit']['names'].index('layer.wave_speed')
     covariance = np.array(found['fit']['covariance'])
-    assert np.sqrt(covariance[3, 3]) == value(found, 'layer.wave_speed')[1]
+    assert np.sqrt(covariance[place, place]) == value(found, 'layer.wave_speed')[1]
     assert found['throws'][0]['start_time'] == pytest.approx(0.0124, abs=5e-5)
     ejection = found['ejection']
     averaged = found['throws'][0]['running_averages']
@@ -59,13 +60,14 @@ def test_readme_shows_what_is_printed_of_the_sample(command, tmp_path, monkeypat
     (call,) = re.findall(r"make identify ARGS='(.*synthetic_throw.*)'", text)
     monkeypatch.chdir(root)
     args = call.replace('my_rig.yaml', str(tmp_path / 'my_rig.yaml')).split()
-    printed = command.run(*args).splitlines()[:4]
-    shown = re.findall(r'^    ((?:engine|layer)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
+    printed = command.run(*args).splitlines()[:7]
+    shown = re.findall(r'^    ((?:engine|layer|projectile)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
     # The last digits may depend on the processor
     for line, other in zip(printed, shown, strict=True):
         assert line.split()[0] == other.split()[0]
         assert float(line.split()[1]) == pytest.approx(float(other.split()[1]), rel=1e-3)
-    assert files.read(tmp_path / 'my_rig.yaml')['layer.thickness'] == 12e-3
+    thickness = files.read(tmp_path / 'my_rig.yaml')['layer.thickness']
+    assert thickness == pytest.approx(12e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize(('body', 'row'), [('plate', 40), ('projectile', 0), ('projectile', 80)])
@@ -96,7 +98,8 @@ def test_fit_is_described_alike_by_options_and_file(command, write):
     by_option = command.json(
         *OF_SAMPLE, '--heights', 'absolute', '--fit', 'projectile.mass=0.0012 +- 1 %'
     )
-    assert by_file == by_option
+    in_short = command.json(*OF_SAMPLE, '--heights', 'absolute', '--mass', '0.0012+-1%')
+    assert by_file == by_option == in_short
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
@@ -110,13 +113,13 @@ def test_parameter_file_is_one_of_the_twin(command, tmp_path):
     found = command.json(*OF_SAMPLE, '--mass', 1.3e-3)
     settings = files.read(path)
     rig = rig_of(settings)
+    assert rig.layer.thickness == pytest.approx(value(found, 'layer.thickness')[0], rel=1e-6)
+    assert rig.projectile.mass == pytest.approx(value(found, 'projectile.mass')[0], rel=1e-6)
     assert rig.engine.frequency == pytest.approx(value(found, 'engine.frequency')[0], rel=1e-5)
     assert rig.layer.wave_speed == pytest.approx(value(found, 'layer.wave_speed')[0], rel=1e-4)
-    assert rig.layer.thickness == 12e-3
-    assert rig.projectile.mass == 1.3e-3
     assert settings['layer.name'] == 'custom'
     assert 'rate' not in path.read_text()  # what does not describe the rig stays as it was
-    for line in printed.splitlines()[:4]:  # and says how sure it is
+    for line in printed.splitlines()[:7]:  # and says how sure it is
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
     predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
     assert predicted['energy_transfer'] == pytest.approx(
@@ -171,7 +174,7 @@ def test_free_layers_give_the_wave_speed(command, write, tmp_path):
     found = command.json(*args, '--fit', 'layer.loss_tangent', '--figure', tmp_path / 'a.png')
     speed, error = value(found, 'layer.wave_speed')
     assert speed == pytest.approx(7.8, abs=4.0 * error)
-    assert error < 0.02
+    assert error < 0.03
     periods = [layer['period']['value'] for layer in found['layers']]
     assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
     assert (tmp_path / 'a.png').stat().st_size > 10_000
@@ -248,7 +251,7 @@ def test_bag_gives_its_throws(command, tmp_path):
     assert [each['start_time'] for each in found['throws']] == pytest.approx([0.2, 0.8], abs=1e-4)
     speed, error = value(found, 'layer.wave_speed')
     assert speed == pytest.approx(6.9, abs=4.0 * error)
-    assert error < 0.05
+    assert error < 0.35
     one_file = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3)
     assert one_file['found'] == found['found']
 
@@ -369,6 +372,10 @@ def test_projectile_that_is_not_seen_is_left_out(command, tmp_path):
         (
             (*OF_SAMPLE, '--from', '0.025'),
             'synthetic_throw.csv: the plate does not move as a damped step: the best of 0.0011 m',
+        ),
+        (
+            (*OF_SAMPLE, '--mass', '0.0012+-0%'),
+            'argument --mass: projectile.mass must have an error that is finite and positive',
         ),
         ((*OF_SAMPLE, '--from', '1'), 'synthetic_throw.csv: only 0 samples from 1 s to inf s'),
         ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: there is no folder none'),

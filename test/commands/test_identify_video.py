@@ -122,6 +122,43 @@ def test_video_gives_the_rig_that_was_filmed(command, throw_video, tmp_path):
         )
 
 
+def test_spot_behind_a_wire_is_missing_there_and_the_rig_is_right(
+    command, throw_pictures, tmp_path
+):
+    wire = np.abs(np.arange(330) - 110.0) < 3.0  # above where the projectile rests
+    pictures = [np.where(wire[:, None], np.uint8(60), picture) for picture in throw_pictures]
+    path = write_video(tmp_path / 'wire.avi', pictures)
+    assert_is_the_rig(command.json('--video', path, *AS_TAKEN, '--thickness', 12e-3))
+    said = r'the spot at column 22 row 150 is not seen as a whole in pictures \d+ to \d+;'
+    assert re.search(said, command.err)
+
+
+@pytest.mark.parametrize('suffix', ['png', 'mp4'])
+def test_overlay_shows_what_was_followed(command, throw_video, tmp_path, suffix):
+    pytest.importorskip('matplotlib')
+    path = tmp_path / f'seen.{suffix}'
+    command.run('--video', throw_video, *AS_TAKEN, '--overlay', path, '--to', 0.04)
+    shown = imageio.imread(path)[..., :3].astype(float)
+    if suffix == 'mp4':
+        frames = list(imageio.imiter(path))
+        assert len(frames) == 180
+        assert frames[0].shape == (660, 88, 3)
+        shown = frames[20].astype(float)
+    # rings and paths are coloured, the picture is not
+    assert ((shown.max(axis=-1) - shown.min(axis=-1)) > 60.0).sum() > 100
+
+
+def test_rate_that_cannot_be_is_refused_before_anything_is_fitted(command, throw_video):
+    for rate, scale, value in (
+        (25, 12e-3, 'the plate swings at 0.4'),  # at which the video is shown
+        (400, 12e-6, 'less than gravity'),
+        (4e5, 12e-3, 'the plate swings at'),
+    ):
+        message = command.refused('--video', throw_video, '--rate', rate, '--scale', scale, 120)
+        assert value in message
+        assert f'at {rate:g} pictures per second' in message
+
+
 def test_folder_of_pictures_is_read_by_their_numbers(command, throw_pictures, tmp_path):
     folder = tmp_path / 'pictures'
     folder.mkdir()
@@ -139,7 +176,7 @@ def test_spots_are_on_what_is_said(command, throw_video):
     assert list(found['found']) == ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude']
     message = command.refused('--video', throw_video, *AS_TAKEN, '--spots', 'plate,projectile')
     assert message.startswith(
-        f'{throw_video}: 3 dark round spots are seen, at column 22 row 315, column 22 row 240, '
+        f'{throw_video}: 3 round spots are seen, at column 22 row 315, column 22 row 240, '
     )
     assert message.endswith('and not 2, plate, projectile')
 
@@ -230,8 +267,17 @@ def test_video_without_its_libraries_says_what_to_install(command, throw_video, 
             ('--video', 'VIDEO', *AS_TAKEN, '--spots', 'layer,layer,projectile'),
             'VIDEO: less than 12 positions of the plate',
         ),
+        (
+            ('--video', 'VIDEO', *AS_TAKEN, '--light-spots'),
+            'VIDEO: the first picture shows no light round spot, but 3 dark ones',
+        ),
+        (
+            ('--video', 'VIDEO', *AS_TAKEN, '--overlay', 'a.gif'),
+            "argument --overlay: must end on .png, .pdf, .svg, .mp4, .mkv, .avi, got 'a.gif'",
+        ),
+        (('a.csv', '--light-spots'), 'argument --light-spots: is for videos'),
         (('--video', 'none.avi', *AS_TAKEN), 'none.avi: No such file or directory'),
-        (('--video', 'none.csv', *AS_TAKEN), 'none.csv: must be a video or a folder of pictures'),
+        (('--video', 'none.csv', *AS_TAKEN), 'none.csv: No such file'),
         (('--video', 'VIDEO', *AS_TAKEN, '--tracks', 'no/a.csv'), 'argument --tracks: there is'),
     ],
 )  # fmt: skip

@@ -347,7 +347,7 @@ def test_viewer_that_comes_back_gets_what_still_holds(start, twin) -> None:
         # published once, at the very beginning, or while there was no viewer
         wait_until(lambda: {'/twin/recommendation', '/twin/throw_result'} <= entities(viewer))
         client = ViewerClient.connect(url_of(port))
-        wait_until(lambda: len(client.get_state().views) == 11)
+        wait_until(lambda: len(client.get_state().views) == 12)
         assert process.end() == 0
 
 

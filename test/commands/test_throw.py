@@ -156,6 +156,11 @@ def test_what_is_refused_is_quoted(command, args, message):
     assert re.search(message, command.refused(*args))
 
 
+def test_bad_file_is_named_with_its_line(command, write):
+    path = write('twin:\n  ros__parameters:\n    gravity: -1\n', 'bad.yaml')
+    assert command.refused('--config', path).startswith(f'{path}:3: gravity must be')
+
+
 def test_cases_get_a_release_row_for_row(command, write):
     cases = [(0.2342, 8.242, 0.0), (0.63, 7.3, 0.064), (30.0, 0.5, 0.3)]
     path = write(

@@ -90,6 +90,9 @@ def test_read_matches_names_as_ros_does(
         ('twin:\n  ros__parameters:\n    layer.name: gelatin_2.0mm\n    layer.density: 900\n', 4,
          'layer.density of gelatin_2.0mm is 1000, got 900'),
         ('twin:\n  layer.thickness: 0.01\n', 2, 'got 0.01 before any ros__parameters'),
+        ('- 1\n', 1, 'before any ros__parameters'),
+        ('twin:\n\tros__parameters: 1\n', 2, 'cannot start any token'),
+        ('twin:\n  ros__parameters:\n    layer.thickness: [1, 2]\n', 3, r'got \[1, 2\]'),
         ('twin:\n  ros__parameters: {a: [\n', 3, 'expected the node content'),
         ('twin: &a\n  ros__parameters: *a\n', 2, r'ROS takes no alias, got \*a'),
     ],
@@ -133,6 +136,12 @@ def test_arguments_are_one_request_after_the_file(write: Any) -> None:
     assert thick == {**TWIN.defaults(), 'layer.name': 'custom', 'layer.thickness': 0.01}
     later = write('twin: {ros__parameters: {layer.name: gelatin_2.0mm}}')
     assert named == start(['--ros-args', '--params-file', path, '--params-file', str(later)])
+
+
+def test_arguments_that_contradict_each_other_are_refused() -> None:
+    arguments = ['--ros-args', '-p', 'layer.name:=gelatin_2.0mm', '-p', 'layer.thickness:=0.01']
+    with pytest.raises(ParameterError, match=r'^-p layer.thickness:=0.01: .* is 0.002, got 0.01;'):
+        start(arguments)
 
 
 def test_arguments_outside_ros_args_are_not_ours() -> None:

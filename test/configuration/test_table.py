@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
+import re
 from typing import Any
 
 from hypothesis import given
@@ -53,6 +54,15 @@ def test_every_number_in_the_range_is_taken_as_such_and_as_text(number: Any, sha
     value = int(value) if isinstance(entry.default, int) else value
     assert table.check_value(entry.name, value) == value
     assert table.check_value(entry.name, repr(value)) == value
+
+
+@pytest.mark.parametrize(('table', 'entry'), NUMBERS, **by_name)
+def test_numbers_beyond_either_end_are_refused_with_the_value(table, entry) -> None:
+    step = 1 if isinstance(entry.default, int) else 1e-6 * (entry.high or 1.0)
+    for value in (entry.low - step, entry.high + step):
+        if not (entry.or_zero and value == 0):
+            with pytest.raises(ParameterError, match=re.escape(repr(value))):
+                table.check_value(entry.name, value)
 
 
 @pytest.mark.parametrize(

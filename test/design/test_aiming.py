@@ -13,7 +13,7 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import aim, MAX_STRAIN, Target
 from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.prediction import predict
 
 MATERIALS = library().materials
 EXACT = 1e-4

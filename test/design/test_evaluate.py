@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.evaluate import (
     first_throws,
+    highest_transfers,
     last_release,
     Ratios,
     SearchCancelledError,
@@ -64,6 +65,40 @@ def test_each_throw_is_the_same_alone_and_among_others():
             alone = first_throws(Ratios(MU[i], 8.0, 0.0, gravity[j], loss[j]), threads=1)
             assert together.speed[i, j] == pytest.approx(alone.speed[0], nan_ok=True, rel=1e-13)
     assert np.isnan(together.speed).all(axis=0).tolist() == [False, False, True, False]
+
+
+def test_layer_that_an_error_takes_away_throws_nothing():
+    found = first_throws(Ratios.of(Rig(), thickness=np.array([-1e-3, 0.0, 0.0168])), loads=True)
+    assert np.isnan(found.energy_transfer).tolist() == [True, True, False]
+
+
+def test_ratios_are_those_of_a_rig_with_these_values():
+    rig = Rig(
+        engine=Engine(frequency=40.0, amplitude=1e-3, damping_ratio=0.1),
+        layer=Layer(thickness=0.01, wave_speed=12.0, density=900.0, loss_tangent=0.2),
+        projectile=Projectile(mass=3e-3),
+        gravity=5.0,
+    )
+    names = ('frequency', 'amplitude', 'damping_ratio', 'thickness', 'wave_speed', 'density',
+             'loss_tangent')  # fmt: skip
+    values = {**vars(rig.engine), **vars(rig.layer)}
+    changes = {name: values[name] for name in names}
+    found = Ratios.of(Rig(), **changes, mass=3e-3, gravity=5.0)
+    expected = Ratios(
+        rig.mass_ratio, rig.speed_ratio, 0.1, rig.gravity_ratio, 0.2, rig.crossing_ratio
+    )
+    assert found == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize('gravity', [0.0, 0.1])
+def test_no_stiff_layer_gives_more_than_the_highest_transfer(gravity):
+    random = np.random.default_rng(1)
+    mu = np.exp(random.uniform(np.log(0.01), np.log(30.0), 5000))
+    kappa = 2.0 * np.pi * np.exp(random.uniform(0.0, 3.0, mu.size)) * np.sqrt(mu + 0.4)
+    ratios = Ratios(mu, kappa, random.choice([0.0, 0.064, 0.6], mu.size), gravity)
+    found, highest = first_throws(ratios).energy_transfer, highest_transfers(ratios)
+    assert np.all(found[np.isfinite(found)] <= highest[np.isfinite(found)])
+    assert np.isfinite(highest).mean() > 0.9
 
 
 def test_search_is_given_up_between_batches():

@@ -9,7 +9,7 @@ import pytest
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
-from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 
@@ -36,9 +36,9 @@ def random_transfers(rig, uncertainties, seed):
     return score(
         rig.layer.thickness + variants.thickness_error,
         rig.layer.wave_speed + variants.wave_speed_error,
-        mass_factor=variants.mass / rig.projectile.mass,
-        frequency_factor=variants.frequency / rig.engine.frequency,
-        damping_factor=variants.damping_ratio / rig.engine.damping_ratio,
+        mass=variants.mass / rig.projectile.mass,
+        frequency=variants.frequency / rig.engine.frequency,
+        damping_ratio=variants.damping_ratio / rig.engine.damping_ratio,
     )
 
 

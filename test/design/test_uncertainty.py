@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.recommendation import predict
+from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.uncertainty import (
     COVERAGE,
     even_offsets,
@@ -48,6 +48,20 @@ def test_nothing_uncertain_leaves_the_prediction(loss_tangent, gravity, error):
     for name in NAMES:
         interval = getattr(found, name)
         assert interval.low == interval.high == pytest.approx(getattr(known, name), rel=error)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('wave_speed', 0.01), ('thickness', 1e-5), ('mass', 1e-3), ('frequency', 0.01),
+     ('damping_ratio', 1e-3)],
+)  # fmt: skip
+def test_small_uncertainty_of_one_value_is_what_a_derivative_says(name, value):
+    rig = Rig(gravity=0.0)
+    found = prediction_uncertainty(rig, replace(NONE, **{name: value}))
+    ends = [predict(off(rig, **{name: sign * COVERAGE * value})) for sign in (-1.0, 1.0)]
+    for result in NAMES:
+        low, high = sorted(getattr(end, result) for end in ends)
+        assert getattr(found, result) == pytest.approx((low, high), abs=0.01 * (high - low))
 
 
 def test_interval_has_its_part_of_random_throws():

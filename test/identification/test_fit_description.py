@@ -20,16 +20,50 @@ RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
         ('0.012 +- 1e-4', Estimate(0.012, 1e-4), 0.012),
         ('12e-3+-2%', Estimate(0.012, pytest.approx(2.4e-4)), 0.012),
         ('+- 1 % per throw', Estimate(0.02, pytest.approx(2e-4)), 0.02),
+        ('+- 1 % per throw if seen', Estimate(0.02, pytest.approx(2e-4)), 0.02),
     ],
 )
 def test_parameter_is_free_or_held_or_known_with_an_error(text, known, value):
     description = FitDescription({'layer.thickness': text})
-    assert description.known(RIG).get('layer.thickness') == known
+    treatment = description.treatment('layer.thickness')
+    assert description.known('layer.thickness', RIG, 'a throw') == known
     assert description.prepare(RIG).layer.thickness == value
-    assert ('layer.thickness' in description.varied) is (text == 'free' or known is not None)
+    assert treatment.is_varied is ((text == 'free' or known is not None) and 'seen' not in text)
     assert description.is_free('layer.thickness') is (text == 'free')
-    assert description.per_throw == (('layer.thickness',) if 'per throw' in text else ())
-    assert set(USUAL) <= set(description.varied)
+    assert treatment.is_per_throw is ('per throw' in text)
+    assert description.see('layer.thickness').treatment('layer.thickness').is_varied is (
+        treatment.is_varied or treatment.is_if_seen
+    )
+    assert all(description.treatment(name).is_varied for name in USUAL)
+
+
+def test_what_was_measured_has_the_errors_of_the_paper():
+    description = FitDescription()
+    assert description.known('layer.thickness', RIG, '') == Estimate(0.02, 1e-4)
+    assert description.known('projectile.mass', RIG, '') == Estimate(1e-3, pytest.approx(1e-5))
+
+
+def test_throws_share_what_is_said_alike_for_them():
+    description = FitDescription(
+        throws={
+            'heavy_*': {'projectile.mass': '0.002 +- 1 %'},
+            'heavy_2.csv': {'layer': 'old'},
+        }
+    )
+    names = ('light.csv', 'heavy_1.csv', 'heavy_2.csv', 'heavy_3.csv')
+
+    def groups(name):
+        return [description.group(name, throw, number) for number, throw in enumerate(names)]
+
+    light, *heavy = groups('projectile.mass')
+    assert len(set(heavy)) == 1
+    assert light not in heavy
+    first, second, third, fourth = groups('layer.wave_speed')
+    assert first == second == fourth != third
+    assert len(set(groups('engine.amplitude'))) == 4
+    assert len(set(groups('engine.frequency'))) == 1
+    assert description.prepare(RIG, 'heavy_1.csv').projectile.mass == 0.002
+    assert description.prepare(RIG, 'light.csv').projectile.mass == 0.001
 
 
 def test_file_says_what_python_says(tmp_path):
@@ -37,9 +71,12 @@ def test_file_says_what_python_says(tmp_path):
     path.write_text(
         'parameters:\n  projectile.mass: 0.0012 +- 1 %\n  engine.amplitude: free per throw\n'
         'heights: common\nreference: centre\n'
+        'throws:\n  a.csv: {layer: soft, layer.thickness: 0.01}\n'
     )
     parameters = {'projectile.mass': '0.0012 +- 1 %', 'engine.amplitude': 'free per throw'}
-    assert FitDescription.from_file(path) == FitDescription(parameters, 'common', 'centre')
+    throws = {'a.csv': {'layer': 'soft', 'layer.thickness': '0.01'}}
+    expected = FitDescription(parameters, 'common', 'centre', throws)
+    assert FitDescription.from_file(path) == expected
 
 
 @pytest.mark.parametrize(
@@ -49,6 +86,9 @@ def test_file_says_what_python_says(tmp_path):
         ('parameters:\n  layer.thickness: often', 2, "'often'"),
         ('parameters:\n  layer.thickness: 1 +- 0', 2, "'1 +- 0'"),
         ('parameters:\n  layer.thickness: held per throw', 2, "'held per throw'"),
+        ('parameters:\n  layer.thickness: held if seen', 2, "'held if seen'"),
+        ('throws:\n  a.csv:\n    layer.thickness: often', 3, "'often'"),
+        ('throws:\n  a.csv: 1', 2, '1'),
         ('heights: any', 1, "'any'"),
         ('reference: top', 1, "'top'"),
         ('depths: own', 1, "'depths'"),

@@ -11,6 +11,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
+    HELD,
     PARAMETERS,
     USUAL,
     values_of,
@@ -24,6 +25,9 @@ KNOWN = Rig(
     engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),  # nonsense, which is no guess
     layer=Layer(wave_speed=50.0),
 )
+
+EXACT = FitDescription(HELD)
+"""Of a bench without any fault, where all is known exactly that is not usually found."""
 
 # Least squares of the reference tracks, and Cramer-Rao bounds, by another program
 REFERENCE = {
@@ -55,7 +59,7 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
     found = fit_rig(
         [throw],
         replace(KNOWN, gravity=0.0),
-        FitDescription(heights='absolute', reference='centre'),
+        FitDescription(HELD, 'absolute', 'centre'),
     )
     assert set(found.fit.names) == set(REFERENCE)
     for name, (value, error) in REFERENCE.items():
@@ -72,8 +76,8 @@ def test_many_throws_are_as_exact_as_they_should(make_throw):
         make_throw(rig, rate=1500.0, duration=0.06, seed=seed, start=0.01 + 1e-4 * seed)
         for seed in range(4)
     ]
-    one = fit_rig(throws[:1], KNOWN).fit
-    found = fit_rig(throws, KNOWN)
+    one = fit_rig(throws[:1], KNOWN, EXACT).fit
+    found = fit_rig(throws, KNOWN, EXACT)
     for name in USUAL:
         assert found.fit[name].error == pytest.approx(0.5 * one[name].error, rel=0.2)
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
@@ -104,7 +108,7 @@ def test_wave_speed_is_found_without_a_guess(
     )
     throw = make_throw(rig, rate=3000.0, duration=0.02 + 3.0 / frequency, zeros=(0.3, -0.2))
     known = replace(KNOWN, layer=Layer(thickness=thickness, wave_speed=50.0), gravity=gravity)
-    found = fit_rig([throw], known)
+    found = fit_rig([throw], known, EXACT)
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert found.fit['layer.wave_speed'].error < 0.03 * wave_speed
     assert found.fit['plate_offset'].value == pytest.approx(-0.3, abs=1e-5)
@@ -124,7 +128,7 @@ def test_heights_from_one_zero_tell_the_thickness(make_throw, heights, reference
     throw = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
     known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
     found = fit_rig(
-        [throw], known, FitDescription({'layer.thickness': 'free'}, heights, reference)
+        [throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}, heights, reference)
     )
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert found.fit['layer.thickness'].error < 5e-5
@@ -140,14 +144,14 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     )
     throw = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    fit = fit_rig([throw], known, FitDescription({'layer.thickness': 'free'})).fit
+    fit = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'})).fit
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
     compliance = thickness.value / speed.value**2
     assert compliance == pytest.approx(2e-3 / 9.0, rel=0.02)
     assert thickness.error / thickness.value > 0.05
-    held = fit_rig([throw], replace(known, layer=Layer(thickness=2e-3))).fit
+    held = fit_rig([throw], replace(known, layer=Layer(thickness=2e-3)), EXACT).fit
     assert held.warnings() == []
     assert held['layer.wave_speed'].error < 0.1 * speed.error
 
@@ -166,11 +170,13 @@ def test_loss_is_found(loss_tangent):
             time=time, position=ThrowSimulator().follow(rig, since).position + noise[1]
         ),
     )
-    found = fit_rig([throw], KNOWN, FitDescription({'layer.loss_tangent': 'free'}))
+    found = fit_rig([throw], KNOWN, FitDescription({**HELD, 'layer.loss_tangent': 'free'}))
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert found.fit['layer.loss_tangent'].error < 0.01
     if loss_tangent:  # and is missed if it is not looked for
-        assert any('no white noise' in each for each in fit_rig([throw], KNOWN).fit.warnings())
+        assert any(
+            'no white noise' in each for each in fit_rig([throw], KNOWN, EXACT).fit.warnings()
+        )
 
 
 def test_what_comes_after_the_landing_does_not_matter(make_throw):
@@ -179,7 +185,7 @@ def test_what_comes_after_the_landing_does_not_matter(make_throw):
     landed = throw.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
     other = np.where(landed, 0.05, throw.projectile.position)
     spoilt = replace(throw, projectile=replace(throw.projectile, position=other, known_noise=2e-5))
-    found = fit_rig([spoilt], KNOWN)
+    found = fit_rig([spoilt], KNOWN, EXACT)
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     assert 0.27 < found.throws[0].projectile.time[-1] < 0.0153 + 0.2875
     assert found.fit.warnings() == []
@@ -188,11 +194,11 @@ def test_what_comes_after_the_landing_does_not_matter(make_throw):
 @pytest.mark.parametrize(('body', 'place'), [('plate', 60), ('projectile', 90)])
 def test_sample_that_jumps_is_left_out(make_throw, body, place):
     throw = make_throw(Rig(), rate=2000.0, duration=0.08)
-    clean = fit_rig([throw], KNOWN)
+    clean = fit_rig([throw], KNOWN, EXACT)
     position = getattr(throw, body).position.copy()
     position[place] += 3e-3
     spoilt = replace(throw, **{body: replace(getattr(throw, body), position=position)})
-    found = fit_rig([spoilt], KNOWN)
+    found = fit_rig([spoilt], KNOWN, EXACT)
     listed = {each.name: each.outliers for each in found.fit.residuals if each.outliers}
     assert list(listed) == [body]
     assert [each.time for each in listed[body]] == [throw.plate.time[place]]
@@ -206,20 +212,21 @@ def test_amplitude_of_each_throw_is_its_own(make_throw):
         make_throw(Rig(engine=Engine(amplitude=each)), rate=2000.0, duration=0.06, seed=seed)
         for seed, each in enumerate(amplitudes)
     ]
-    assert fit_rig(throws, KNOWN).fit.is_mismatch
-    found = fit_rig(throws, KNOWN, FitDescription({'engine.amplitude': 'free per throw'}))
+    assert fit_rig(throws, KNOWN, EXACT).fit.is_mismatch
+    found = fit_rig(throws, KNOWN)
     assert not found.fit.is_mismatch
     for number, truth in enumerate(amplitudes, 1):
         amplitude = found.fit[f'engine.amplitude[{number}]']
         assert amplitude.value == pytest.approx(truth, abs=4.0 * amplitude.error)
-    assert found.rig.engine.amplitude == pytest.approx(np.mean(amplitudes), rel=1e-3)
-    assert found.estimates()['engine.amplitude'].value == found.rig.engine.amplitude
+    mean = found.estimates()['engine.amplitude']
+    assert mean.value == found.rig.engine.amplitude
+    assert mean.value == pytest.approx(np.mean(amplitudes), abs=4.0 * mean.error)
 
 
 def test_error_of_a_mass_is_carried_into_the_wave_speed(make_throw):
     throw = make_throw(Rig(), rate=2000.0, duration=0.06)
-    exact = fit_rig([throw], KNOWN).fit
-    found = fit_rig([throw], KNOWN, FitDescription({'projectile.mass': '+- 5 %'})).fit
+    exact = fit_rig([throw], KNOWN, EXACT).fit
+    found = fit_rig([throw], KNOWN, FitDescription({**HELD, 'projectile.mass': '+- 5 %'})).fit
     assert found['projectile.mass'].error < 0.06 * KNOWN.projectile.mass
     assert found['layer.wave_speed'].error > 2.0 * exact['layer.wave_speed'].error
 
@@ -228,7 +235,7 @@ def test_plate_alone_gives_the_engine(make_throw):
     throws = [
         replace(make_throw(Rig(), rate=2000.0, seed=seed), projectile=None) for seed in range(2)
     ]
-    found = fit_rig(throws, KNOWN, FitDescription({'layer.wave_speed': 'held'}))
+    found = fit_rig(throws, KNOWN, FitDescription({**HELD, 'layer.wave_speed': 'held'}))
     assert set(found.fit.names) >= set(ENGINE)
     assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), ENGINE).values())) < 4.0
     assert found.rig.layer == KNOWN.layer

@@ -10,11 +10,9 @@ from scipy.optimize import bisect
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit_description import FitDescription, USUAL, values_of
-from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import Fit, FitError
-from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
+from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
 
 RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
@@ -90,7 +88,7 @@ def test_model_errs_by_what_it_says(make_throw):
     pulls = []
     for seed in range(4):
         throw = make_throw(Rig(), rate=2000.0, duration=0.06, seed=seed)
-        ejection = ejection_of(fit_rig([throw], Rig()))
+        ejection = ejection_of(fit_rig([throw], Rig(), FitDescription(HELD)))
         pulls.append(pulls_of(ejection, truth))
         assert ejection.energy_transfer.error < 0.01
         assert not ejection.is_near_jump
@@ -98,16 +96,28 @@ def test_model_errs_by_what_it_says(make_throw):
     assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.8
 
 
-def fitted(rig, *, error):
-    """A fit that has found a rig, and its wave speed with an error."""
-    covariance = np.diag([1e-20, 1e-20, 1e-20, error**2])
-    values = np.array(list(values_of(rig, USUAL).values()))
-    fit = Fit(names=USUAL, values=values, covariance=covariance, chi2=1.0, dof=1, residuals=())
-    model = RigModel((), rig, FitDescription(), {}, ThrowSimulator())
-    return RigFit(fit=fit, rig=rig, throws=(), _model=model)
+@pytest.fixture
+def fitted(make_throw):
+    """Make a fit that has found a rig, and its wave speed with an error."""
+
+    def fit(rig, *, error):
+        throw = make_throw(Rig(), rate=1000.0)
+        description = FitDescription(HELD)
+        found = fit_rig([throw], rig, description)
+        values, covariance = (
+            found.fit.values.copy(),
+            np.diag(np.full(found.fit.errors.size, 1e-20)),
+        )
+        values[:4] = list(values_of(rig, USUAL).values())
+        covariance[3, 3] = error**2
+        return replace(
+            found, rig=rig, fit=replace(found.fit, values=values, covariance=covariance)
+        )
+
+    return fit
 
 
-def test_ejection_that_jumps_within_the_errors_is_told():
+def test_ejection_that_jumps_within_the_errors_is_told(fitted):
     # Layers of 16.8 mm are left after 3 t_s if the wave is fast enough, and else before
     def is_late(wave_speed):
         rig = Rig(layer=Layer(wave_speed=wave_speed))
@@ -123,7 +133,7 @@ def test_ejection_that_jumps_within_the_errors_is_told():
 
 
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.03])
-def test_error_of_the_ejection_follows_from_that_of_the_wave_speed(loss_tangent):
+def test_error_of_the_ejection_follows_from_that_of_the_wave_speed(fitted, loss_tangent):
     def at(wave_speed):
         return Rig(layer=Layer(wave_speed=wave_speed, loss_tangent=loss_tangent))
 

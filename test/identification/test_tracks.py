@@ -10,6 +10,7 @@ from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     noise_of,
+    split_at_breaks,
     split_into_throws,
     ThrowTracks,
     Track,
@@ -42,8 +43,9 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
         (['t\tzp\tzm', *(row.replace('.', ',') for row in rows('{:.4f}\t{:.9f}\t{:.6f}', 1e3))],
          'mm'),
         (['t,plate [µm],projectile', *rows(scale=1e6)], 'um'),
+        (['sep=;', 't;plate;projectile', *(row.replace(',', ';') + ';' for row in rows())], 'm'),
     ],
-    ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres'],
+    ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres', 'spreadsheet'],
 )  # fmt: skip
 def test_csv_is_read_whatever_separates_it(lines, unit):
     tracks = read_csv(lines, 'file', BODIES, unit=unit)
@@ -77,7 +79,9 @@ def with_line(number, text):
         (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),
         (with_line(5, 'nan,0,0'), "file:5: time must be a finite number, got 'nan'"),
         (with_line(5, '0.0001,0,0'), 'file:5: time must increase, got 0.0001 after 0.0004'),
-        (with_line(7, '0.0010,0'), 'file:7: must have 3 values as above, got 2'),
+        (with_line(7, '0.0010,0'), 'file:7: must have 3 values as line 1 has, got 2'),
+        (with_line(7, '0.0010;0;0'), 'line 1 has, got 1; the same sign must separate'),
+        (['# a comment', 't,plate,projectile'], 'file:2: names columns, but no line with numbers'),
         (with_line(1, 't,piston,ball'), "file:1: no column is named 'plate', got t, piston, ball"),
         (with_line(1, 'frame,plate,projectile'), "file:1: no column is named 't'"),
         (with_line(1, 't,plate,z_p'), "file:1: plate must be there once, got 'z_p'"),
@@ -106,15 +110,33 @@ def test_track_refuses_what_is_none(time, position, message):
         Track(time=time, position=position)
 
 
+PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+
+
 @pytest.mark.parametrize('rate', [2000.0, 10000.0])
-def test_noise_is_told_from_the_motion_even_with_slips(rate):
-    plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+@pytest.mark.parametrize('lost', [0.0, 0.03, 0.3])
+def test_noise_is_told_from_the_motion_with_slips_and_lost_samples(rate, lost):
+    rng = np.random.default_rng(1)
     time = np.arange(0.0, 1.0, 1.0 / rate)
-    noise = 2e-5 * np.random.default_rng(1).normal(size=time.size)
-    position = plate.position(time - 0.1) + noise
+    position = PLATE.position(time - 0.1) + 2e-5 * rng.normal(size=time.size)
     position[[50, 700]] += 5e-3
-    assert noise_of(position) == pytest.approx(2e-5, rel=0.05)
-    assert noise_of(np.zeros(50)) > 0.0
+    seen = rng.random(time.size) >= lost
+    assert noise_of(time[seen], position[seen]) == pytest.approx(2e-5, rel=0.05)
+
+
+@pytest.mark.parametrize('noise', [0.0, 5e-6, 2e-5])
+def test_noise_of_rounded_heights_is_that_of_rounding_and_more(noise):
+    time = np.arange(0.0, 0.1, 2e-4)
+    left = []
+    for seed in range(8):
+        position = PLATE.position(time - 0.03)
+        noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
+        left.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
+    assert np.mean(left) == pytest.approx(np.hypot(noise, 2e-5 / np.sqrt(12.0)), rel=0.05)
+
+
+def test_noise_is_never_zero():
+    assert noise_of(np.arange(50.0), np.zeros(50)) > 0.0
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
@@ -153,6 +175,20 @@ def test_record_of_an_hour_is_cut_too():
     starts = [5.0, 1800.0, 3590.0]
     throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
+
+
+def test_record_is_cut_where_nothing_was_seen_for_long():
+    first, second = record(starts=[0.2]), record(starts=[0.3])
+    for pause in (2.0, 1.7e9):  # the second is a clock that was set
+        time = np.append(first.plate.time, second.plate.time + pause)
+        track = Track(time=time, position=np.append(first.plate.position, second.plate.position))
+        parts = split_at_breaks(ThrowTracks(name='bag', plate=track, projectile=track))
+        assert [part.name for part in parts] == ['bag, part 1', 'bag, part 2']
+        assert [part.plate.time.size for part in parts] == [1400, 1600]
+        stray = track.where(np.arange(track.time.size) <= first.plate.time.size)
+        (only,) = split_at_breaks(ThrowTracks(name='bag', plate=stray))
+        assert only.plate.time.size == first.plate.time.size
+    assert split_at_breaks(first) == [first]
 
 
 @pytest.mark.parametrize(

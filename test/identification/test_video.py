@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spots and edges followed through rendered pictures whose truth is known to the last digit."""
+"""Videos read from files, and edges followed along a line of them."""
 
 from pathlib import Path
 import re
@@ -9,136 +9,84 @@ import numpy as np
 import pytest
 from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.identification.video import (
-    find_spots,
-    follow_spots,
+    camera_rate,
+    read_pictures,
     space_time,
     SpaceTime,
-    Spot,
-    tracks_of,
 )
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
+imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
+pytest.importorskip('av', reason='comes with the extra [video]')
 CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
-picture = CAMERA['picture']
-SHAPE = (150, 50)
+STACK = np.random.default_rng(0).integers(0, 4096, size=(5, 12, 16)).astype('<u2')
+"""Pictures of a camera with 12 bits."""
 
 
-def places_of(number):
-    """Where spots on plate, layer and projectile are; the last one leaves at the top."""
-    swing = 20.0 * (1.0 - np.cos(0.11 * number))
-    late = 20.0 * (1.0 - np.cos(0.11 * max(number - 4, 0)))
-    return [
-        (135.3 - 0.3 * swing, 24.8),
-        (104.7 - 0.5 * late, 25.4),
-        (74.2 - max(0.0, 2.3 * (number - 8)), 24.6 + 0.02 * number),
-    ]
+def phantom_file(path, pictures, *, rate):
+    """Write pictures as Phantom cameras do, after Vision Research's description of the format."""
+    count, rows, columns = pictures.shape
+    size = pictures[0].nbytes
+    setup = bytearray(0x163C + 8)
+    setup[140:144] = b'ST' + (0x163C).to_bytes(2, 'little')  # what follows is as long as this
+
+    def put(place, value):
+        setup[place : place + 4] = value.to_bytes(4, 'little')
+
+    put(768, rate)
+    put(892, 8 * pictures.itemsize)  # bits that are real
+    header = b'CI' + np.array([44, 0, 1], '<u2').tobytes()
+    first = 44 + 40 + len(setup) + 8 * count
+    header += np.array([0, count, 0, count, 44, 84, 84 + len(setup), 0, 0], '<u4').tobytes()
+    bitmap = np.array([40, columns, rows, 1 + (8 * pictures.itemsize << 16), 0, size], '<u4')
+    bitmap = bitmap.tobytes() + bytes(16)
+    places = first + (8 + size) * np.arange(count, dtype='<i8')
+    annotation = np.array([8, size], '<u4').tobytes()
+    images = b''.join(annotation + picture[::-1].tobytes() for picture in pictures)
+    path.write_bytes(header + bitmap + bytes(setup) + places.tobytes() + images)
+    return path
 
 
-def video(count=60, seed=0, **options):
-    rng = np.random.default_rng(seed)
-    return [picture(SHAPE, places_of(number), rng, **options) for number in range(count)]
+def test_cine_of_a_phantom_is_read_with_all_its_bits_and_its_rate(tmp_path):
+    path = phantom_file(tmp_path / 'shot.cine', STACK, rate=7000)
+    np.testing.assert_array_equal(list(read_pictures(str(path))), STACK)
+    assert camera_rate(str(path)) == pytest.approx(7000.0)
 
 
-def errors_of(spots):
-    """What is left of each spot less the truth: rows and columns. [px]"""
-    left = []
-    for place, spot in enumerate(spots):
-        truth = np.array([places_of(number)[place] for number in range(spot.row.size)])
-        left.append(np.stack([spot.row, spot.column], axis=1) - truth)
-    return left
-
-
-@pytest.mark.parametrize(
-    ('options', 'most'),
-    [
-        ({}, 0.025),  # the contrast, noise and blur that the module names
-        ({'noise': 0.0}, 0.004),
-        ({'blur': 1.6}, 0.035),
-        ({'contrast': 70.0}, 0.05),
-        ({'diameter': 12.0, 'noise': 8.0}, 0.05),
-        ({'around': 200.0 - 0.3 * np.arange(150.0)[:, None]}, 0.05),  # lit from above
-    ],
-    ids=['usual', 'no noise', 'blurred', 'faint', 'large', 'uneven'],
-)
-def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
-    spots = follow_spots(video(**options))
-    assert len(spots) == 3
-    assert [spot.row.size for spot in spots[:2]] == [60, 60]
-    for left in errors_of(spots):
-        assert np.sqrt(np.mean(left**2, axis=0)).max() < most
-
-
-def test_spot_that_leaves_the_picture_is_followed_until_then():
-    spots = follow_spots(video())
-    seen = spots[2].row.size
-    assert 30 < seen < 45
-    # to within a picture or so of where its edge, with its blur, touches that of the picture
-    assert places_of(seen - 1)[2][0] > 0.5 * CAMERA['DIAMETER']
-    assert places_of(seen + 1)[2][0] < 0.5 * CAMERA['DIAMETER'] + 4.0
-    assert np.abs(errors_of(spots)[2][-3:]).max() < 0.08
-
-
-def test_spots_are_told_from_all_else_that_is_dark():
-    rng = np.random.default_rng(1)
-    levels = np.full((200, 160), 200.0)
-    levels[:60] = 30.0  # what is behind
-    levels[:, :20] = 30.0
-    levels[100:104, 60:120] = 40.0  # a line
-    levels[150:156, 30:36] -= 20.0  # a shadow, too faint
-    levels[160, 100] = 0.0  # a broken pixel
-    truth = [(180.0, 80.0), (140.0, 81.0), (80.0, 79.0)]
-    spots = find_spots(picture((200, 160), truth, rng, around=levels))
-    assert [spot[:2] for spot in spots] == [pytest.approx(place, abs=0.3) for place in truth]
-    assert [spot.diameter for spot in spots] == pytest.approx([7.0] * 3, abs=0.7)
-
-
-def test_pictures_without_spots_are_refused():
-    empty = picture(SHAPE, [], np.random.default_rng(0))
-    for pictures in ([], [empty] * 20):
-        with pytest.raises(TrackError, match='the first picture shows no dark round spot'):
-            follow_spots(pictures)
-    with pytest.raises(TrackError, match=r'one size, got \(149, 50\) after \(150, 50\)'):
-        follow_spots([video(count=1)[0], empty[1:]])
-
-
-def spot(row, count=20):
-    return Spot(row=row + np.arange(count) ** 2 / 100.0, column=np.full(count, 5.0), error=0.02)
-
-
-def test_tracks_are_heights_in_metres_over_seconds():
-    tracks = tracks_of([spot(90.0), spot(70.0), spot(50.0), spot(20.0, 15)], rate=5e3, scale=1e-4)
-    assert list(tracks) == ['plate', 'layer 1', 'layer 2', 'projectile']
-    assert tracks['plate'].time == pytest.approx(np.arange(20) / 5e3)
-    assert tracks['plate'].position == pytest.approx(-1e-6 * np.arange(20) ** 2)
-    assert tracks['projectile'].position[0] == pytest.approx(7e-3)
-    assert tracks['projectile'].time.size == 15
-    assert tracks['plate'].noise == pytest.approx(2e-6)
-
-
-def test_spots_of_one_body_are_averaged():
-    bodies = ['plate', 'plate', 'none', 'projectile', 'projectile']
-    spots = [spot(90.0), spot(88.0, 13), spot(80.0, 3), spot(50.0), spot(30.0)]
-    tracks = tracks_of(spots, bodies, rate=1.0, scale=1.0)
-    assert list(tracks) == ['plate', 'projectile']
-    assert tracks['plate'].position == pytest.approx(1.0 - np.arange(13) ** 2 / 100.0)
-    assert tracks['plate'].noise == pytest.approx(0.02 / np.sqrt(2.0))
-    assert list(tracks_of([spot(9.0)], rate=1.0, scale=1.0)) == ['plate']
+@pytest.mark.parametrize('name', ['stack.tif', 'shot_{}.png'])
+def test_pictures_are_read_with_all_their_bits(tmp_path, name):
+    folder = tmp_path / 'shots'
+    folder.mkdir()
+    if '{}' in name:
+        for number in (0, 1, 2, 3, 4):
+            imageio.imwrite(folder / name.format(3 * number), STACK[number])
+    else:
+        imageio.imwrite(folder / name, STACK)
+    np.testing.assert_array_equal(list(read_pictures(str(folder))), STACK)
 
 
 @pytest.mark.parametrize(
-    ('spots', 'options', 'value'),
+    ('name', 'content', 'message'),
     [
-        ([spot(9.0)], {'rate': 0.0}, '0.0'),
-        ([spot(9.0)], {'scale': np.inf}, 'inf'),
-        ([spot(9.0)], {'bodies': ['ball']}, "'ball'"),
-        ([spot(9.0), spot(3.0)], {'bodies': ['plate']}, 'column 5 row 9, column 5 row 3'),
-        ([spot(9.0), spot(3.0, 4)], {}, 'column 5 row 3, on the projectile, is seen in 4 '),
-        ([spot(9.0, 0)], {}, 'the edge, on the plate, is seen in 0 '),
+        ('none.avi', None, 'No such file'),
+        ('text.avi', b'hello', 'cannot be read after 0 pictures'),
+        ('empty.mp4', b'', 'cannot be read after 0 pictures'),
+        ('bad.png', b'hello', 'cannot be read after 0 pictures'),
+        ('tracks.csv', b'1,2', 'must be a video or a folder of pictures'),
+        ('bad.cine', b'CI' + bytes(100), 'cannot be read after 0 pictures'),
     ],
 )
-def test_tracks_of_spots_that_cannot_be_are_refused(spots, options, value):
-    with pytest.raises(ValueError, match=re.escape(value)):
-        tracks_of(spots, **{'rate': 1.0, 'scale': 1.0, **options})
+def test_file_that_is_no_video_is_refused(tmp_path, name, content, message):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(TrackError, match=message):
+        list(read_pictures(str(path)))
+
+
+def test_empty_folder_is_refused(tmp_path):
+    with pytest.raises(TrackError, match='no picture in this folder'):
+        list(read_pictures(str(tmp_path)))
 
 
 LAYER_SHAPE = (120, 40)

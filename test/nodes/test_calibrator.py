@@ -102,7 +102,8 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
     after = with_new_layer()
     speed = statistics.mean(item.first.speed for item in after if item.first)
     assert speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
-    assert sum(item.comparison.is_within_threshold for item in after if item.comparison) > 3
+    errors = [item.comparison.position_rms for item in after if item.comparison]
+    assert statistics.median(errors) <= after[0].comparison.threshold
     best = recommend(true, vary='thickness')
     assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
@@ -114,7 +115,7 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     calibrator = run(start, 'calibrator', rig='/rig', throws=1)
     for process in (twin, calibrator):
         process.wait_for('ready')
-    rig = run(start, 'rig', rate=2500.0, throw__period=0.6, noise=1e-6)
+    rig = run(start, 'rig', rate=2500.0, throw__period=0.6)
     ros.spin_until(
         lambda: sum(item.stage == 'final' and item.comparison is not None for item in results) > 3,
         'throws',

@@ -244,9 +244,8 @@ def test_dump_of_a_running_twin_starts_another_and_is_loaded(ros, start, tmp_pat
 
 @pytest.mark.parametrize(
     'text',
-    ['1', '-1', '+1', '010', '08', '0x10', '1_000', '1.5', '.5', '5.', '2e-3', '1e5', '1E+5',
-     '.inf', '-.inf', '+.inf', '.Inf', 'inf', '-inf', '.nan', '.NAN', 'nan', 'NaN', 'infinity',
-     'yes', 'y', 'Y', 'n', 'on', 'Off', 'true', 'TRUE', 'tRUE', '~', 'null', 'soft', "'1.5'",
+    ['1', '-1', '+1', '1_000', '1.5', '.5', '5.', '2e-3', '1e5', '1E+5',
+     'yes', 'on', 'Off', 'true', 'TRUE', 'tRUE', '~', 'null', 'soft', "'1.5'",
      '"yes"', "''", '1e', 'e5', '--1', '0b1', '0o7', '1 2', '[1, 2]', '[1.5]',
      '[a, b]', '1:2', '12:30:45', '2001-01-01', '1,5'],
 )  # fmt: skip

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import contextlib
+from functools import partial
 from pathlib import Path
-import struct
+import runpy
 import sys
 from typing import Any
 
@@ -14,37 +15,22 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from soft_throw_ros.configuration.interface import REPLAY_SERVICES, resolve
 from soft_throw_ros.nodes.conversions import msg_to_time
-from soft_throw_ros.nodes.player import PAUSE, Player, RESUME, STEP
+from soft_throw_ros.nodes.player import Player
 from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+bags: Any = runpy.run_path(str(Path(__file__).with_name('bags.py')))
+channel, text, BEGIN = bags['channel'], bags['text'], bags['BEGIN']
+write = partial(bags['write'], compression='none')
 SECOND = 1_000_000_000
-BEGIN = 1_700_000_000 * SECOND
+PAUSE, RESUME, STEP = REPLAY_SERVICES
 EVERYTHING = QoSProfile(depth=5000)
-
-
-def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
-    schema = find_schema(kind, prefixes())
-    return Channel(
-        topic=topic,
-        type=kind,
-        schema=schema.text,
-        type_hash=schema.type_hash,
-        qos=(Qos(**qos),),
-    )
-
-
-def text(content: str) -> bytes:
-    data = content.encode() + b'\0'
-    return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
-
 
 FAST = channel('/fast', depth=5000)
 SLOW = channel('/slow', durability='transient_local', depth=3)
@@ -61,15 +47,6 @@ def messages(count: int = 1000) -> list[Message]:
             made.append(Message(SLOW, text(f'slow {number}'), time, time))
             made.append(Message(LOSSY, text(f'lossy {number}'), time, time))
     return made
-
-
-def write(path: Path, made: list[Message]) -> Path:
-    with BagWriter(path, distribution='jazzy', compression='none') as writer:
-        for number, message in enumerate(made):
-            writer.write(message)
-            if number % 1000 == 999:
-                writer.flush()
-    return path
 
 
 def datas(made: list[Message], topic: str) -> list[bytes]:
@@ -199,10 +176,10 @@ def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
 
 
 @pytest.fixture
-def call(ros: Any, listener: Listener) -> Callable[[str], Trigger.Response]:
+def call(ros: Any, listener: Listener) -> Callable[[Any], Trigger.Response]:
     """Give a function that calls a service of the player."""
     return lambda service: ros.call(
-        listener.create_client(Trigger, service.replace('~', '/replay')), Trigger.Request()
+        listener.create_client(Trigger, resolve(service.name, '/replay')), Trigger.Request()
     )
 
 

@@ -22,12 +22,19 @@ def assert_quiet(process: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ('name', 'number'),
-    [('twin', INT), ('twin', TERM), ('twin', HUP), ('rig', INT), ('calibrator', TERM)],
+    ('name', 'number', 'line'),
+    [
+        ('twin', INT, 'throw 3: left'),  # while it throws
+        ('twin', TERM, 'ready'),
+        ('twin', HUP, 'ready'),
+        ('rig', INT, 'ready'),
+        ('calibrator', TERM, 'ready'),
+    ],
 )
-def test_node_ends_well_by_a_signal(start, name, number) -> None:
-    node = start(sys.executable, '-m', 'soft_throw_ros', name)
-    node.wait_for('ready')
+def test_node_ends_well_by_a_signal(start, name, number, line) -> None:
+    fast = ('--ros-args', '-p', 'throw.period:=0.05') if name == 'twin' else ()
+    node = start(sys.executable, '-m', 'soft_throw_ros', name, *fast)
+    node.wait_for(line)
     assert node.end(number) == 0
     assert_quiet(node)
 

@@ -26,7 +26,6 @@ from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.recording.bag_reader import BagReader
 
-TWIN = [sys.executable, '-m', 'soft_throw_ros', 'twin', '--ros-args', '-p', 'throw.period:=0.3']
 RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
 
 
@@ -80,19 +79,6 @@ def end_well(recorder: Any, number: int = signal.SIGINT) -> str:
     assert recorder.end(number) == 0
     assert not any('Traceback' in line for line in recorder.lines), recorder.lines
     return recorder.lines[-1]  # type: ignore[no-any-return]
-
-
-def test_recorder_and_twin_in_two_processes(start, record, ros, tmp_path) -> None:
-    recorder = record('bag')
-    recorder.wait_for('ready')
-    twin = start(*TWIN)
-    wait_for_states(ros, tmp_path / 'bag', 500)
-    assert ' 0 lost, in ' in end_well(recorder)
-    assert twin.end(signal.SIGINT) == 0
-    with Reader(tmp_path / 'bag') as bag:
-        counts = {connection.topic: connection.msgcount for connection in bag.connections}
-    assert counts['/twin/joint_states'] >= 500
-    assert {f'/twin/{name}' for name in ('journal', 'phase', 'recommendation')} <= counts.keys()
 
 
 def test_recorder_that_is_killed_loses_at_most_the_last_second(

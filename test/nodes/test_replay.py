@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
+import runpy
 import signal
-import struct
 import subprocess
 import sys
 import threading
@@ -16,34 +16,21 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-BEGIN = 1_700_000_000_000_000_000
-
-
-def channel(topic: str, kind: str, *qos: Qos) -> Channel:
-    schema = find_schema(kind, prefixes())
-    return Channel(topic=topic, type=kind, schema=schema.text, type_hash=schema.type_hash, qos=qos)
-
-
-def text(content: str) -> bytes:
-    data = content.encode() + b'\0'
-    return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
+bags: Any = runpy.run_path(str(Path(__file__).with_name('bags.py')))
+channel, text, write, BEGIN = (bags[name] for name in ('channel', 'text', 'write', 'BEGIN'))
 
 
 def messages_of_a_twin(steps: int) -> list[Message]:
     """Make what a twin publishes in a run of so many steps."""
-    journal = channel('/twin/journal', 'std_msgs/msg/String')
+    journal = channel('/twin/journal')
     states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
     made: list[Message] = []
     due = BEGIN
@@ -60,15 +47,6 @@ def messages_of_a_twin(steps: int) -> list[Message]:
         outputs = session.advance()
         made.append(Message(states, encode(due, outputs.state), due, due))
     return made
-
-
-def write(path: Path, made: list[Message], **kwargs: Any) -> Path:
-    with BagWriter(path, distribution='jazzy', **kwargs) as writer:
-        for number, message in enumerate(made):
-            writer.write(message)
-            if number % 100 == 99:
-                writer.flush()
-    return path
 
 
 @pytest.fixture(scope='module')
@@ -202,7 +180,7 @@ COMMAND = [sys.executable, '-c', MAIN]
 @pytest.fixture(scope='module')
 def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a bag of one second, with a message every millisecond."""
-    texts = channel('/texts', 'std_msgs/msg/String', Qos(depth=1000))
+    texts = channel('/texts', depth=1000)
     times = range(BEGIN, BEGIN + 1_000_000_001, 1_000_000)
     made = [Message(texts, text(str(n)), time, time) for n, time in enumerate(times)]
     return write(tmp_path_factory.mktemp('texts') / 'bag', made)
@@ -308,6 +286,7 @@ def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
     thrown = sum(': left' in line for line in twin.lines)
     twin.wait_for(f'throw {thrown + 5}: left')
     assert recorder.end(signal.SIGINT) == 0
+    assert ' 0 lost, in ' in recorder.lines[-1]
     assert twin.end(signal.SIGINT) == 0
     first = check('first')
     assert not any(' 0 are the same' in line for line in first)

@@ -287,7 +287,7 @@ def test_another_checksum_is_found(plain, check, kind, name) -> None:
     assert result.checksums.different + result.results.different == 1
 
 
-@pytest.mark.parametrize('name', ['first.speed', 'peak_strain', 'plate_work', 'recontacts'])
+@pytest.mark.parametrize('name', ['ejection_speed', 'peak_strain', 'plate_work', 'recontacts'])
 def test_another_number_of_a_result_is_found_and_named(plain, check, name) -> None:
     def edit(entry: dict[str, Any]) -> dict[str, Any]:
         if entry['kind'] != 'result' or entry['result']['throw'] != 2:

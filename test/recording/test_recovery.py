@@ -3,21 +3,27 @@
 
 from __future__ import annotations
 
+import functools
+from io import BytesIO
 from pathlib import Path
 import random
 import resource
 import subprocess
 import sys
+import tempfile
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
-from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.recovery import recover
+import zstandard
 
 from test.recording.conftest import PLAIN, plain
 
@@ -202,7 +208,7 @@ def test_definition_with_a_checksum_wins_over_its_copy_without_one(
         }
 
 
-@pytest.mark.parametrize('size', [1, 10, 5000, 300_000])
+@pytest.mark.parametrize('size', [1, 9, 5000, 300_000])
 def test_reading_goes_on_after_bytes_that_do_not_belong_there(recording, size):
     recording.write(2000, flush_every=300)
     (path,) = recording.files
@@ -259,11 +265,150 @@ def unchunked(count):
 def test_messages_in_no_chunk_are_read_up_to_the_damage(tmp_path):
     data, begins = unchunked(500)
     path = tmp_path / 'stream.mcap'
+    for place in (begins[100], begins[100] + 7):  # opcode, length
+        path.write_bytes(data)
+        flip(path, place, 0x40)
+        with BagReader(path) as bag:
+            assert [message.sequence for message in bag.messages()] == list(range(100))
+            assert bag.gaps[0].offset == begins[100]
+
+
+def test_empty_file_of_a_bag_is_named_and_the_others_are_read(recording, tmp_path):
+    recording.write(900, max_duration=0.3)
+    recording.files[1].write_bytes(b'')
+    recovered = recover(recording.folder, tmp_path / 'whole')
+    assert recovered.message_count == len(recording.messages) - 303
+    assert str(recording.files[1]) in str(recovered.gaps[0])
+
+
+def test_attachment_with_a_wrong_checksum_is_left_out_and_named(recording, tmp_path):
+    recording.write(100)
+    (path,) = recording.files
+    flip(path, path.read_bytes().index(b'twin:'))
+    recovered = recover(recording.folder, tmp_path / 'whole')
+    assert 'attachment' in recovered.gaps[0].reason
+    with BagReader(tmp_path / 'whole') as bag:
+        assert list(bag.attachments()) == []
+
+
+def without_checksums(path):
+    """Take away the end of a file, and its first chunk; return where that was."""
+    data = bytearray(path.read_bytes())
+    first = chunks_of(path)[0]
+    end = data.rindex(b'rosbag2')
+    for begin, size in ((first.chunk_start_offset, first.chunk_length), (end, len(data) - end)):
+        data[begin : begin + size] = bytes(size)
     path.write_bytes(data)
-    flip(path, begins[100] + 7, 0x40)  # its length
-    with BagReader(path) as bag:
-        assert [message.sequence for message in bag.messages()] == list(range(100))
-        assert bag.gaps[0].offset == begins[100]
+
+
+@pytest.mark.parametrize(
+    ('found', 'damaged', 'count'),
+    [
+        (b'RIHS01_a', b'RIHS01_b', 1720),
+        (b'float64[] effort', b'float6t[] effort', 17),
+        (b'/twin/joint_states', b'/twin/joint\0states', 17),
+    ],
+)
+def test_definition_that_cannot_be_trusted_is_left_out_and_said(
+    recording, tmp_path, found, damaged, count
+):
+    recording.write(2000, flush_every=300)
+    (path,) = recording.files
+    without_checksums(path)
+    path.write_bytes(path.read_bytes().replace(found, damaged))
+    recovered = recover(recording.folder, tmp_path / 'whole')
+    assert recovered.message_count == count
+    assert data_as_read_by_others(tmp_path / 'whole')
+    with BagReader(tmp_path / 'whole') as bag:
+        hashes = {channel.topic: channel.type_hash for channel in bag.channels}
+    assert hashes['/twin/journal'] == recording.texts.type_hash
+    if count == 17:
+        assert any(gap.messages == 1703 and 'channel 1' in gap.reason for gap in recovered.gaps)
+    else:
+        assert hashes['/twin/joint_states'] == ''
+        assert any('/twin/joint_states' in doubt for doubt in recovered.doubts)
+
+
+# Anything at all
+
+
+@functools.cache
+def sound_file(kind):
+    """Make a small file in which nothing is wrong."""
+    if kind == 'unchunked':
+        return unchunked(30)[0]
+    if kind == 'compressed':
+        return zstandard.compress(sound_file('none'))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'bag'
+        with BagWriter(path, distribution='', compression=kind) as writer:
+            writer.add_metadata('name', {'key': 'value'})
+            writer.attach('file', b'content', 'text/plain')
+            for number in range(30):
+                data = b'message %d ' % number * 5
+                writer.write(Message(PLAIN, data, number, number, number))
+                if number % 10 == 9:
+                    writer.flush()
+        return (path / 'bag_0.mcap').read_bytes()
+
+
+def edited(data, edits):
+    data = bytearray(data)
+    for kind, where, size, number in edits:
+        place = int(where * len(data))
+        if kind == 'flip':
+            data[place : place + 1] = bytes([data[place] ^ (1 << size % 8)] if data else [])
+        elif kind == 'put':
+            data[place : place + 8] = number.to_bytes(8, 'little')
+        elif kind == 'remove':
+            del data[place : place + size]
+        elif kind == 'repeat':
+            data[place:place] = data[place : place + size]
+        else:
+            del data[place:]
+    return bytes(data)
+
+
+@pytest.mark.parametrize('kind', ['lz4', 'zstd', 'none', 'unchunked', 'compressed'])
+@settings(max_examples=60)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.sampled_from(['flip', 'put', 'remove', 'repeat', 'cut']),
+            st.floats(0.0, 1.0, exclude_max=True),
+            st.integers(0, 300),
+            st.sampled_from([0, 1, 0xFF, 2**31, 2**32 - 1, 2**48, 2**63, 2**64 - 1]),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_edited_file_gives_messages_or_a_reason(tmp_path_factory, kind, edits):
+    path = tmp_path_factory.mktemp('edited') / 'bag.mcap'
+    path.write_bytes(edited(sound_file(kind), edits))
+    found, reasons = [], []
+    for by_scan in (False, True):
+        try:
+            with BagReader(path, by_scan=by_scan) as bag:
+                found.append([message.data for message in bag.messages()])
+                assert all(isinstance(record.metadata, dict) for record in bag.metadata)
+                assert all(record.data == b'content' for record in bag.attachments())
+        except BagError as error:
+            reasons.append(str(error))
+    try:
+        items = read_stream(BytesIO(path.read_bytes()), str(path))
+        found.append([item.data for item in items if isinstance(item, Message)])
+    except BagError as error:
+        reasons.append(str(error))
+    try:
+        count = recover(path, path.with_name('whole')).message_count
+        assert count == len(data_as_read_by_others(path.with_name('whole')))
+    except BagError as error:
+        reasons.append(str(error))
+    assert all(str(path) in reason for reason in reasons)
+    if kind in ('lz4', 'zstd', 'none'):  # nothing is read without a checksum
+        originals = {b'message %d ' % number * 5 for number in range(30)}
+        assert all(originals.issuperset(data) for data in found)
 
 
 # Refused

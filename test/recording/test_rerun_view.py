@@ -204,11 +204,55 @@ def test_map_marks_the_layers_of_the_table_where_it_is_brightest(recording) -> N
     places = recording.last('/twin/landscape/marks', 'Points2D:positions')
     for column, (x, y) in zip((1, 4), places, strict=True):
         part = np.log([float(thickness[column]), float(wave_speed[column])]) / np.log(50.0)
-        assert [x, y] == pytest.approx([200.0 * part[0], 84.0 * (1.0 - part[1])], abs=1.0)
+        right, up = (part * [159, 99] + 0.5) / [160, 100]  # values are in the middle of pixels
+        assert [x, y] == pytest.approx([200.0 * right, 84.0 * (1.0 - up)], rel=2e-3)
     buffer = recording.last('/twin/landscape/picture', 'Image:buffer')[0]
     brightness = np.reshape(buffer, (100, 160, 3))[:, :, :2].astype(int).sum(axis=2)
     row, column = np.unravel_index(brightness.argmax(), brightness.shape)
     assert [column / 0.8, row * 0.84] == pytest.approx(places[1], abs=8)
+
+
+def test_map_and_table_are_of_the_rig_that_is_recommended_for_or_say_nothing(tmp_path) -> None:
+    twin = TwinMessages(throw__period=0.2).go(300)
+    twin.change(engine__frequency=70.0, layer__thickness=0.012)
+    for number in range(3):
+        if number == 1:
+            twin.go(200)  # with the next throw the map is what it was
+        if number == 2:
+            topic = '/twin/recommendation'
+            last = [each for each in twin.messages if each.channel.topic == topic][-1]
+            twin.messages.remove(last)
+        path = record(tmp_path / f'{number}.rrd', Scene('test'), twin.messages)
+        recording = Recording(path)
+        table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
+        marks = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
+        alphas = [mark.split('α ')[1] for mark in marks]
+        if number < 2:
+            assert alphas == [f'{float(table[4][n]):.3f}' for n in (1, 4)]
+        else:
+            assert (len(alphas), table) == (1, [])
+
+
+def test_layer_has_the_colour_of_its_strain(twin, recording) -> None:
+    """Orange where it is compressed, purple where it is stretched, white at rest."""
+    times, pictures = recording.series('/twin/side/layer', 'Image:buffer')
+    throw = simulate(Rig(), until=0.02)
+    for since in (-0.1, 0.005, 0.0099):
+        row = int(np.searchsorted(times, twin.pace.deadline(500) + since * 1e9))
+        red, _, blue = np.reshape(pictures[row][0], (64, 3))[::-1].astype(int).T
+        at = (times[row] - twin.pace.deadline(500)) / 1e9
+        strain = throw.fields(np.array([max(at, 0.0)]), points=64).strain[0]
+        sure = np.abs(strain) > 0.03
+        are_right = (blue > red) == (strain > 0.0)
+        assert are_right[sure].sum() >= 0.95 * sure.sum()  # cells are even in height
+        assert sure.any() == (since > 0.0)
+
+
+def test_twin_without_journal_is_shown_as_far_as_it_is_known(twin, tmp_path) -> None:
+    messages = [each for each in twin.messages if each.channel.topic == '/twin/joint_states']
+    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
+    assert len(recording.scalars('/twin/velocity')[0]) == 1200
+    assert not any(entity.startswith('/twin/landscape') for entity in recording.entities)
 
 
 def test_words_have_the_numbers(recording) -> None:
@@ -230,7 +274,7 @@ def test_layout_has_a_view_of_everything_with_its_unit(recording) -> None:
         [
             'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
             'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
-            'Throw', 'Recommended layer', 'Log',
+            'Throw', 'Recommended layer', 'Log', ' ',
         ]
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.timeseries import (
     Decoder,
@@ -128,7 +128,6 @@ def layer_messages(twin: Any, topics: Sequence[Any]) -> list[Message]:
         Channel(topic=topic.at('/twin').name, type=topic.type, schema='') for topic in topics
     ]
     encode_states = JointStateEncoder(FRAME, LAYER_JOINTS).encode
-    encode_array = ArrayEncoder({'y': 64}).encode
     rig = Rig()
     time = np.arange(0, 800, 10) * 1e-5
     fields = simulate(rig, until=0.02).fields(time, points=64)
@@ -143,7 +142,7 @@ def layer_messages(twin: Any, topics: Sequence[Any]) -> list[Message]:
             values = (*height[row], *fields.velocity[row], *force[row])
             datas = [encode_states(stamp, values)]
         else:
-            datas = [encode_array(fields.strain[row]), encode_array(fields.velocity[row])]
+            datas = [encode_array('y', each[row]) for each in (fields.strain, fields.velocity)]
         messages += [
             Message(channel, data, stamp + 200_000, stamp + 200_000, 0)
             for channel, data in zip(channels, datas, strict=True)

@@ -24,7 +24,7 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
 )
 from soft_throw_ros.nodes.recommendations import recommend_for
-from soft_throw_ros.recording.cdr import ArrayEncoder, JointStateEncoder
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.twin.plate_estimator import Sample
@@ -68,7 +68,6 @@ class TwinMessages:
         self._encode_prediction = JointStateEncoder(FRAME, JOINTS[1:]).encode
         self._encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
         self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
-        self._encode_throw_field = ArrayEncoder({'t': 200, 'y': 64}).encode
         self.now = BEGIN
         settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
         self.session = Session(settings, on_entry=self._on_entry)
@@ -113,7 +112,7 @@ class TwinMessages:
     def change(self, **request: Any) -> None:
         """Change settings."""
         self.session.change(_named(request))
-        self._advise({**self.session._staged._wanted})
+        self._advise(self.session.wanted)
 
     def _channel(self, name: str, kind: str) -> Channel:
         schema = find_schema(kind, [sys.prefix])
@@ -137,7 +136,7 @@ class TwinMessages:
         for phase in outputs.phases:
             self._send('phase', serialize_message(String(data=phase.value)), 4)
         if outputs.throw_field is not None:
-            self._send('throw_field', self._encode_throw_field(outputs.throw_field.strain), 5)
+            self._send('throw_field', encode_array(('t', 'y'), outputs.throw_field.strain), 5)
         for result in outputs.results:
             status = throw_result_to_msg(result, self.node)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)

@@ -18,7 +18,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.plate_estimator import Sample
-from soft_throw_ros.twin.replay import replay
+from soft_throw_ros.twin.replay import advance_to, follow
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
@@ -27,6 +27,22 @@ BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
 
 _rigs: Any = runpy.run_path(str(Path(__file__).with_name('rigs.py')))
+
+
+def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outputs]:
+    """Repeat a journal up to a step, from its first start or that of a throw on."""
+    entries = map(journal.decode, lines)
+    begins = (
+        entry
+        for entry in entries
+        if (entry['kind'] == 'throw' and throw in (0, entry['throw']))
+        or (entry['kind'] == 'start' and throw == 0)
+    )
+    session = Session.from_entry(next(begins))
+    for entry in entries:
+        if entry['kind'] == 'samples' or entry['step'] < until:
+            yield from follow(session, entry)
+    yield from advance_to(session, until)
 
 
 class Run:
@@ -165,6 +181,12 @@ def start() -> type[Run]:
 def settings_() -> Callable[..., dict[str, Any]]:
     """Give what makes complete settings of some."""
     return settings
+
+
+@pytest.fixture(scope='session', name='replay')
+def replay_() -> Callable[..., Iterator[Outputs]]:
+    """Give what repeats a journal."""
+    return replay
 
 
 @pytest.fixture(scope='session')

@@ -229,6 +229,29 @@ def test_rate_that_is_too_low_is_told_with_the_number(start, rate, request_, rea
     assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
 
 
+def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
+    run = start(**MEASURED)
+    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=2e-6)
+    random = np.random.default_rng(6)
+    for index, sample in enumerate(samples):
+        arriving = [sample]
+        if index % 10 == 3:
+            arriving.append(sample)
+        elif index % 10 == 7:
+            arriving = [sample._replace(plate=math.nan)]
+        elif index % 50 == 5:
+            arriving.append(sample._replace(stamp_ns=sample.stamp_ns + SECOND))
+            arriving.append(sample._replace(stamp_ns=sample.stamp_ns - 2 * SECOND))
+        for item in arriving:
+            run.send([item], [sample.stamp_ns - item.stamp_ns + random.integers(1e5, 1.5e5)])
+    run.receive()
+    counts = run.session.sample_counts
+    assert counts.refused == {'doubled': 60, 'not finite': 60, 'future': 12, 'past': 12}
+    assert counts.taken == len(samples) - 60
+    (release,) = run.results('release')
+    assert release.first.speed == pytest.approx(simulate(run.rig).ejection_speed, rel=0.01)
+
+
 def test_throw_cannot_be_requested(start) -> None:
     with pytest.raises(RequestRejected, match='measured'):
         start(**MEASURED).session.request_throw()

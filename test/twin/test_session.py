@@ -58,6 +58,13 @@ def test_period_zero_throws_only_on_request(start) -> None:
     run.session.change({'throw.period': 2.0})
     run.go(600)
     assert run.starts() == [5000, 7000]  # counted from the one that was requested
+    run.go_until(Phase.REST)
+    run.session.change({'throw.period': 0.0})
+    run.go(3000)
+    assert len(run.starts()) == 2
+    run.session.change({'throw.period': 0.5})
+    run.go(1)
+    assert len(run.starts()) == 3
 
 
 @pytest.mark.parametrize(
@@ -100,8 +107,12 @@ def test_every_throw_ends(start, request_, reasons) -> None:
     run = start(throw__period=0, **request_)
     run.session.request_throw()
     run.go_until(Phase.RETURNING)
+    run.go_until(Phase.REST)
     (result,) = run.results('final')
-    assert run.phases()[:2] == [Phase.REST, Phase.CONTACT]
+    between = {'contact', 'flight', 'landed'} if 'throw__max_events' in request_ else set()
+    first, second, *others, returning, last = [phase.value for phase in run.phases()]
+    assert (first, second, returning, last) == ('rest', 'contact', 'returning', 'rest')
+    assert between <= {second, *others} <= {'contact', 'flight', 'landed'}
     assert result.ended_by in reasons
     assert result.recontacts + result.landings == request_.get('throw__max_events', 0)
     assert (result.apex_height == math.inf) == ('gravity' in request_)
@@ -126,6 +137,7 @@ def test_recontact_is_contact_again_and_no_landing(start) -> None:
     run.go(1)
     (result,) = run.results('final')
     assert (result.recontacts, result.landings) == (recontacts, 1)
+    assert result.first != result.last
 
 
 @pytest.mark.parametrize('request_', [{}, {'throw__max_events': 1}, {'throw__period': 0.07}])
@@ -174,7 +186,11 @@ def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_re
     (release,), (final,) = run.results('release'), run.results('final')
     assert release.first == final.first
     assert release.first.time == pytest.approx(exact.ejection_time, rel=1e-6)
+    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=1e-6)
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=1e-6)
+    assert release.apex_height == pytest.approx(exact.apex_height, rel=1e-6)
+    assert release.peak_strain == pytest.approx(exact.peak_strain, rel=1e-3)
+    assert release.peak_force == pytest.approx(exact.peak_plate_force, rel=1e-3)
     assert release.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=1e-12)
     assert release.peak_acceleration == pytest.approx(exact.peak_acceleration, rel=1e-3)
     assert release.plate_work > 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2

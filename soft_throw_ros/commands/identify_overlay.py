@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw over a video which spots were followed, and where they were not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, cycle, islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.commands.output import require
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.identification.spots import Picture, Spot
+
+Bytes = NDArray[np.uint8]
+
+PICTURES = ('.png', '.pdf', '.svg')
+VIDEOS = {'.mp4': 'mp4', '.mkv': 'matroska', '.avi': 'avi'}
+"""Files that are drawn, by how they end, and FFmpeg's names of their formats."""
+
+# Okabe and Ito's colours, which everybody can tell apart
+_COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')
+_RADIUS = 8.0  # of the ring around a spot [px]
+_MIN_HEIGHT = 480  # of a video; smaller pictures are enlarged [px]
+_SHOWN_RATE = 25  # pictures per second of a video [Hz]
+_TAIL = 40  # pictures of the path that a video shows
+
+
+def check_overlay(path: Path) -> None:
+    """Refuse a file that cannot be drawn."""
+    if not path.parent.is_dir():
+        raise ValueError(f'argument --overlay: there is no folder {path.parent}')
+    if path.suffix not in (*PICTURES, *VIDEOS):
+        raise ValueError(
+            f'argument --overlay: must end on {", ".join((*PICTURES, *VIDEOS))}, got {str(path)!r}'
+        )
+    if path.suffix in PICTURES:
+        require('a figure', 'plot', 'matplotlib')
+
+
+def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path) -> None:
+    """
+    Draw which spots were followed.
+
+    Parameters
+    ----------
+    pictures : iterable of ndarray, shape (rows, columns)
+        Those that they were followed through.
+    spots : sequence of Spot
+    path : Path
+        A picture has the first one with the paths of the spots, and their rows over the number of
+        the picture. A video has rings around the spots that are seen in each picture.
+
+    """
+    with atomic_file(path) as unfinished:
+        if path.suffix in PICTURES:
+            _draw_picture(next(iter(pictures)), spots, unfinished, path.suffix[1:])
+        else:
+            _write_video(_frames(pictures, spots), unfinished, VIDEOS[path.suffix])
+
+
+def _draw_picture(picture: Picture, spots: Sequence[Spot], path: Path, form: str) -> None:
+    """Draw the first picture with paths, and rows over pictures."""
+    from matplotlib.figure import Figure
+
+    rows, columns = picture.shape
+    width = np.clip(4.2 * columns / rows, 1.0, 6.0)
+    figure = Figure(figsize=(4.6 + width, 4.6), layout='constrained')
+    shown, over_time = figure.subplots(1, 2, sharey=True, width_ratios=[width, 4.2])
+    shown.imshow(picture, cmap='gray', aspect='auto')
+    shown.set(xlabel='column [px]', ylabel='row [px]')
+    over_time.set(xlabel='picture')
+    for spot, colour in zip(spots, cycle(_COLOURS)):
+        breaks = np.flatnonzero(np.diff(spot.picture) > 1) + 1
+        for places in np.split(np.arange(spot.row.size), breaks):
+            shown.plot(spot.column[places], spot.row[places], color=colour, lw=1.4)
+            over_time.plot(spot.picture[places], spot.row[places], color=colour, lw=1.4)
+        for first, last in spot.gaps:
+            over_time.axvspan(first, last, color=colour, alpha=0.15, lw=0)
+        if spot.row.size:
+            shown.plot(spot.column[0], spot.row[0], 'o', mfc='none', ms=10, color=colour)
+    over_time.set_title('shaded: not seen as a whole', fontsize='small', loc='left')
+    for axes in (shown, over_time):
+        axes.spines[['top', 'right']].set_visible(False)
+    figure.savefig(path, dpi=120, format=form)
+
+
+def _frames(pictures: Iterable[Picture], spots: Sequence[Spot]) -> Iterator[Bytes]:
+    """Draw rings, and the paths of late, into every picture."""
+    colours = [
+        np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)], dtype=np.uint8)
+        for colour in islice(cycle(_COLOURS), len(spots))
+    ]
+    low = high = None
+    for number, picture in enumerate(pictures):
+        if low is None or high is None:
+            low, high = (float(each) for each in np.percentile(picture, (0.1, 99.9)))
+        grey = np.clip(255.0 * (picture - low) / max(high - low, 1e-12), 0.0, 255.0)
+        factor = 2 * max(1, round(0.5 * _MIN_HEIGHT / picture.shape[0]))
+        frame = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+        frame = frame.repeat(factor, axis=0).repeat(factor, axis=1)
+        for spot, colour in zip(spots, colours, strict=True):
+            _mark(frame, spot, number, colour, factor)
+        yield frame
+
+
+def _mark(frame: Bytes, spot: Spot, number: int, colour: Bytes, factor: int) -> None:
+    """Draw one spot: where it was of late, and a ring if this picture shows it."""
+    late = (spot.picture <= number) & (spot.picture > number - _TAIL)
+    rows = factor * (spot.row[late] + 0.5)
+    columns = factor * (spot.column[late] + 0.5)
+    if late.any() and spot.picture[late][-1] == number:
+        angles = np.linspace(0.0, 2.0 * np.pi, round(12.0 * factor * _RADIUS))
+        for wider in (0.0, 1.0):
+            radius = factor * _RADIUS + wider
+            rows = np.append(rows, factor * (spot.row[late][-1] + 0.5) + radius * np.sin(angles))
+            columns = np.append(
+                columns, factor * (spot.column[late][-1] + 0.5) + radius * np.cos(angles)
+            )
+    places = np.stack([rows, columns]).astype(int)
+    inside = ((places >= 0).T & (frame.shape[:2] > places.T)).all(axis=1)
+    frame[tuple(places[:, inside])] = colour
+
+
+def _write_video(frames: Iterator[Bytes], path: Path, form: str) -> None:
+    """Write frames as a video that everybody's player shows."""
+    import av
+
+    codec = 'libx264' if 'libx264' in av.codecs_available else 'mpeg4'
+    with av.open(str(path), 'w', format=form) as file:
+        stream = file.add_stream(codec, rate=_SHOWN_RATE)
+        stream.pix_fmt = 'yuv420p'
+        first = next(frames)
+        stream.height, stream.width = first.shape[:2]
+        for frame in chain([first], frames):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format='rgb24')))
+        file.mux(stream.encode())

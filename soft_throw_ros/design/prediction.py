@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one throw of a rig gives up to its first release, and what it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import first_throws, Ratios
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedThrow:
+    r"""
+    What a throw gives, with the rig's damping, gravity and loss, up to the first release.
+
+    Parameters
+    ----------
+    thickness, wave_speed, density, youngs_modulus, loss_tangent : float
+        Of the layer: :math:`L_s` [m], :math:`c_s` [m/s], :math:`\rho_s` [kg/m3], [Pa], [-].
+    mass_ratio, speed_ratio : float
+        :math:`\mu` and :math:`\kappa = c_s / (L_s f)`. [-]
+    ejection_time, ejection_speed : float
+        :math:`t_e` [s] and :math:`V_e` [m/s].
+    energy_transfer : float
+        :math:`\alpha = (V_e / V_p^*)^2`. [-]
+    peak_strain : float
+        Largest magnitude of the strain anywhere in the layer. [-]
+    peak_acceleration : float
+        Largest magnitude of the projectile's acceleration. [m/s2]
+    peak_force : float
+        Largest magnitude of the layer's force on the plate. [N]
+    plate_work : float
+        Work of the plate from its start to the release, which an actuator has to deliver. [J]
+    kinetic_energy : float
+        Of the projectile, which is what the throw is for. [J]
+
+    """
+
+    thickness: float
+    wave_speed: float
+    density: float
+    youngs_modulus: float
+    loss_tangent: float
+    mass_ratio: float
+    speed_ratio: float
+    ejection_time: float
+    ejection_speed: float
+    energy_transfer: float
+    peak_strain: float
+    peak_acceleration: float
+    peak_force: float
+    plate_work: float
+    kinetic_energy: float
+
+
+def predict(rig: Rig) -> PredictedThrow:
+    """
+    Predict one throw of a rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        With a layer of one material, with or without loss.
+
+    Raises
+    ------
+    ValueError
+        If the layer is not of one material.
+    ThrowUnresolvedError
+        If the projectile does not leave, or only after more crossings than are followed.
+
+    Examples
+    --------
+    >>> throw = predict(Rig())
+    >>> round(1e3 * throw.ejection_time, 3), round(throw.energy_transfer, 3)
+    (7.647, 3.637)
+    >>> f'{throw.peak_strain:.1%}, {throw.peak_acceleration / 9.81:.0f} g'
+    '11.6%, 40 g'
+
+    """
+    engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
+    found = map(float, first_throws(Ratios.of(rig), loads=True))
+    phase, speed, transfer, strain, acceleration, force, work = found
+    if not speed > 0.0:
+        raise ThrowUnresolvedError(
+            f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '
+            f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
+        )
+    speed_scale = engine.speed_scale
+    return PredictedThrow(
+        thickness=layer.thickness,
+        wave_speed=layer.wave_speed,
+        density=layer.density,
+        youngs_modulus=layer.youngs_modulus,
+        loss_tangent=layer.loss_tangent,
+        mass_ratio=rig.mass_ratio,
+        speed_ratio=rig.speed_ratio,
+        ejection_time=phase / engine.frequency,
+        ejection_speed=speed * speed_scale,
+        energy_transfer=transfer,
+        peak_strain=strain * speed_scale / layer.wave_speed,
+        peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
+        peak_force=force * speed_scale * layer.impedance,
+        plate_work=work * mass * speed_scale**2,
+        kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
+    )

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plate that does more than a damped step: it still rings from before, or has a second mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
+
+Floats = NDArray[np.float64]
+
+_LEAD_IN = 2.0  # periods before a record in which what rings begins to
+_NODES_PER_PERIOD = 40.0  # of the motion that steppers take
+_JUMP = 1e-8  # [s] that the plate takes to get from rest to its first velocity and acceleration
+_LOWEST = 1.5  # frequency of a second mode, over that of the first
+_PER_CYCLE = 2.5  # samples at least, of a second mode
+_DAMPING_RATIOS = (0.005, 0.02, 0.06)
+
+
+class Mode(NamedTuple):
+    """A second mode of a plate: frequency [Hz] and damping ratio."""
+
+    frequency: float
+    damping_ratio: float
+
+
+class PlateWithModes(NamedTuple):
+    """
+    The motion of a plate: a step, waves that were there before, and a second mode.
+
+    Parameters
+    ----------
+    step : Underdamped
+    waves : tuple of float
+        Over the amplitude: cosine and sine of the ringing, 1 - cosine and sine of the mode.
+    mode : Mode or None
+
+    """
+
+    step: Underdamped
+    waves: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    mode: Mode | None = None
+
+    def position(self, since: Floats) -> Floats:
+        """Height at times since the start. [m]"""
+        return self.step.position(since) + self._of_waves(since, 0)
+
+    def velocity(self, since: Floats) -> Floats:
+        """Velocity at times since the start. [m/s]"""
+        return self.step.velocity(since) + self._of_waves(since, 1)
+
+    def sampled(self, first: float, last: float) -> SampledMotion | None:
+        """Sample it from a lead-in before `first` to `last` [s]; None if it is a mere step."""
+        if not any(self.waves):
+            return None
+        lead = _LEAD_IN / self.step.frequency
+        fastest = self.mode.frequency if self.mode else self.step.frequency
+        begin, end = min(first, 0.0) - lead, max(last, 0.0) + 1e-3
+        count = math.ceil((end - begin) * _NODES_PER_PERIOD * fastest)
+        times = np.linspace(begin, end, count)
+        times = np.unique(np.concatenate([times[np.abs(times) > 2.0 * _JUMP], [-_JUMP, 0.0]]))
+        orders = [self._of_waves(times, order) for order in range(3)]
+        # What rings begins smoothly, by a polynomial that rises to 1 in the lead-in
+        part = np.clip((times - begin) / lead, 0.0, 1.0)
+        rise = part**3 * (10.0 + part * (6.0 * part - 15.0))
+        slope = 30.0 * (part * (1.0 - part)) ** 2 / lead
+        bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / lead**2
+        z, v, a = orders
+        states = [z * rise, v * rise + z * slope, a * rise + 2.0 * v * slope + z * bend]
+        states[0] += self.step.position(times)
+        states[1] += self.step.velocity(times)
+        rate = self.step.exponent
+        later = np.maximum(times, 0.0)
+        states[2] += (times >= 0.0) * np.imag(
+            self.step.velocity_factor * rate * np.exp(rate * later)
+        )
+        return SampledMotion(times, np.stack(states, axis=1), 'hold')
+
+    def _of_waves(self, since: Floats, order: int) -> Floats:
+        """Differentiate what is not the step, so many times."""
+        found = np.zeros_like(since)
+        if any(self.waves[:2]):
+            size = complex(self.waves[0], -self.waves[1])
+            rate = self.step.exponent
+            found += np.real(size * rate**order * np.exp(rate * since))
+        if self.mode is not None and any(self.waves[2:]):
+            shapes = _mode_shapes(self.mode, since, order)
+            found += self.waves[2] * shapes[0] + self.waves[3] * shapes[1]
+        return self.step.amplitude * found
+
+
+def _mode_shapes(mode: Mode, since: Floats, order: int = 0) -> tuple[Floats, Floats]:
+    """Differentiate 1 - cosine and sine of a mode that is excited at time 0, so many times."""
+    rate = complex(-mode.damping_ratio, math.sqrt(1.0 - mode.damping_ratio**2))
+    rate *= 2.0 * math.pi * mode.frequency
+    wave = rate**order * np.exp(rate * np.maximum(since, 0.0))
+    began = since >= 0.0
+    return began * ((order == 0) - wave.real), began * wave.imag
+
+
+def find_mode(
+    since: Sequence[Floats], residuals: Sequence[Floats], frequency: float
+) -> Mode | None:
+    """
+    Find the second mode that explains most of what a step leaves of plates.
+
+    Parameters
+    ----------
+    since : sequence of ndarray
+        Times since the start, for each throw. [s]
+    residuals : sequence of ndarray
+        Data less model, each over its noise.
+    frequency : float
+        Of the first mode. [Hz]
+
+    """
+    interval = max(float(np.median(np.diff(time))) for time in since)
+    duration = max(float(time[-1]) for time in since)
+    highest = 1.0 / (_PER_CYCLE * interval)
+    if highest <= _LOWEST * frequency or duration <= 0.0:
+        return None
+
+    def left(values: Floats) -> float:
+        mode = Mode(float(values[0]), min(max(float(values[1]), 1e-4), 0.5))
+        total = 0.0
+        for time, residual in zip(since, residuals, strict=True):
+            columns = np.stack([*_mode_shapes(mode, time), np.ones_like(time)], axis=1)
+            found, *_ = np.linalg.lstsq(columns, residual, rcond=None)
+            total += float(np.sum((residual - columns @ found) ** 2))
+        return total
+
+    frequencies = np.arange(_LOWEST * frequency, highest, 0.4 / duration)
+    tried = [(f, damping) for f in frequencies.tolist() for damping in _DAMPING_RATIOS]
+    best = min(tried, key=lambda each: left(np.array(each)))
+    spread = np.array([best, (best[0] + 0.2 / duration, best[1]), (best[0], 1.5 * best[1])])
+    found = optimize.minimize(
+        left, best, method='Nelder-Mead',
+        options={'initial_simplex': spread, 'maxfev': 80, 'xatol': 1e-3},
+    )  # fmt: skip
+    return Mode(float(found.x[0]), min(max(float(found.x[1]), 1e-4), 0.5))

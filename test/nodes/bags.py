@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags to play and to check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+import struct
+from typing import Any
+
+from soft_throw_ros.nodes.raw_subscriptions import prefixes
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording.schemas import find_schema
+
+BEGIN = 1_700_000_000_000_000_000
+
+
+def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
+    """Make the channel of a topic whose publisher offers `qos`."""
+    schema = find_schema(kind, prefixes())
+    return Channel(
+        topic=topic,
+        type=kind,
+        schema=schema.text,
+        type_hash=schema.type_hash,
+        qos=(Qos(**qos),),
+    )
+
+
+def text(content: str) -> bytes:
+    """Write a message of std_msgs/String."""
+    data = content.encode() + b'\0'
+    return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
+
+
+def write(path: Path, messages: Iterable[Message], **kwargs: Any) -> Path:
+    """Write a bag with a chunk for every thousand messages."""
+    with BagWriter(path, distribution='jazzy', **kwargs) as writer:
+        for number, message in enumerate(messages):
+            writer.write(message)
+            if number % 1000 == 999:
+                writer.flush()
+    return path
