@@ -195,7 +195,12 @@ def is_good(thrown: ImperfectThrow) -> bool:
 
 def truth_of(thrown: ImperfectThrow) -> dict[str, float]:
     """Tell what is right of a rig, and of how it throws."""
-    rig, release = thrown.rig, thrown.changes[0]
+    rig, (release, *later) = thrown.rig, thrown.changes
+    last = release  # before it comes down, which is what averages see
+    for change in later:
+        if not change.is_release and change.velocity <= 0.0:
+            break
+        last = change
     peak = Underdamped.of(rig.engine).peak_velocity
     return {
         'engine.frequency': rig.engine.frequency,
@@ -211,6 +216,10 @@ def truth_of(thrown: ImperfectThrow) -> dict[str, float]:
         'ejection.speed': release.velocity,
         'ejection.peak_plate_speed': peak,
         'ejection.energy_transfer': (release.velocity / peak) ** 2,
+        'averages.time': last.time,
+        'averages.speed': last.velocity,
+        'averages.peak_plate_speed': peak,
+        'averages.energy_transfer': (last.velocity / peak) ** 2,
     }
 
 

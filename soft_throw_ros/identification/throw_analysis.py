@@ -30,6 +30,9 @@ _APPROACH = 0.16  # of the ejection speed: how much of the end of its rise is fi
 _OTHER_APPROACHES = (0.12, 0.24)  # and what else one could have taken
 _REPEATS = 100  # with other noise, for the errors
 _MIN_FLIGHT_SAMPLES = 8
+_SPEED_OVER_NOISE = 10.0  # that averages leave, at least
+_MAX_TIME_ERROR = 0.125  # plate periods, beyond which the ejection is not determined, ...
+_MAX_SPEED_ERROR = 0.25  # and of the speed
 _JUMP_SHARE = 0.025  # of them with other echoes, from which on an interval of 95 % holds both
 _DRAWS = 400  # of rigs that may be as well as the one that was fitted
 
@@ -69,7 +72,7 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     Raises
     ------
     FitError
-        If the tracks do not show it, saying what is missing.
+        If the tracks do not show it, saying what is missing, or do not determine it.
 
     Notes
     -----
@@ -112,6 +115,12 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     time_error = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
     time = Estimate(float(found[0]) - plate.start_time, time_error)
     speed = Estimate(float(found[1]), math.hypot(errors[1], gravity * doubt))
+    is_seen = time.value > 0.0 and time_error < _MAX_TIME_ERROR * period
+    if not (is_seen and speed.error < _MAX_SPEED_ERROR * speed.value):
+        raise FitError(
+            f'{tracks.name}: the ejection is not determined by running averages, for noise: they '
+            f'see it after {time} s, at {speed} m/s'
+        )
     plate_speed = plate.peak_velocity
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
@@ -169,6 +178,12 @@ class _RunningAverages(NamedTuple):
         time, position = smooth.time, smooth.position
         speed = (position[2:] - position[:-2]) / (time[2:] - time[:-2])
         time, height = time[1:-1], position[1:-1]
+        noise = projectile.noise / (self.width * projectile.interval)
+        if speed.max() < _SPEED_OVER_NOISE * noise:
+            raise FitError(
+                f'the ejection is not determined by running averages: the projectile goes at '
+                f'{speed.max():.2g} m/s at most, with a noise of {noise:.2g} m/s'
+            )
         fastest = int(np.argmax(speed >= _FULL_SPEED * speed.max()))
         is_flight = time > time[fastest] + self.period / 8.0
         fallen = np.flatnonzero(is_flight & (height < height[fastest]))
