@@ -29,6 +29,13 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording import qos
 from soft_throw_ros.recording.cdr import decoder_of, MessageError
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.schemas import (
+    find_schema,
+    installed_prefixes,
+    is_complete,
+    Schema,
+    SchemaError,
+)
 import zstandard
 
 LARGEST_RECORD = 256 * 2**20
@@ -44,7 +51,6 @@ _CHUNK_HEAD = re.compile(
 """The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
 
 _TOPIC = re.compile(r'(/[A-Za-z_]\w*)+', re.ASCII)
-_TYPE = re.compile(r'\w+/msg/\w+', re.ASCII)
 
 _UNCHUNKED = -1  # instead of the offset of a chunk, for messages that are in none
 
@@ -139,15 +145,17 @@ class Definitions:
 
     def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel | None:
         """Make a channel, of what can be trusted; None if that is not enough."""
-        schema_text = schema.data.decode(errors='replace')
-        type_hash = record.metadata.get('topic_type_hash', '')
-        keys = {(mcap.Schema, schema.id), (mcap.Channel, record.id)}
-        if not keys <= self._checked:
-            if not _is_plausible(record, schema, schema_text):
+        said = Schema(
+            text=schema.data.decode(errors='replace'),
+            type_hash=record.metadata.get('topic_type_hash', ''),
+        )
+        encoding: str = schema.encoding
+        if not {(mcap.Schema, schema.id), (mcap.Channel, record.id)} <= self._checked:
+            trusted = self._trusted(record.topic, schema, said)
+            if trusted is not None:
+                said, encoding = trusted, 'ros2idl' if encoding == 'ros2idl' else 'ros2msg'
+            elif record.message_encoding == 'cdr':
                 return None
-            if type_hash:
-                self.doubts.append(f'the type hash of {record.topic}, which has no checksum')
-                type_hash = ''
         if record.message_encoding != 'cdr':
             raise BagError(
                 f'{record.topic} has messages in {record.message_encoding!r}, not in '
@@ -160,22 +168,33 @@ class Definitions:
         channel = Channel(
             topic=record.topic,
             type=schema.name,
-            schema=schema_text,
-            type_hash=type_hash,
+            schema=said.text,
+            type_hash=said.type_hash,
             qos=profiles,
-            schema_encoding=schema.encoding,
+            schema_encoding=encoding,
         )
         return self._known.setdefault(tuple(vars(channel).values()), channel)
 
-
-def _is_plausible(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
-    """Tell whether a definition without a checksum may be what was written."""
-    is_named = _TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)
-    if not is_named or schema.encoding not in ('ros2msg', 'ros2idl'):
-        return False
-    with contextlib.suppress(MessageError):
-        return schema.encoding == 'ros2idl' or decoder_of(schema.name, text) is not None
-    return False
+    def _trusted(self, topic: str, schema: mcap.Schema, said: Schema) -> Schema | None:
+        """Return what may be believed of a definition without a checksum, None if not enough."""
+        if not _TOPIC.fullmatch(topic):
+            return None
+        installed = None
+        with contextlib.suppress(SchemaError):
+            installed = find_schema(schema.name, installed_prefixes())
+        if installed is not None and (
+            said.text == installed.text or said.type_hash == installed.type_hash
+        ):
+            return installed
+        with contextlib.suppress(MessageError):
+            if schema.encoding != 'ros2idl':
+                decoder_of(schema.name, said.text)
+            if schema.encoding == 'ros2idl' or is_complete(schema.name, said.text):
+                self.doubts.append(f'the type hash of {topic}, which has no checksum')
+                return Schema(text=said.text, type_hash='')
+        if installed is not None:
+            self.doubts.append(f'the definition of {schema.name}: that installed here is taken')
+        return installed
 
 
 class McapFile:

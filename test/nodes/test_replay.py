@@ -16,13 +16,12 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
@@ -32,7 +31,7 @@ BEGIN = 1_700_000_000_000_000_000
 
 
 def channel(topic: str, kind: str, *qos: Qos) -> Channel:
-    schema = find_schema(kind, prefixes())
+    schema = find_schema(kind, installed_prefixes())
     return Channel(topic=topic, type=kind, schema=schema.text, type_hash=schema.type_hash, qos=qos)
 
 
