@@ -699,6 +699,12 @@ def _stored_energy(core, waves):
         first, second = waves[w, i - s.steps], waves[w, i - s.steps + 1]
         start = first + x * (second - first)
         total += 0.5 * first**2 - 0.5 * x * (first**2 + start**2)
+    if s.contact:
+        # Where the mass takes power V (2 p - V) from the waves, the rule is not exact (as it is at
+        # the plate, of work and waves alike): Euler's and Maclaurin's correction
+        V, force = s.state[PROJECTILE_VELOCITY], 2.0 * s.plus[1] - s.state[PROJECTILE_VELOCITY]
+        slope = waves[0, i - s.steps + 1] - waves[0, i - s.steps]
+        total += (s.rate * force * (force - V) + 2.0 * V * slope) / 12.0
     mass = s.impedance * s.relaxation
     height = s.state[PROJECTILE_POSITION] - s.rest_height
     lift = s.state[PLATE_POSITION] + height - s.surface
