@@ -81,7 +81,7 @@ def check_video_options(arguments: argparse.Namespace) -> None:
     layers = [path for _, path in arguments.free_layer]
     videos = arguments.video + [path for path in layers if is_video(path)]
     if not videos:
-        for name in _OPTIONS:
+        for name in _OPTIONS[1:] if arguments.plan is not None else _OPTIONS:
             if getattr(arguments, name) not in (None, False):
                 raise ValueError(f'argument --{name.replace("_", "-")}: is for videos')
         return

@@ -134,7 +134,8 @@ class TwinTopics(NamedTuple):
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'What a throw gave, at its first release and when it is over; with a measured plate also '
-        'what it will give, as soon as that is known',
+        'what it will give, with its errors: when it is known within measured.prediction_error, '
+        'and when it is certain',
         depth=_SEVERAL, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,

@@ -50,6 +50,12 @@ _ENTRIES = (
     row('measured.band', 1e-4,
          'Rms difference of a measured projectile beyond which the model is reported as wrong',
          unit='m', low=1e-7, high=1.0),
+    row('measured.prediction_error', 0.01,
+         'Half of the 95 % interval of the ejection speed, as a part of it, below which a throw '
+         'is first predicted', low=1e-4, high=1.0),
+    row('measured.clock_limit', 1.0,
+         "How far the clock that stamps the samples may be off the twin's to be corrected; "
+         'stamps since boot always are', unit='s', low=0.0, high=1e6),
     row('layer.library', '',
          'File of materials besides those of `config/layers.yaml`, which says how it is written',
          kind='the path of a file, or empty'),

@@ -14,7 +14,6 @@ import copy
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
@@ -212,7 +211,7 @@ class Stepper(ABC):
         """Make records and path, and return the record to fill in."""
         self._use_records(np.zeros(3, record))
         start: NDArray[np.void] = self._core[2]
-        self._path = write_motion(start, motion, self.rig.engine, step)
+        self._path = write_motion(self._core, motion, self.rig.engine, step)
         self._is_measured = isinstance(motion, str)
         return start
 
@@ -319,7 +318,8 @@ class Stepper(ABC):
                 f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
                 f'got {times.size} which makes {ahead}'
             )
-        _append(self._core, self._path, times, states)
+        append_states(self._core, 0, self._path, times, states)
+        self._core['horizon'][1] = times[-1]
 
     def fork(self) -> Stepper:
         """
@@ -348,7 +348,7 @@ class Stepper(ABC):
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
-        _extrapolate(self._core, self._path)
+        extrapolate(self._core, self._path)
 
     @abstractmethod
     def _copy_layer(self, origin: Stepper) -> None:
@@ -469,30 +469,13 @@ def note_event(
         row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
 
 
-@nb.njit(cache=True, nogil=True)
 def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
     """Tell whether states are finite, and times increase after `last` and are not negative."""
-    for n in range(times.size):
-        if not (last < times[n] < math.inf and times[n] >= 0.0):
+    for time in times.tolist():
+        if not (last < time < math.inf and time >= 0.0):
             return False
-        if not np.isfinite(states[n]).all():
-            return False
-        last = times[n]
-    return True
-
-
-@nb.njit(cache=True, nogil=True)
-def _append(core: NDArray[np.void], path: Floats, times: Floats, states: Floats) -> None:
-    """Append states to the path, and let both records know."""
-    append_states(core[0], path, times, states)
-    core[1].horizon = core[0].horizon
-
-
-@nb.njit(cache=True, nogil=True)
-def _extrapolate(core: NDArray[np.void], path: Floats) -> None:
-    """Let the plate go on from where it is known."""
-    extrapolate(core[0], path)
-    core[1].horizon = core[0].horizon
+        last = time
+    return all(map(math.isfinite, states.ravel().tolist()))
 
 
 def load_kernels(stepper: Stepper) -> None:

@@ -8,7 +8,7 @@ whole chunks after it are found here.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 import contextlib
 from io import BytesIO
@@ -18,13 +18,12 @@ from pathlib import Path
 import re
 import struct
 import tempfile
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 import zlib
 
 from mcap import records as mcap
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording import qos
@@ -281,32 +280,36 @@ class McapFile:
 
     def _read_summary(self) -> Mapping[int, int] | None:
         """Return the counts of messages; None if the summary is not what it should be."""
+        found: dict[type, list[Any]] = defaultdict(list)  # records, by their types
         try:
-            self._stream.seek(0)
-            reader = SeekingReader(self._stream, record_size_limit=LARGEST_RECORD)
-            summary = reader.get_summary()
-            metadata = list(reader.iter_metadata())
-            is_checked = self._is_summary_checked()
-        except _LIBRARY_ERRORS:
+            self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
+            _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
+            self._stream.seek(start)
+            data = self._stream.read(min(self._size - len(MAGIC) - start, LARGEST_RECORD))
+            if not start or checksum not in (0, zlib.crc32(data[:-4])):
+                return None
+            for record in read_records(BytesIO(data)):
+                found[type(record)].append(record)
+            there = (self._record_at(index.offset) for index in found[mcap.MetadataIndex])
+            metadata = [record for record in there if isinstance(record, mcap.Metadata)]
+        except (OSError, ValueError, struct.error):
             return None
-        if summary is None or summary.statistics is None:
+        for record in found[mcap.Schema] + found[mcap.Channel]:
+            self.definitions.add(record, is_checked=bool(checksum))
+        if not found[mcap.Statistics]:
             return None
-        statistics = summary.statistics
-        for schema in summary.schemas.values():
-            self.definitions.add(schema, is_checked=is_checked)
-        for channel in summary.channels.values():
-            self.definitions.add(channel, is_checked=is_checked)
+        statistics, chunks = found[mcap.Statistics][-1], found[mcap.ChunkIndex]
         is_complete = (
-            summary.channels.keys() >= statistics.channel_message_counts.keys()
-            and len(summary.chunk_indexes) == statistics.chunk_count
-            and bool(summary.chunk_indexes or not statistics.message_count)
-            and len(summary.attachment_indexes) == statistics.attachment_count
+            {each.id for each in found[mcap.Channel]} >= statistics.channel_message_counts.keys()
+            and len(chunks) == statistics.chunk_count
+            and bool(chunks or not statistics.message_count)
+            and len(found[mcap.AttachmentIndex]) == statistics.attachment_count
             and len(metadata) == statistics.metadata_count
         )
         if not is_complete:
             return None
         self.metadata = metadata
-        self._attachments = [index.offset for index in summary.attachment_indexes]
+        self._attachments = [index.offset for index in found[mcap.AttachmentIndex]]
         self.chunks = sorted(
             Chunk(
                 index.chunk_start_offset,
@@ -314,19 +317,9 @@ class McapFile:
                 index.message_end_time,
                 frozenset(index.message_index_offsets),
             )
-            for index in summary.chunk_indexes
+            for index in chunks
         )
-        return statistics.channel_message_counts
-
-    def _is_summary_checked(self) -> bool:
-        """Tell whether the summary has a checksum; raise DamageError if it is wrong."""
-        self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
-        _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
-        self._stream.seek(start)
-        data = self._stream.read(self._size - len(MAGIC) - 4 - start)
-        if checksum not in (0, zlib.crc32(data)):
-            raise DamageError('the checksum of the summary is wrong')
-        return bool(checksum)
+        return dict(statistics.channel_message_counts)
 
     def _scan(self) -> Mapping[int, int]:
         """Look at all records, those after damage from the next chunk on; count the messages."""
