@@ -382,20 +382,28 @@ def _tension(s, nodes, j):
 
 @inlined
 def _drive(s, nodes, path):
-    """Move the plate, and what goes with it; return its velocity."""
+    """Move an underdamped plate by rotations of a phasor, evaluated anew for every block."""
+    k = s.index & (BLOCK - 1)
+    if k == 0:
+        _start_block(s)
+    real = s.cosine * path[0, k] - s.sine * path[1, k]
+    imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
+    height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+    acceleration = s.factor * (s.turn * real + s.growth * imaginary)
+    _move_plate(s, nodes, height, s.factor * imaginary, acceleration)
+
+
+@part
+def _drive_along(s, nodes, path):
+    """Move a plate whose motion is given in pieces."""
+    height, speed, acceleration = motion_at(s, path, s.index * s.step)
+    _move_plate(s, nodes, height, speed, acceleration)
+
+
+@inlined
+def _move_plate(s, nodes, height, speed, acceleration):
+    """Move the lowest node, and what goes with it."""
     w, before = MEAN_VELOCITY + (s.index & 1), nodes[DISPLACEMENT, 0]
-    if s.plate_kind == DAMPED:
-        # Rotations of a phasor that is evaluated anew for every block
-        k = s.index & (BLOCK - 1)
-        if k == 0:
-            _start_block(s)
-        real = s.cosine * path[0, k] - s.sine * path[1, k]
-        imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
-        height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
-        speed = s.factor * imaginary
-        acceleration = s.factor * (s.turn * real + s.growth * imaginary)
-    else:
-        height, speed, acceleration = motion_at(s, path, s.index * s.step)
     s.plate_acceleration = acceleration
     nodes[DISPLACEMENT, 0], nodes[w, 0] = height, speed
     nodes[VELOCITY, 0] = speed - 0.5 * s.step * acceleration
@@ -404,7 +412,6 @@ def _drive(s, nodes, path):
         nodes[VELOCITY, 1] = nodes[VELOCITY, 0]
     elif s.is_massless and not s.contact:
         _creep(s, nodes, w, s.below_before - before)
-    return speed
 
 
 @part
@@ -552,7 +559,10 @@ def _march(s, nodes, path, events, goal):
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before, s.heat_before = s.work, s.heat
-        speed = _drive(s, nodes, path)
+        if s.plate_kind == DAMPED:
+            _drive(s, nodes, path)
+        else:
+            _drive_along(s, nodes, path)
         gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
         lands = not s.contact and gap < 0.0
         if lands:
@@ -569,7 +579,7 @@ def _march(s, nodes, path, events, goal):
             if not leaves:
                 break
             _leave(s, nodes, events)  # and compute the step again, in flight
-        power = -s.on_plate_now * speed
+        power = -s.on_plate_now * nodes[MEAN_VELOCITY + (s.index & 1), 0]
         s.work += 0.5 * step * (s.power + power)
         s.power = power
         if s.is_lossy:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-import copy
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -334,7 +333,8 @@ class Stepper(ABC):
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
         other._use_records(self._core.copy())
         setattr(other, self._changing, getattr(self, self._changing).copy())
         other._bind()

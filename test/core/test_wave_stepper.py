@@ -200,7 +200,7 @@ def test_energy_is_kept_over_twenty_bounces(ratios):
     for time in np.linspace(0.0, 2.0, 50):
         if model.advance_to(time) > 40:
             break
-        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-3, abs=1e-9)
+        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=3e-4, abs=1e-9)
     assert model.event_count > 20
 
 
