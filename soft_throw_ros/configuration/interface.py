@@ -33,7 +33,7 @@ TEXT = 'std_msgs/msg/String'
 TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # more than are published at once, so that no late subscriber misses one
-_ONE_SECOND = 1000  # of ticks at the default rate
+_ONE_SECOND = 5000  # of ticks at the highest rate
 _AFTER_A_STALL = 5000  # a second of measurements at the usual rate, which may come at once
 
 
@@ -134,7 +134,8 @@ class TwinTopics(NamedTuple):
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'What a throw gave, at its first release and when it is over; with a measured plate also '
-        'what it will give, as soon as that is known',
+        'what it will give, with its errors: when it is known within measured.prediction_error, '
+        'and when it is certain',
         depth=_SEVERAL, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,

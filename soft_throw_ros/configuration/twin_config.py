@@ -34,6 +34,11 @@ class MeasurementConfig:
         How far the projectile may be off the model, rms. [m]
     plate : Underdamped
         About how the plate moves in a throw.
+    frequency_error, damping_error : float
+        Standard errors of its frequency [Hz] and damping ratio [-].
+    prediction_error : float
+        Half of the 95 % interval of the ejection speed at which a throw is predicted, as a part
+        of it. [-]
 
     """
 
@@ -44,6 +49,9 @@ class MeasurementConfig:
     start_speed: float
     residual_threshold: float
     plate: Underdamped
+    frequency_error: float
+    damping_error: float
+    prediction_error: float
 
     @property
     def smoothing_window(self) -> float:
@@ -117,6 +125,9 @@ class TwinConfig:
                 start_speed=settings['measured.start'] * plate.peak_velocity,
                 residual_threshold=settings['measured.band'],
                 plate=plate,
+                frequency_error=settings['uncertainty.frequency'],
+                damping_error=settings['uncertainty.damping_ratio'],
+                prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],

@@ -145,12 +145,12 @@ def fit_cubics(
             count += 1
             before += u <= 0.0
             k += 1
-        if count < FEWEST or before in (0, count) or not _factorise(normal):
+        if count < FEWEST or before in (0, count) or not factorise(normal):
             states[n] = np.nan
             errors[n] = np.nan
             continue
-        _solve(normal, right)
-        _solve(normal, unit)
+        solve(normal, right)
+        solve(normal, unit)
         states[n, 0] = right[0] + positions[first]
         states[n, 1] = right[1] / half
         states[n, 2] = 2.0 * right[2] / (half * half)
@@ -167,9 +167,9 @@ def _add(normal, right, row, value):
 
 
 @_jit
-def _factorise(matrix):
+def factorise(matrix: Floats) -> bool:
     """Factorise in place by Cholesky; False if the matrix is singular to working accuracy."""
-    for i in range(4):
+    for i in range(matrix.shape[0]):
         largest = matrix[i, i]
         for j in range(i + 1):
             total = matrix[i, j]
@@ -185,14 +185,15 @@ def _factorise(matrix):
 
 
 @_jit
-def _solve(factor, x):
+def solve(factor: Floats, x: Floats) -> None:
     """Solve in place by a Cholesky factor."""
-    for i in range(4):
+    size = factor.shape[0]
+    for i in range(size):
         for k in range(i):
             x[i] -= factor[i, k] * x[k]
         x[i] /= factor[i, i]
-    for i in range(3, -1, -1):
-        for k in range(i + 1, 4):
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
             x[i] -= factor[k, i] * x[k]
         x[i] /= factor[i, i]
 

@@ -107,10 +107,12 @@ def throw_result_to_msg(
     """
     Make a status of what a throw gave, with the rig that threw.
 
-    It is a warning if the layer left its linear range, or the plate was not measured.
+    It is a warning if the layer left its linear range, the plate was not measured, or too many of
+    its samples had jumped.
     """
     values = {**result.values(), **(uncertainty or {}), **rig_to_values(result.rig)}
-    is_bad = not (result.is_linear and result.is_valid)
+    is_clean = result.accuracy is None or result.accuracy.is_clean
+    is_bad = not (result.is_linear and result.is_valid and is_clean)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
 
 

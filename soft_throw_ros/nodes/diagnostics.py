@@ -110,21 +110,31 @@ class Diagnostics:
         news, self._measured = counts - self._measured, counts
         leads, self._measurement.leads = self._measurement.leads, []
         lead = min(leads) / SECOND if leads else math.nan
-        names = ('samples', 'samples_out_of_order', 'messages', 'messages_lost', 'samples_refused')
+        clock = self._measurement.clock
+        names = (
+            'samples',
+            'samples_out_of_order',
+            'samples_jumped',
+            'messages',
+            'messages_lost',
+            'samples_refused',
+        )
         reasons = {name: count for name, count in news.items() if name.startswith('refused.')}
         is_bad = not news['samples'] or news['samples_refused'] or news['messages_lost']
         return self._status(
             'measurement',
             f'{news["samples"]} samples, {news["messages_lost"]} lost, '
             f'{news["samples_refused"]} refused'
+            + (f'; {clock.problem}' if clock.problem else '')
             + (f'; the projectile is known {-1e3 * lead:.2f} ms too late' if lead <= 0.0 else ''),
             {
                 'at_rest': self._session.is_at_rest,
                 **{name: news[name] for name in names},
+                'clock_offset': clock.offset_ns / SECOND,
                 'lead_min': lead,
                 **reasons,
             },
-            warn=bool(is_bad) or lead <= 0.0,
+            warn=bool(is_bad) or lead <= 0.0 or bool(clock.problem),
         )
 
     def _model(self) -> DiagnosticStatus:

@@ -9,14 +9,17 @@ drained, they cost a tenth of that.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 import math
 
 from rclpy.node import Node
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
-from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.plate_estimator import FARTHEST, Sample
+from soft_throw_ros.twin.sensor_clock import SensorClock
 from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 _PLATE, _PROJECTILE = JOINTS
 
@@ -26,18 +29,43 @@ class Measurement:
     Gives a session what the rig has measured.
 
     Messages that are damaged, or lack the plate, are refused like samples: as 'unreadable', and
-    for their 'names'.
+    for their 'names'. What their clock is off is taken off, see `SensorClock`, and logged.
+
+    Parameters
+    ----------
+    node : Node
+        That subscribes.
+    session : Session
+        That is given samples.
+    now : callable
+        Gives the time by the clock of the ticks. [ns]
+    clock_limit : callable
+        Gives how far clocks may be apart. [s]
 
     Attributes
     ----------
+    clock : SensorClock
+        That stamps the samples.
     leads : list of int
         How far ahead the projectile was known, at every step of a throw. [ns]
 
     """
 
-    def __init__(self, node: Node, session: Session) -> None:
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        *,
+        now: Callable[[], int],
+        clock_limit: Callable[[], float],
+    ) -> None:
         self.leads: list[int] = []
+        self.clock = SensorClock()
         self._session = session
+        self._now = now
+        self._clock_limit = clock_limit
+        self._logger = node.get_logger()
+        self._is_warned = False
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
         self._read = JointStateReader().read
 
@@ -45,8 +73,10 @@ class Measurement:
         """Hand on all that has been measured until now."""
         if self._session.is_measured:
             messages = self._subscription.drain()
-            if messages:
-                self._session.measure(self._samples([message.data for message in messages]))
+            samples = self._samples([message.data for message in messages])
+            if samples:
+                self._session.measure(self._by_our_clock(samples))
+                self._warn_of_units()
 
     def count(self) -> Counter[str]:
         """Count messages and samples, so far, by what became of them."""
@@ -56,6 +86,7 @@ class Measurement:
         found = Counter({f'refused.{why}': count for why, count in refused.items()})
         found['samples'] = counts.taken
         found['samples_out_of_order'] = counts.out_of_order
+        found['samples_jumped'] = counts.jumped
         found['samples_refused'] = sum(refused.values())
         found['messages'] = self._subscription.received
         found['messages_lost'] = self._subscription.lost
@@ -64,6 +95,26 @@ class Measurement:
     def close(self) -> None:
         """Unsubscribe."""
         self._subscription.close()
+
+    def _warn_of_units(self) -> None:
+        """Say once what heights that are out of range may be."""
+        if not self._is_warned and self._session.sample_counts.refused['out of range']:
+            self._is_warned = True
+            self._logger.warning(
+                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
+                'divide them by 1000'
+            )
+
+    def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
+        """Take off what the clock of the samples is off."""
+        clock = self.clock
+        limit_ns = round(self._clock_limit() * SECOND)
+        stamps = (sample.stamp_ns for sample in samples)
+        if clock.observe(stamps, self._now(), limit_ns=limit_ns):
+            self._logger.warning(clock.problem or 'stamps of the samples are right again')
+        if not clock.offset_ns:
+            return samples
+        return [sample._replace(stamp_ns=sample.stamp_ns + clock.offset_ns) for sample in samples]
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
         """Read messages, and refuse and count what cannot be read."""

@@ -79,7 +79,12 @@ class Twin(RealTimeNode):
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
-        self.measurement = Measurement(self, session)
+        self.measurement = Measurement(
+            self,
+            session,
+            now=lambda: self._current_clock().now(),
+            clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
+        )
         self.at_end(self.measurement.close)
         self.at_end(self._run_jobs)  # the last lines of the journal
         self.drive(session)
@@ -155,7 +160,7 @@ class Twin(RealTimeNode):
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
         """Publish a result as one message, and what is plotted as numbers."""
-        self._last_result = result
+        last, self._last_result = self._last_result, result
         send = self.outgoing.send
         uncertainty = uncertainty_values(result.rig, self.parameters.settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), uncertainty)
@@ -165,7 +170,8 @@ class Twin(RealTimeNode):
             send(TWIN_TOPICS.ejection_speed, result.first.speed)
             send(TWIN_TOPICS.energy_transfer, result.first.energy_transfer)
             send(TWIN_TOPICS.peak_strain, result.peak_strain)
-        self._log_result(result)
+        if result.stage != 'predicted' or last is None or last.throw != result.throw:
+            self._log_result(result)
 
     def _log_result(self, result: ThrowResult) -> None:
         """Log one line per throw, and what is wrong with it."""

@@ -43,7 +43,7 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import ParameterError, Settings, TWIN
-from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.onset import Onset, Rest
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -177,7 +177,8 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
     """Return the samples that an entry tells, in batches, each before a step."""
     try:
         data = base64.b64decode(entry['data'], validate=True)
-        rows = np.frombuffer(zlib.decompressobj().decompress(data, _LONGEST_DATA), _SAMPLE)
+        content = zlib.decompressobj().decompress(data, _LONGEST_DATA)
+        rows = np.frombuffer(content, _SAMPLE, entry['count'])  # refuses what is too short
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         raise JournalError(f'no samples can be read, {error}: {dict(entry)!r}') from error
     steps = [*rows['step'].tolist(), entry['step']]
@@ -191,11 +192,14 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
 
 def encode_onset(onset: Onset) -> dict[str, Any]:
     """Write an onset down for an entry."""
-    rest = onset.projectile_rest
+    rest = onset.rest
     return {
         'onset_ns': onset.onset_ns,
-        'plate_rest': onset.plate_rest,
-        'projectile_rest': None if math.isnan(rest) else rest,
+        'plate_rest': rest.plate,
+        'projectile_rest': None if math.isnan(rest.projectile) else rest.projectile,
+        'noise': rest.noise,
+        'rest_error': rest.error,
+        'trusts_engine': onset.trusts_engine,
         **encode_samples([(0, onset.samples)]),
     }
 
@@ -203,14 +207,19 @@ def encode_onset(onset: Onset) -> dict[str, Any]:
 def decode_onset(values: Any) -> Onset:  # of JSON
     """Read what `encode_onset` wrote."""
     try:
-        rest = values['projectile_rest']
+        projectile = values['projectile_rest']
         return Onset(
             onset_ns=index(values['onset_ns']),
-            plate_rest=float(values['plate_rest']),
-            projectile_rest=math.nan if rest is None else float(rest),
+            rest=Rest(
+                plate=float(values['plate_rest']),
+                projectile=math.nan if projectile is None else float(projectile),
+                noise=float(values['noise']),
+                error=float(values['rest_error']),
+            ),
             samples=tuple(
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
+            trusts_engine=bool(values['trusts_engine']),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise JournalError(

@@ -12,16 +12,59 @@ from scipy.optimize import brentq, minimize_scalar
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
+from soft_throw_ros.twin.engine_fit import EngineFit
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
     Sample,
     state_spacing_ns,
     STATES_PER_WINDOW,
+    TYPICAL,
 )
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 REST_WINDOWS = 8  # so many windows the plate must be at rest before a throw
+RISE = 0.125  # part of the plate's period in which it gets to the speed of a start [-]
+_TOPS = 3  # parabolas, after which the top is where it is
+_SURE = 6.0  # standard errors that are no noise
+MOST_AMPLITUDE = 2.0  # by which a motion may differ that is still the engine's, as a factor [-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """Plate and projectile before a throw."""
+
+    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
+    projectile: float
+    noise: float  # standard deviation of the plate's samples [m]
+    error: float  # standard error of its mean [m]
+
+    @classmethod
+    def before(cls, estimator: PlateEstimator, end_ns: float) -> Rest | None:
+        """Return how things were for some windows before a time; None without samples."""
+        window_ns = estimator.config.smoothing_window_ns
+        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
+        if len(samples) < FEWEST:
+            return None
+        _, plate, _, projectile = np.array(samples).T
+        measured = projectile[np.isfinite(projectile)]
+        # the noise is at least what it is said to be: rounded samples at rest are all the same
+        noise = estimator.config.position_noise
+        away = np.abs(plate - np.median(plate))
+        plate = plate[away <= _SURE * max(noise, float(np.median(away)) / TYPICAL)]
+        noise = max(noise, float(plate.std()))
+        return cls(
+            plate=float(plate.mean()),
+            projectile=float(measured.mean()) if measured.size else math.nan,
+            noise=noise,
+            error=noise / math.sqrt(plate.size),
+        )
+
+    def engine_fit(self, config: MeasurementConfig, onset_ns: int) -> EngineFit:
+        """Return what fits the engine's motion to the samples of a throw from here."""
+        return EngineFit(
+            config, origin_ns=onset_ns, rest=self.plate, rest_error=self.error, noise=self.noise
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +72,9 @@ class Onset:
     """The plate has begun to move."""
 
     onset_ns: int  # when, which is when the throw starts [ns]
-    plate_rest: float  # where they were measured before [m]
-    projectile_rest: float  # NaN if it was not [m]
+    rest: Rest  # how things were before
     samples: tuple[Sample, ...]  # taken, in order, from a window before on
+    trusts_engine: bool = True  # whether the engine did as it should when it was seen last
 
 
 def find_onset(
@@ -41,29 +84,66 @@ def find_onset(
     config = estimator.config
     assert estimator.origin_ns is not None
     window_ns = config.smoothing_window_ns
-    begun_ns = estimator.origin_ns + round(begun * SECOND)
-    at_rest = estimator.samples(begun_ns - REST_WINDOWS * window_ns, begun_ns - window_ns)
-    if not at_rest or speed <= config.start_speed:
+    rest_ns = estimator.origin_ns + round(begun * SECOND) - window_ns
+    rest = Rest.before(estimator, rest_ns)
+    if rest is None or speed <= config.start_speed:
         return None
-    _, plate, _, projectile = np.array(at_rest).T
-    plate_rest = float(plate.mean())
-    measured = projectile[np.isfinite(projectile)]
-    since = time_since_start(height - plate_rest, speed, config.plate)
+    since = time_since_start(height - rest.plate, speed, config.plate)
     onset_ns = estimator.origin_ns + round((time - since) * SECOND)
-    onset_ns += find_start(estimator.samples(at_rest[-1].stamp_ns), onset_ns, plate_rest, config)
+    onset_ns += find_start(estimator.samples(rest_ns), onset_ns, rest.plate, config)
     if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
         return None
     return Onset(
-        onset_ns=onset_ns,
-        plate_rest=plate_rest,
-        projectile_rest=float(measured.mean()) if measured.size else math.nan,
-        samples=tuple(estimator.samples(onset_ns - window_ns)),
+        onset_ns=onset_ns, rest=rest, samples=tuple(estimator.samples(onset_ns - window_ns))
     )
 
 
-def first_states(onset: Onset, config: MeasurementConfig) -> tuple[Floats, Floats]:
+def find_engine_start(estimator: PlateEstimator) -> Onset | None:
+    """
+    Find when the plate started, by the first samples that have moved as the engine moves it.
+
+    That takes about a millisecond from the start; None if it does not move, or not like this.
+    """
+    config, plate = estimator.config, estimator.config.plate
+    end_ns = estimator.complete_ns
+    margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
+    rest = Rest.before(estimator, end_ns - margin_ns)
+    samples = estimator.samples(end_ns - margin_ns, end_ns + 1)
+    if rest is None or len(samples) < FEWEST:
+        return None
+    height = max(samples[-1].plate - rest.plate, 0.0)
+    begun = math.sqrt(2.0 * height / plate.amplitude) / (2.0 * math.pi * plate.frequency)
+    fit = rest.engine_fit(config, samples[-1].stamp_ns - round(begun * SECOND))
+    estimate = fit.update(samples)
+    if estimate is None:
+        return None
+    onset_ns = fit.origin_ns + round(estimate.start * SECOND)
+    now = (samples[-1].stamp_ns - onset_ns) / SECOND
+    ratio = estimate.plate.amplitude / plate.amplitude
+    is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
+    if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
+        return None
+    # from enough before it that the fit sees the plate at rest
+    begin_ns = onset_ns - config.smoothing_window_ns
+    return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(estimator.samples(begin_ns)))
+
+
+def first_states(
+    samples: Sequence[Sample], start_ns: int, plate_rest: float, config: MeasurementConfig
+) -> tuple[Floats, Floats]:
     r"""
     Return how the plate has started, for as long as a window would reach to before that.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        Of the first window after the start, and others.
+    start_ns : int
+        When it started. [ns]
+    plate_rest : float
+        Height before. [m]
+    config : MeasurementConfig
+        How the plate is measured, and moves but for its amplitude.
 
     Returns
     -------
@@ -82,11 +162,11 @@ def first_states(onset: Onset, config: MeasurementConfig) -> tuple[Floats, Float
     plate, ratio = config.plate, config.position_noise / config.velocity_noise
     first = [
         sample
-        for sample in onset.samples
-        if 0 < sample.stamp_ns - onset.onset_ns <= config.smoothing_window_ns
+        for sample in samples
+        if 0 < sample.stamp_ns - start_ns <= config.smoothing_window_ns
     ]
-    since = np.array([sample.stamp_ns - onset.onset_ns for sample in first]) / SECOND
-    heights = np.array([sample.plate for sample in first]) - onset.plate_rest
+    since = np.array([sample.stamp_ns - start_ns for sample in first]) / SECOND
+    heights = np.array([sample.plate for sample in first]) - plate_rest
     speeds = np.array([sample.plate_velocity for sample in first])
     measured = np.isfinite(speeds)
     position, velocity = plate.position(since), plate.velocity(since)
@@ -185,15 +265,20 @@ def find_start(
 
 def peak_speed(times: Sequence[float], speeds: Sequence[float], period: float) -> float:
     """
-    Find the largest of noisy speeds, by a parabola through those around it.
+    Find the largest of noisy speeds: the top of a parabola through those around it.
 
-    It goes through an eighth of the plate's period [s].
+    It goes through a fifth of the plate's period [s], in the middle of which is its own top:
+    around the largest of the speeds it would be too high, since that is where noise is.
     """
     time, speed = np.array(times), np.array(speeds)
-    largest = int(np.argmax(speed))
-    since = time - time[largest]
-    near = np.abs(since) <= period / 16.0
-    if near.sum() < 5 or since[-1] < period / 16.0:
-        return float(speed[largest])
-    c, b, a = np.polyfit(since[near], speed[near], 2).tolist()
-    return a - 0.25 * b * b / c if c < 0.0 else float(speed[largest])
+    largest = float(speed.max())
+    top = float(time[np.argmax(speed)])
+    for _ in range(_TOPS):
+        near = np.abs(time - top) <= 0.1 * period
+        if near.sum() < 5 or time[-1] - top < 0.05 * period:
+            return largest
+        c, b, a = np.polyfit(time[near] - top, speed[near], 2).tolist()
+        if c >= 0.0:
+            return largest
+        top -= float(np.clip(0.5 * b / c, -0.05 * period, 0.05 * period))
+    return float(a - 0.25 * b * b / c)

@@ -6,7 +6,11 @@ Samples are put in the order of their stamps. What is older than the newest stam
 time to wait for stragglers (the watermark) is complete, and is smoothed there, see
 `soft_throw_ros.core.smoothing`, at times an eighth of the window apart. So the plate is known up
 to a quarter of the window, the time to wait and at most an eighth of the window behind the newest
-sample. What comes for a time that has been smoothed already is late, and is refused.
+sample. What comes for a time that is complete already is late, and is refused.
+
+Complete samples are held against where those before them say that the plate must be: a body that
+is not accelerated by much more than the engine can do gets no farther. Those that have
+jumped are left out, see `JumpFilter`.
 """
 
 from __future__ import annotations
@@ -31,6 +35,11 @@ PAST = SECOND  # how far behind the clock a stamp may be [ns]
 FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
 PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
 STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
+_LIKELY, _STRONGEST = 1.5, 3.0  # accelerations that are likely and possible, in the engine's [-]
+_MOST_IN_A_ROW = 3  # samples that have jumped, after which it is the sensor that has
+_SURE = 6.0  # standard errors that are no noise
+_TRACKING = 1.05  # factor by which a running median is corrected at a time
+TYPICAL = 0.6745  # median of the magnitude of standard normal numbers
 _KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
 _LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
 
@@ -42,6 +51,9 @@ class Sample(NamedTuple):
     plate: float  # height [m]
     plate_velocity: float = math.nan  # or NaN [m/s]
     projectile: float = math.nan  # height, or NaN [m]
+
+
+_PLATE, _PROJECTILE = Sample._fields.index('plate'), Sample._fields.index('projectile')
 
 
 class PlateStates(NamedTuple):
@@ -70,6 +82,69 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
     )
 
 
+class JumpFilter:
+    """
+    Tells which positions of a body have jumped.
+
+    One is right if it is on the line through the last two, but for what the engine's
+    `acceleration` [m/s2] makes of it and six standard errors, by the `noise` [m] or what was
+    typical lately. If not, it has jumped unless the next one leads on from there: then it is on
+    the line from the last one to the next, but for an acceleration that is a few times as large.
+    Three in a row that have jumped are where the body is: the zero of the sensor has moved.
+    """
+
+    def __init__(self, acceleration: float, noise: float) -> None:
+        self._acceleration = acceleration
+        self._noise = noise
+        self._typical = TYPICAL  # median of such distances, relative to their standard error
+        self._last: tuple[float, float] | None = None  # time and position
+        self._before: tuple[float, float] | None = None
+        self._jumped: list[tuple[float, float]] = []  # since the last one that has not
+
+    def is_doubtful(self, time: float, position: float) -> bool:
+        """Tell whether it takes another position to judge the next one."""
+        if self._last is None or self._before is None:
+            return False
+        noise, excess = self._distance((time, position), self._before, self._last, _LIKELY)
+        return excess > _SURE / TYPICAL * self._typical * noise
+
+    def accepts(self, time: float, position: float, following: tuple[float, float] | None) -> bool:
+        """Take the next position, and tell whether it is right by the one after it, if any."""
+        new = (time, position)
+        if self._last is None or self._before is None:
+            self._before, self._last = self._last, new
+            return True
+        noise, excess = self._distance(new, self._before, self._last, _LIKELY)
+        limit = _SURE / TYPICAL * self._typical
+        has_jumped = excess > limit * noise
+        if has_jumped and following is not None:
+            between, beyond = self._distance(new, self._last, following, _STRONGEST)
+            has_jumped = beyond > limit * between
+        self._typical *= _TRACKING if excess > self._typical * noise else 1.0 / _TRACKING
+        self._typical = max(self._typical, TYPICAL)
+        if has_jumped:
+            self._jumped.append(new)
+            if len(self._jumped) < _MOST_IN_A_ROW:
+                return False
+            self._last = self._jumped[-2]
+        self._jumped.clear()
+        self._before, self._last = self._last, new
+        return True
+
+    def _distance(
+        self,
+        new: tuple[float, float],
+        one: tuple[float, float],
+        other: tuple[float, float],
+        strength: float,
+    ) -> tuple[float, float]:
+        """Return the noise of the distance from a line, and that beyond what bends the path."""
+        part = (new[0] - one[0]) / (other[0] - one[0])
+        distance = abs(new[1] - one[1] - part * (other[1] - one[1]))
+        bend = 0.5 * abs((new[0] - one[0]) * (new[0] - other[0])) * strength * self._acceleration
+        return self._noise * math.sqrt(1.0 + part**2 + (1.0 - part) ** 2), distance - bend
+
+
 class PlateEstimator:
     """
     Samples in their order, and the motion of the plate through them.
@@ -86,6 +161,15 @@ class PlateEstimator:
         Where samples that are refused are counted, by reason: 'not finite', 'out of range',
         'future', 'past', 'doubled' and 'late'.
 
+    Attributes
+    ----------
+    jumped : int
+        Samples that were taken, and left out since plate or projectile cannot have been there.
+    newest_ns : float
+        Stamp of the newest sample, minus infinity if there is none. [ns]
+    complete_ns : float
+        Until when samples are complete, by the last call of `advance`. [ns]
+
     """
 
     def __init__(
@@ -100,13 +184,15 @@ class PlateEstimator:
         self.origin_ns = origin_ns
         self.refused: Counter[str] = Counter() if refused is None else refused
         self._samples = list(samples)
+        self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
         self._next = 0  # time at which to smooth, in spacings
-        self._used_ns = -math.inf  # what is not later has been used
-
-    @property
-    def newest_ns(self) -> float:
-        """Stamp of the newest sample, minus infinity if there is none. [ns]"""
-        return self._samples[-1].stamp_ns if self._samples else -math.inf
+        self.jumped = 0
+        self.complete_ns = -math.inf
+        self._smoothed_ns = -math.inf  # what is not later has been in a window
+        plate = config.plate
+        acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+        self._plate_filter = JumpFilter(acceleration, config.position_noise)
+        self._projectile_filter = JumpFilter(acceleration, config.position_noise)
 
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> list[Sample]:
         """Return the samples from one time to before another, as far back as they are kept."""
@@ -132,6 +218,7 @@ class PlateEstimator:
             taken.append(sample)
             if sample.stamp_ns > self.newest_ns:
                 self._samples.append(sample)
+                self.newest_ns = sample.stamp_ns
             else:
                 self._samples.insert(bisect_left(self._samples, sample), sample)
         return taken
@@ -151,7 +238,47 @@ class PlateEstimator:
         index = bisect_left(self._samples, (stamp_ns,))
         if index < len(self._samples) and self._samples[index].stamp_ns == stamp_ns:
             return 'doubled'
-        return 'late' if stamp_ns <= self._used_ns else ''
+        return 'late' if stamp_ns <= self.complete_ns else ''
+
+    def _complete(self, until_ns: int) -> None:
+        """Leave out what has jumped of the samples that are complete now."""
+        first = bisect_left(self._samples, (self.complete_ns + 1,))
+        end = bisect_left(self._samples, (until_ns + 1,))
+        new, kept = self._samples[first:end], []
+        self.complete_ns = max(self.complete_ns, until_ns)
+        for index, sample in enumerate(new):
+            after = new[index + 1] if index + 1 < len(new) else None
+            time = self._time(sample)
+            if after is None and (
+                self._plate_filter.is_doubtful(time, sample.plate)
+                or self._projectile_filter.is_doubtful(time, sample.projectile)
+            ):  # the next one will tell
+                self.complete_ns, end = sample.stamp_ns - 1, first + index
+                break
+            if not self._is_right(self._plate_filter, sample, after, _PLATE):
+                self.jumped += 1
+                continue
+            if not self._is_right(self._projectile_filter, sample, after, _PROJECTILE):
+                self.jumped += 1
+                kept.append(sample._replace(projectile=math.nan))
+            else:
+                kept.append(sample)
+        self._samples[first:end] = kept
+
+    def _time(self, sample: Sample) -> float:
+        assert self.origin_ns is not None
+        return (sample.stamp_ns - self.origin_ns) / SECOND
+
+    def _is_right(
+        self, judge: JumpFilter, sample: Sample, after: Sample | None, place: int
+    ) -> bool:
+        """Tell whether a sample has not jumped, by its value at a place."""
+        if math.isnan(sample[place]):
+            return True
+        following = None
+        if after is not None and not math.isnan(after[place]):
+            following = (self._time(after), after[place])
+        return judge.accepts(self._time(sample), sample[place], following)
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, as far as it is known."""
@@ -162,8 +289,9 @@ class PlateEstimator:
         config, spacing = self.config, state_spacing_ns(self.config)
         behind = round(BEHIND * config.smoothing_window_ns)
         ahead = round(AHEAD * config.smoothing_window_ns)
-        complete_ns = min(self._samples[-1].stamp_ns, now_ns) - config.wait_ns
-        end = (complete_ns - ahead - self.origin_ns) // spacing + 1
+        complete_ns = min(int(self.newest_ns), now_ns) - config.wait_ns
+        self._complete(complete_ns)
+        end = (int(self.complete_ns) - ahead - self.origin_ns) // spacing + 1
         begin = max(self._next, end - _LONGEST_STEP)
         if begin >= end:
             return NO_STATES
@@ -172,8 +300,8 @@ class PlateEstimator:
         first = bisect_left(self._samples, (at_ns[0] - behind,))
         last = bisect_left(self._samples, (at_ns[-1] + ahead + 1,))
         samples = self._samples[max(first - 1, 0) : last]
-        before_ns, self._used_ns = self._used_ns, int(at_ns[-1]) + ahead
-        kept_ns = self._used_ns - _KEPT_WINDOWS * config.smoothing_window_ns
+        before_ns, self._smoothed_ns = self._smoothed_ns, int(at_ns[-1]) + ahead
+        kept_ns = self._smoothed_ns - _KEPT_WINDOWS * config.smoothing_window_ns
         del self._samples[: bisect_left(self._samples, (kept_ns,))]
         if len(samples) < FEWEST:
             return NO_STATES

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -16,10 +17,12 @@ from soft_throw_ros.core import cell_stepper, smoothing, spring_mass, wave_stepp
 from soft_throw_ros.core.cell_stepper import cells_per_layer, first_throws
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import steps_per_crossing
+from soft_throw_ros.twin import engine_fit
+from soft_throw_ros.twin.engine_forecast import EngineForecaster
 from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
 
 THROW_FIELD_ROWS = 200  # times at which the field of a throw holds the layer
@@ -44,6 +47,7 @@ class PreparedRig:
     throw_field: ThrowField | None  # what the layer will do; unknown if the plate is measured
     models: Mapping[str, Release | None]  # first release by others; none if it is measured
     forks: tuple[Stepper, ...] = ()  # with a measured plate two that go ahead of the stepper
+    forecaster: EngineForecaster | None = None  # with a measured plate, if the projectile leaves
 
     @classmethod
     def from_config(cls, config: TwinConfig) -> PreparedRig:
@@ -69,6 +73,7 @@ class PreparedRig:
             throw_field=None if is_measured else _throw_field(stepper),
             models={} if is_measured else _other_models(config.rig, config.model),
             forks=(stepper.fork(), stepper.fork()) if is_measured else (),
+            forecaster=_forecaster(config) if is_measured else None,
         )
 
     @property
@@ -119,6 +124,22 @@ def stepper_of(config: TwinConfig) -> Stepper:
     )
 
 
+def _forecaster(config: TwinConfig) -> EngineForecaster | None:
+    """Make what predicts throws by the engine's motion; None if the projectile does not leave."""
+
+    def throw(engine: Engine) -> tuple[float, float] | None:
+        rig = dataclasses.replace(config.rig, engine=engine)
+        try:
+            stepper = stepper_of(dataclasses.replace(config, rig=rig, motion='underdamped'))
+        except ValueError:  # the rig is at the limit of what can be stepped
+            return None
+        _ejection_time(stepper)
+        events = stepper.events()
+        return (events[0].time, events[0].velocity) if events else None
+
+    return EngineForecaster.of(config.rig.engine, throw, stepper_of(config))
+
+
 def check_settings(settings: Settings) -> None:
     """
     Tell whether settings can be stepped in real time, which takes microseconds.
@@ -146,6 +167,7 @@ def check_settings(settings: Settings) -> None:
 def warm_up() -> None:
     """Compile or load the kernels of all models, so that no change of settings has to."""
     smoothing.warm_up()
+    engine_fit.warm_up()
     wave_stepper.warm_up()
     cell_stepper.warm_up()
     _other_models(Rig(), '')

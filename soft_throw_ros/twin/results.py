@@ -17,6 +17,10 @@ from soft_throw_ros.core.stepper import Event
 Floats = NDArray[np.float64]
 
 
+MOST_LEFT_OUT = 0.05
+"""Part of the samples of a throw that may be left out before it is marked. [-]"""
+
+
 class Phase(str, Enum):
     """What the rig is doing."""
 
@@ -107,14 +111,39 @@ class Comparison:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """
+    How well the release of a measured plate is known: standard errors, by what was measured.
+
+    What is not known of layer and projectile comes on top of that, see `uncertainty.*`.
+    """
+
+    basis: str  # 'engine' if the plate is taken to do as it should, 'plate' if it was smoothed
+    is_certain: bool  # whether the plate cannot change the release any more
+    release_ns: int  # when the projectile leaves, by the clock of the ticks [ns]
+    release_time_error: float  # of that [s]
+    ejection_speed_error: float  # [m/s]
+    energy_transfer_error: float  # [-]
+    samples: int  # of the plate, since the start
+    samples_left_out: int  # of these, for having jumped
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether few enough samples had to be left out."""
+        return self.samples_left_out <= MOST_LEFT_OUT * self.samples
+
+
+@dataclass(frozen=True, kw_only=True)
 class ThrowResult:
     """
     What a throw gave, so far or in the end.
 
     Loads are the largest magnitudes up to the first release; so far, while it has not come. The
-    `stage` is 'predicted' when the first release of a measured plate is known beforehand,
-    'release' after it, or 'final' when the throw is over. It is `ended_by` 'rest', 'max_events',
-    'period', 'duration' or 'reset', and with a measured plate 'gap', or 'next' if it jumps again.
+    `stage` is 'predicted' when the first release of a measured plate is known beforehand: once
+    when it is known well enough if the engine does as it should, and once when it is certain,
+    whatever the plate does. It is 'release' after it, or 'final' when the throw is over. It is
+    `ended_by` 'rest', 'max_events', 'period', 'duration' or 'reset', and with a measured plate
+    'gap', or 'next' if it jumps again.
     """
 
     throw: int  # number of the throw, from 1
@@ -135,6 +164,7 @@ class ThrowResult:
     landings: int  # it came down on the layer
     models: Mapping[str, Release | None]  # first release as other models of the layer predict it
     lead: float | None = None  # how long before the release of a measured plate it was known [s]
+    accuracy: Accuracy | None = None  # of the first release of a measured plate
     comparison: Comparison | None = None  # with what was measured of the projectile, if it was
 
     @property
@@ -212,11 +242,16 @@ class ThrowResult:
             f'throw {self.throw}: {verb} after {1e3 * self.first.time:.3f} ms '
             f'at {self.first.speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
         )
+        if self.accuracy is not None:
+            text += f' +- {self.accuracy.energy_transfer_error:.3f}'
         if self.last is not None and self.recontacts:
             text += f', after {self.recontacts} re-contacts {self.last.energy_transfer:.3f}'
         if not self.is_linear:
             strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
             text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'
+        if self.accuracy is not None and not self.accuracy.is_clean:
+            out, count = self.accuracy.samples_left_out, self.accuracy.samples
+            text += f'; {out} of {count} samples of the plate jumped and were left out'
         return text
 
     def describe_lead(self) -> str:
@@ -230,7 +265,7 @@ def known_values(part: object) -> dict[str, Any]:  # texts, truths and numbers
     return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
 
 
-_PARTS = {'comparison': ('residual.', Comparison)}
+_PARTS = {'accuracy': ('accuracy.', Accuracy), 'comparison': ('residual.', Comparison)}
 """What of a result may be there, with values of its own, and how their names begin."""
 
 _SIMPLE = tuple(

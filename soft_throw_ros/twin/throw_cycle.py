@@ -235,8 +235,10 @@ class ThrowCycle:
         else:
             assert isinstance(throw, MeasuredThrow)
             assert motion is not None
+            assert self.monitor is not None
             now_ns = self.schedule.deadline(step)
             advanced = throw.advance(motion, step=step, now_ns=now_ns, config=config)
+            self.monitor.trusts_engine = throw.engine_holds
         self._state = advanced.state
         for event in advanced.events:
             self._enter(_PHASES[event.kind])
@@ -347,6 +349,7 @@ class ThrowCycle:
         motion = NO_STATES
         if onset is None:
             motion, onset = monitor.advance(now_ns)
+            self._notices += monitor.problems()
             if onset is not None and not self._is_fast_enough(monitor):
                 onset = None
         if onset is not None:

@@ -14,6 +14,7 @@ from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
+    Accuracy,
     Comparison,
     LayerState,
     PredictedState,
@@ -125,6 +126,7 @@ class OngoingThrow(ABC):
         events: Sequence[Event],
         *,
         lead: float | None = None,
+        accuracy: Accuracy | None = None,
         comparison: Comparison | None = None,
     ) -> ThrowResult:
         prepared, loads = self._prepared, stepper.loads
@@ -150,6 +152,7 @@ class OngoingThrow(ABC):
             landings=kinds.count('landing'),
             models=prepared.models,
             lead=lead,
+            accuracy=accuracy,
             comparison=comparison,
         )
 

@@ -116,6 +116,7 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     for process in (twin, calibrator):
         process.wait_for('ready')
     rig = run(start, 'rig', rate=2500.0, throw__period=0.6)
+    rig.wait_for('ready')
     ros.spin_until(
         lambda: sum(item.stage == 'final' and item.comparison is not None for item in results) > 3,
         'throws',

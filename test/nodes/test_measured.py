@@ -63,14 +63,14 @@ class Sensors(Node):
 
         self._ros.spin_until(is_taken, 'what was sent')
 
-    def throw(self, samples: Iterable[Sample]) -> None:
-        """Send what is measured as the twin goes on."""
+    def throw(self, samples: Iterable[Sample], *, behind_ns: int = 0) -> None:
+        """Send what is measured as the twin goes on, stamped by a clock that is behind."""
         waiting = list(samples)
         while waiting:
             until = self._twin.clock.time + BATCH * MILLISECOND
             count = sum(sample.stamp_ns <= until for sample in waiting)
             for sample in waiting[:count]:
-                self.send(sample)
+                self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
             del waiting[:count]
             self.wait()
             self._twin.go(BATCH)
@@ -107,6 +107,23 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
         assert msg_to_time(message.header.stamp) == residual.stamp_ns
         assert list(message.position) == list(residual[1:])
         assert list(message.velocity) == list(message.effort) == []
+
+
+def test_clock_that_is_behind_is_corrected_and_told(twin, sensors, listener) -> None:
+    listener.listen(TWIN_TOPICS.diagnostics)
+    begin_ns = twin.clock.time
+    samples = rigs['measured_throw'](Rig(), begin_ns=begin_ns, onset=0.35, duration=0.4)
+    sensors.throw(samples, behind_ns=300 * MILLISECOND)
+    release = next(result for result in twin.results if result.stage == 'release')
+    exact = simulate(Rig())
+    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=0.01)
+    left = begin_ns + round((0.35 + exact.ejection_time) * SECOND)
+    assert abs(release.accuracy.release_ns - left) <= 1.1 * BATCH * MILLISECOND  # sent so early
+    status = listener.status(
+        TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['clock_offset'] > 0.0
+    )
+    assert status.level == DiagnosticStatus.WARN
+    assert msg_to_values(status)['clock_offset'] == pytest.approx(0.29, abs=0.02)
 
 
 def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> None:

@@ -136,6 +136,9 @@ MEASUREMENT = MeasurementConfig(
     start_speed=0.1 * PLATE.peak_velocity,
     residual_threshold=5e-5,
     plate=PLATE,
+    frequency_error=0.1,
+    damping_error=0.003,
+    prediction_error=0.01,
 )
 INTERVAL = 200_000  # [ns]
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.onset import Onset, Rest
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.session import Session
@@ -158,8 +158,8 @@ def test_samples_come_back_to_the_last_bit(batches) -> None:
 def test_onsets_come_back(projectile) -> None:
     onset = Onset(
         onset_ns=10**18,
-        plate_rest=0.3,
-        projectile_rest=projectile,
+        rest=Rest(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
+        trusts_engine=False,
         samples=tuple(Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)),
     )
     schedule = TickSchedule(step=0, time_ns=5, rate=1e3)
@@ -229,3 +229,6 @@ def test_what_does_not_fit_a_session_is_refused_with_it(eventful) -> None:
         list(follow(session, {'kind': 'input', 'step': 1, 'input': 'throw'}))
     with pytest.raises(journal.JournalError, match='no samples'):
         journal.decode_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})
+    cut = {**journal.encode_samples([(0, [Sample(1, 0.5)])]), 'step': 0, 'count': 2}
+    with pytest.raises(journal.JournalError, match='no samples'):
+        journal.decode_samples(cut)

@@ -16,6 +16,7 @@ from soft_throw_ros.twin.onset import (
     first_states,
     Onset,
     peak_speed,
+    Rest,
     time_since_start,
 )
 from soft_throw_ros.twin.plate_estimator import Sample
@@ -27,9 +28,12 @@ INTERVAL = 200_000  # of the samples [ns]
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 
 
-def detect(config: MeasurementConfig, samples: list[Sample]) -> tuple[Onset | None, int]:
+def detect(
+    config: MeasurementConfig, samples: list[Sample], *, trusts_engine: bool = False
+) -> tuple[Onset | None, int]:
     """Find the first onset, and how many samples that took."""
     monitor = PlateMonitor(config, SampleCounts())
+    monitor.trusts_engine = trusts_engine
     for count, sample in enumerate(samples, 1):
         monitor.take([sample], sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
@@ -43,8 +47,23 @@ def test_start_is_found_soon_after_it(make_samples, measurement, start) -> None:
     onset, count = detect(measurement, make_samples(400, onset=start))
     assert onset is not None
     assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=5e-6)
-    assert (onset.plate_rest, onset.projectile_rest) == pytest.approx((0.3, 0.5), abs=2e-6)
+    assert (onset.rest.plate, onset.rest.projectile) == pytest.approx((0.3, 0.5), abs=2e-6)
     assert count * INTERVAL / SECOND < start + 3.5e-3
+
+
+def test_start_by_an_engine_that_is_trusted_is_found_after_a_millisecond(
+    make_samples, measurement
+) -> None:
+    for seed in range(5):
+        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
+        samples = [
+            sample._replace(plate=sample.plate + error)
+            for sample, error in zip(make_samples(400, onset=0.03), noise.tolist(), strict=True)
+        ]
+        onset, count = detect(measurement, samples, trusts_engine=True)
+        assert onset is not None
+        assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
+        assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(0.03, abs=3e-4)
 
 
 def test_slow_motion_and_downward_jumps_start_nothing(make_samples, measurement) -> None:
@@ -105,7 +124,7 @@ def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
     onset, _ = detect(measurement, make_samples(400, onset=0.02))
     assert onset is not None
     onset = replace(onset, onset_ns=BEGIN + SECOND // 50)
-    times, states = first_states(onset, measurement)
+    times, states = first_states(onset.samples, onset.onset_ns, onset.rest.plate, measurement)
     assert times == pytest.approx(0.25e-3 * np.arange(6))
     assert states[:, 0] == pytest.approx(PLATE.position(times), abs=1e-12)
     assert states[:, 1] == pytest.approx(PLATE.velocity(times), abs=1e-8)
@@ -118,8 +137,7 @@ def test_first_states_follow_a_plate_of_another_frequency(measurement) -> None:
     since = 2e-4 * np.arange(1, 16)
     onset = Onset(
         onset_ns=BEGIN,
-        plate_rest=0.0,
-        projectile_rest=math.nan,
+        rest=Rest(plate=0.0, projectile=math.nan, noise=5e-6, error=1e-6),
         samples=tuple(
             Sample(BEGIN + round(time * SECOND), height, speed)
             for time, height, speed in zip(
@@ -130,7 +148,7 @@ def test_first_states_follow_a_plate_of_another_frequency(measurement) -> None:
             )
         ),
     )
-    times, states = first_states(onset, measurement)
+    times, states = first_states(onset.samples, onset.onset_ns, onset.rest.plate, measurement)
     assert states[:, 0] == pytest.approx(plate.position(times), abs=2e-6)
     assert states[:, 1] == pytest.approx(plate.velocity(times), abs=5e-3)
 

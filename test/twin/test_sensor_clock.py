@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks of sensors that are off."""
+
+import numpy as np
+import pytest
+from soft_throw_ros.twin.sensor_clock import SensorClock, TOLERATED
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+NOW = 1_700_000_000 * SECOND
+MILLISECOND = SECOND // 1000
+
+
+def observe(clock: SensorClock, offset_ns: int, *, begin_ns: int = NOW, ticks: int = 3000) -> int:
+    """Have samples come that are stamped late by an offset, and count what is told."""
+    random = np.random.default_rng(0)
+    told = 0
+    for tick in range(ticks):
+        now_ns = begin_ns + tick * MILLISECOND
+        delays = random.exponential(3e-4 * SECOND, 5).astype(int) + MILLISECOND // 10
+        stamps = [now_ns - offset_ns - delay for delay in delays.tolist()]
+        told += clock.observe(stamps, now_ns, limit_ns=SECOND)
+    return told
+
+
+@pytest.mark.parametrize('offset_ns', [20 * MILLISECOND, -300 * MILLISECOND, 900 * MILLISECOND])
+def test_constant_offset_is_found_and_told_once(offset_ns) -> None:
+    clock = SensorClock()
+    assert observe(clock, offset_ns) == 1
+    assert clock.offset_ns == pytest.approx(offset_ns, abs=MILLISECOND)
+    assert f'{abs(clock.offset_ns) / MILLISECOND:.1f} ms' in clock.problem
+
+
+def test_what_messages_take_is_no_offset() -> None:
+    clock = SensorClock()
+    assert observe(clock, TOLERATED - MILLISECOND) == 0
+    assert (clock.offset_ns, clock.problem) == (0, '')
+
+
+def test_offset_beyond_the_limit_is_told_and_left() -> None:
+    clock = SensorClock()
+    assert observe(clock, 5 * SECOND) == 1
+    assert clock.offset_ns == 0
+    assert 'measured.clock_limit 1 s' in clock.problem
+
+
+def test_stamps_since_boot_are_mapped_whatever_the_limit() -> None:
+    clock = SensorClock()
+    assert observe(clock, NOW - 3600 * SECOND) == 1
+    assert clock.offset_ns == pytest.approx(NOW - 3600 * SECOND, abs=MILLISECOND)
+    assert 'boot' in clock.problem
+
+
+def test_clock_that_is_put_right_is_believed_again() -> None:
+    clock = SensorClock()
+    observe(clock, 50 * MILLISECOND)
+    assert observe(clock, 0, begin_ns=NOW + 3 * SECOND, ticks=5000) == 1
+    assert (clock.offset_ns, clock.problem) == (0, '')
