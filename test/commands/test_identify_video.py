@@ -114,7 +114,9 @@ def test_video_gives_the_rig_that_was_filmed(command, throw_video, tmp_path):
     assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
     assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
     assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
-    again = command.json(tracks, '--thickness', 12e-3)
+    # ... in which both bodies are seen by the same sensor
+    hold = ('--hold', 'projectile.scale', '--hold', 'projectile.delay')
+    again = command.json(tracks, '--thickness', 12e-3, *hold)
     for name, value in found['found'].items():
         assert again['found'][name]['value'] == pytest.approx(
             value['value'], abs=0.2 * value['error']
