@@ -222,7 +222,8 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
     for folder in ('launch', 'rviz', 'urdf'):
         (*paths,) = (ROOT / folder).glob('*.*')
         assert paths
-        assert all((share / folder / path.name).read_bytes() == path.read_bytes() for path in paths)
+        for path in paths:
+            assert (share / folder / path.name).read_bytes() == path.read_bytes()
 
 
 def test_colcon_build_finds_config(colcon_prefix, tmp_path):

@@ -123,10 +123,12 @@ def run_recommend(arguments: argparse.Namespace) -> int:
 
 def run_aim(arguments: argparse.Namespace) -> int:
     """Aim, and print it; return 0, or `NOT_REACHED`. What is refused is a ValueError."""
-    settings = {**read_settings(arguments), 'recommendation.objective': 'aim'}
-    given = vars(arguments).keys()
-    if not given & {'config', 'recommendation.target_height', 'recommendation.target_speed'}:
+    settings = read_settings(arguments)
+    targets = {'recommendation.target_height', 'recommendation.target_speed'}
+    # A file that aims has its target; of others it would be the default.
+    if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & targets:
         raise ValueError('nothing to aim at: give --target-height M or --target-speed M/S')
+    settings['recommendation.objective'] = 'aim'
     best = _answer(settings, 'aim', _aim_lines, arguments.json)
     return 0 if isinstance(best, Aim) and best.is_reached else NOT_REACHED
 

@@ -300,10 +300,9 @@ def _spring_step(rig: Rig) -> float:
 
 
 @part
-def _set_contact(s, contact):
-    """Choose the system of equations."""
-    s.contact = contact
-    system = s.systems[1 if contact else 0]
+def _choose_system(s):
+    """Choose the equations of contact or of flight."""
+    system = s.systems[1 if s.contact else 0]
     s.known, s.first, s.end, s.quarter = system[0], system[1], system[2], system[3]
 
 
@@ -331,7 +330,8 @@ def _prepare(core, nodes):
     for case in range(2):
         given = s.is_massless if case == 0 else joint == 0
         factorise(s, nodes, s.step, joint, 1 if given else 0, case)
-    _set_contact(s, True)
+    s.contact = True
+    _choose_system(s)
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
     s.bodies[0], s.bodies[1] = joint, joint + 1
@@ -465,7 +465,9 @@ def _weigh(s, nodes):
     if s.joint == 0:
         s.on_plate_now = -force if s.contact else 0.0
     else:
-        s.on_plate_now = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
+        s.on_plate_now = (
+            _tension(s, nodes, s.bottom) - nodes[MASS, 0] * s.plate_acceleration - weight
+        )
 
 
 @part
@@ -492,7 +494,8 @@ def _leave(s, nodes, events):
     impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
-    _set_contact(s, False)
+    s.contact = False
+    _choose_system(s)
     _note_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
 
 
@@ -527,7 +530,8 @@ def _land(s, nodes, events):
     for k in range(j + 1, s.bodies[1] + 1):
         u[k] += part_above * overlap
         v[k] += part_above * approach
-    _set_contact(s, True)
+    s.contact = True
+    _choose_system(s)
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     _note_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
@@ -712,7 +716,7 @@ def _move_nodes(s, nodes):
 
 @kernel
 def _read_layer(core, nodes, places, out):
-    """Read heights, velocities and forces of the layer from plate to top."""
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
@@ -725,16 +729,9 @@ def _read_layer(core, nodes, places, out):
         height[n] = below + part * (above - below)
         velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
         force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
-
-
-@kernel
-def _read_strain(core, nodes, places, strain):
-    """Read the strain of the layer from plate to top."""
-    _move_nodes(core[1], nodes)
-    for n in range(places.size):
-        here = _strain(nodes, POSITION, places[n].cell)
-        there = _strain(nodes, POSITION, places[n].beside)
-        strain[n] = here + places[n].weight * (there - here)
+        if out.shape[0] > 3:
+            here = _strain(nodes, POSITION, j)
+            out[3, n] = here + weight * (_strain(nodes, POSITION, k) - here)
 
 
 @kernel
@@ -1030,9 +1027,6 @@ class CellStepper(Stepper):
     def _copy_layer(self, origin: Stepper) -> None:
         assert isinstance(origin, CellStepper)
         self._nodes[:] = origin._nodes
-
-    def _read_strain(self, strain: Floats) -> None:
-        _read_strain(self._core, self._nodes, self._places, strain)
 
     @property
     def horizon(self) -> float:

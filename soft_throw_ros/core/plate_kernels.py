@@ -84,7 +84,8 @@ def write_motion(
             f'{motion.start_time:g} s'
         )
     path = np.zeros((_ROWS, motion.times.size + 1))
-    append_states(core, 2, path, motion.times, motion.states)
+    pieces = append_states(record['last'], 1, path, motion.times, motion.states)
+    record['pieces'], record['horizon'] = pieces, motion.end_time
     if motion.after == 'hold':
         path[:2, -1] = motion.end_time, motion.states[-1, 0]
         record['pieces'] += 1
@@ -150,13 +151,11 @@ def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
 
 
 @kernel
-def append_states(core: Any, record: int, path: Floats, times: Floats, states: Floats) -> None:
-    """Append states of the plate (height, velocity, acceleration), joined by quintics."""
-    s = core[record]
-    last = s.last
+def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states: Floats) -> int:
+    """Append states (height, velocity, acceleration), joined by quintics; count all pieces."""
     for n in range(times.size):
         if last[0] >= 0.0:
-            piece = path[:, s.pieces % path.shape[1]]
+            piece = path[:, pieces % path.shape[1]]
             D = times[n] - last[0]
             rise = states[n, 0] - last[1]
             v, w = last[2] * D, states[n, 1] * D
@@ -165,9 +164,9 @@ def append_states(core: Any, record: int, path: Floats, times: Floats, states: F
             piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
             piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
             piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
-            s.pieces += 1
+            pieces += 1
         last[0], last[1], last[2], last[3] = times[n], states[n, 0], states[n, 1], states[n, 2]
-        s.horizon = times[n]
+    return pieces
 
 
 def extrapolate(core: NDArray[np.void], path: Floats) -> None:

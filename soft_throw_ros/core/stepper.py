@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 ) = range(7)
 """Where things stand in `Stepper.state`."""
 
-RELEASE, RECONTACT, LANDING = range(3)
+RELEASE, RECONTACT, LANDING = np.arange(3)
 """Kinds of events in the memory of a kernel; `EVENT_KINDS` are their names."""
 
 EVENT_KINDS: tuple[Literal['release', 'recontact', 'landing'], ...] = (
@@ -191,7 +191,7 @@ class Stepper(ABC):
     _advance: Callable[[float], int]
     """Goes to a time, and returns the number of events, or what is wrong."""
     _read_layer: Callable[[Floats], None]
-    """Writes the layer."""
+    """Writes heights, velocities, forces and, if there is a fourth row, strains."""
     _changing: ClassVar[str]
     """Name of the array that changes as the stepper goes on, beside records, path and events."""
 
@@ -199,6 +199,7 @@ class Stepper(ABC):
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
+        self._scratch = np.zeros((4, field_points))
         self._readable = np.empty(0)  # the array that was checked last
         self._work_unit = 1.0  # of the records' works [J]
 
@@ -318,8 +319,11 @@ class Stepper(ABC):
                 f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
                 f'got {times.size} which makes {ahead}'
             )
-        append_states(self._core, 0, self._path, times, states)
-        self._core['horizon'][1] = times[-1]
+        core = self._core
+        core['pieces'][0] = append_states(
+            core['last'][0], int(core['pieces'][0]), self._path, times, states
+        )
+        core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:
         """
@@ -370,10 +374,6 @@ class Stepper(ABC):
             self._readable = out
         self._read_layer(out)
 
-    @abstractmethod
-    def _read_strain(self, strain: Floats) -> None:
-        """Have the kernel write the total strain at the heights of the layer."""
-
     def sample_strain(self, times: ArrayLike, out: Floats) -> None:
         """
         Go forward through `times` as `advance_to`, and write the total strain at each to `out`.
@@ -392,7 +392,8 @@ class Stepper(ABC):
         require_target('out', out, (times.size, self.field_points))
         for time, row in zip(times.tolist(), out, strict=True):
             self.advance_to(time)
-            self._read_strain(row)
+            self._read_layer(self._scratch)
+            row[:] = self._scratch[3]
 
     @property
     def horizon(self) -> float:
@@ -479,12 +480,11 @@ def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
 
 
 def load_kernels(stepper: Stepper) -> None:
-    """Have a new stepper for a measured plate compile or load all its kernels."""
+    """Have a new stepper for a measured plate compile or load the kernels of real time."""
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
     stepper.read_layer(np.empty((3, stepper.field_points)))
     stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
-    stepper.stored_energy()
     stepper.fork().sync_from(stepper)
     assert stepper.loads
 

@@ -164,14 +164,6 @@ class Aim(PredictedThrow):
             f'acceleration {self.peak_acceleration:.3g} m/s2'
         )
 
-    def values(self) -> dict[str, float | str | bool]:
-        """Return all that is one value by its name."""
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if name != 'rig' and value is not None
-        }
-
 
 def aim(
     rig: Rig,

@@ -12,7 +12,6 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib import metadata
 import os
-import sys
 import time
 from typing import Any
 
@@ -28,7 +27,7 @@ from soft_throw_ros.nodes.conversions import profile_to_qos
 from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema, SchemaError
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
 EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
 
@@ -248,7 +247,7 @@ class RawSubscriptions:
     ) -> RawSubscription:
         if len(types) > 1:
             raise ValueError(f'it has messages of several types, {", ".join(types)}')
-        schema = find_schema(types[0], prefixes())
+        schema = find_schema(types[0], installed_prefixes())
         channel = Channel(
             topic=topic,
             type=types[0],
@@ -293,12 +292,6 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def prefixes() -> list[str]:
-    """Return where packages of ROS are installed."""
-    paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    return [path for path in paths if path] + [sys.prefix]  # the latter with ROS from PyPI
 
 
 def distribution() -> str:

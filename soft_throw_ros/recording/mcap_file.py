@@ -26,9 +26,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording import qos
-from soft_throw_ros.recording.cdr import decoder_of, MessageError
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.definitions import DamageError, Definitions, Known
+from soft_throw_ros.recording.message import BagError, Channel, Message
 import zstandard
 
 LARGEST_RECORD = 256 * 2**20
@@ -43,8 +42,6 @@ _CHUNK_HEAD = re.compile(
 )
 """The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
 
-_TOPIC = re.compile(r'(/[A-Za-z_]\w*)+', re.ASCII)
-_TYPE = re.compile(r'\w+/msg/\w+', re.ASCII)
 
 _UNCHUNKED = -1  # instead of the offset of a chunk, for messages that are in none
 
@@ -52,17 +49,11 @@ _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 _OTHERS = {b'SQLite format 3': 'in sqlite3', b'#ROSBAG V': 'of ROS 1'}
 
-Known = dict[tuple[object, ...], Channel]
-
 _LIBRARY_ERRORS = (
     *(McapError, ValueError, LookupError, ArithmeticError, EOFError, MemoryError, TypeError),
     *(OSError, RuntimeError, struct.error, zstandard.ZstdError),
 )
 """What the library raises, where damaged bytes lead it."""
-
-
-class DamageError(ValueError):
-    """Bytes are not what they should be; the message says why."""
 
 
 class Gap(NamedTuple):
@@ -88,94 +79,6 @@ class Chunk(NamedTuple):
     first: int
     last: int
     channels: frozenset[int]
-
-
-class Definitions:
-    """
-    The channels of a file or stream, by their numbers in it.
-
-    `known` has the channels of all files of a bag, so that what is the same is one object.
-
-    Attributes
-    ----------
-    doubts : list of str
-        What is left out of channels whose definition has no checksum.
-
-    """
-
-    def __init__(self, known: Known) -> None:
-        self.doubts: list[str] = []
-        self._known = known
-        self._schemas: dict[int, mcap.Schema] = {}
-        self._records: dict[int, mcap.Channel] = {}
-        self._checked: set[tuple[type, int]] = set()
-        self._channels: dict[int, Channel | None] = {}
-
-    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = True) -> None:
-        """Take a definition; one whose checksum is not right by now only if there is no other."""
-        records = self._schemas if isinstance(record, mcap.Schema) else self._records
-        if is_checked:
-            self._checked.add((type(record), record.id))
-        elif record.id in records:
-            return
-        records[record.id] = record  # type: ignore[assignment]  # of the kind that is in there
-        self._channels.clear()
-
-    def all(self) -> dict[int, Channel]:
-        """Return those that are defined, or raise BagError if one is not of ROS 2."""
-        for number, record in self._records.items():
-            if number not in self._channels and record.schema_id in self._schemas:
-                self._channels[number] = self._make(record, self._schemas[record.schema_id])
-        return {number: channel for number, channel in self._channels.items() if channel}
-
-    def message(self, record: mcap.Message) -> Message:
-        """Return a message, or raise DamageError."""
-        channel = self._channels.get(record.channel_id) or self.all().get(record.channel_id)
-        if channel is None:
-            raise DamageError(f'nothing defines channel {record.channel_id} of a message')
-        if (record.log_time | record.publish_time) > LATEST:
-            raise DamageError('a message has no valid times')
-        return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
-
-    def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel | None:
-        """Make a channel, of what can be trusted; None if that is not enough."""
-        schema_text = schema.data.decode(errors='replace')
-        type_hash = record.metadata.get('topic_type_hash', '')
-        keys = {(mcap.Schema, schema.id), (mcap.Channel, record.id)}
-        if not keys <= self._checked:
-            if not _is_plausible(record, schema, schema_text):
-                return None
-            if type_hash:
-                self.doubts.append(f'the type hash of {record.topic}, which has no checksum')
-                type_hash = ''
-        if record.message_encoding != 'cdr':
-            raise BagError(
-                f'{record.topic} has messages in {record.message_encoding!r}, not in '
-                "'cdr' as those of ROS 2 are"
-            )
-        try:
-            profiles = qos.from_yaml(record.metadata.get('offered_qos_profiles'))
-        except ValueError:
-            profiles = ()  # recorders of others write what they like
-        channel = Channel(
-            topic=record.topic,
-            type=schema.name,
-            schema=schema_text,
-            type_hash=type_hash,
-            qos=profiles,
-            schema_encoding=schema.encoding,
-        )
-        return self._known.setdefault(tuple(vars(channel).values()), channel)
-
-
-def _is_plausible(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
-    """Tell whether a definition without a checksum may be what was written."""
-    is_named = _TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)
-    if not is_named or schema.encoding not in ('ros2msg', 'ros2idl'):
-        return False
-    with contextlib.suppress(MessageError):
-        return schema.encoding == 'ros2idl' or decoder_of(schema.name, text) is not None
-    return False
 
 
 class McapFile:

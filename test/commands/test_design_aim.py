@@ -65,6 +65,13 @@ def test_target_out_of_reach_says_what_would_do_and_ends_with_1(command):
     assert aim(replace(Rig(), layer=layer), Target(height=0.2), limits=limits).is_reached
 
 
+def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
+    rig = 'twin: {ros__parameters: {gravity: 5.0'
+    aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
+    assert command.json('--config', aims)['aim']['target_speed'] == 1.5
+    assert 'nothing to aim at' in command.refused('--config', write(rig + '}}', 'other.yaml'))
+
+
 def test_layer_is_picked_from_a_library_of_one_s_own(command, write):
     path = write(
         'jelly: {description: Firm jelly, source: measured, density: 1000.0, wave_speed: 22.6,\n'

@@ -4,13 +4,12 @@
 import os
 from pathlib import Path
 import re
-import sys
 
 import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from soft_throw_ros.recording.schemas import find_schema, SchemaError
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
-PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
+PREFIXES = installed_prefixes()
 INSTALLED = sorted(
     {
         f'{path.parts[-3]}/msg/{path.stem}'
