@@ -264,7 +264,7 @@ def _identify_throws(
                 'within the errors the projectile may leave one echo of the wave earlier or '
                 'later: ejection time and energy transfer jump there'
             )
-        averages, more = _running_averages(found.throws, rig.gravity)
+        averages, more = _running_averages(found.throws, rig.gravity, ejection)
         several = len(averages) > 1
         columns = {'model': ejection} | {
             f'averages, throw {number + 1}' if several else 'running averages': each
@@ -304,15 +304,18 @@ def _identify_throws(
 
 
 def _running_averages(
-    throws: Sequence[ThrowTracks], gravity: float
+    throws: Sequence[ThrowTracks], gravity: float, ejection: Ejection
 ) -> tuple[dict[int, Ejection], list[str]]:
     """Analyse throws without a model of the layer, and say of which that cannot be done."""
+    plate_speed = ejection.peak_plate_speed if len(throws) == 1 else None
     averages: dict[int, Ejection] = {}
     refused: list[str] = []
     for number, throw in enumerate(throws):
         if throw.projectile is not None:
             try:
-                averages[number] = analyse_throw(throw, gravity=gravity)
+                averages[number] = analyse_throw(
+                    throw, gravity=gravity, peak_plate_speed=plate_speed
+                )
             except FitError as error:
                 refused.append(str(error))
     if not refused:

@@ -199,6 +199,8 @@ class CalibratorTopics(NamedTuple):
 
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
+    diagnostics: Topic = Topic(
+        '/diagnostics', ARRAY, 'What the last identification found, at 1 Hz', depth=_SEVERAL)
 
 
 class ReplayTopics(NamedTuple):

@@ -59,7 +59,9 @@ class Ejection:
     is_near_jump: bool = False
 
 
-def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
+def analyse_throw(
+    tracks: ThrowTracks, *, gravity: float, peak_plate_speed: Estimate | None = None
+) -> Ejection:
     r"""
     Find how the projectile left from running averages and centred differences.
 
@@ -70,6 +72,8 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
         vary a little.
     gravity : float
         [m/s2]
+    peak_plate_speed : Estimate, optional
+        :math:`V_p^*`, if it is known better than from the track alone, which may drift. [m/s]
 
     Raises
     ------
@@ -83,8 +87,8 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     vanishes at :math:`t_e`. That is fitted where it falls short by less than 16 %, and
     :math:`V_e` is the speed of the flight, taken back to :math:`t_e`; if the projectile was
     caught up in between, it is that of the last release. What is smooth is smoothed once more to
-    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*` is that of the motion
-    that fits the plate (D4).
+    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*`, if it is not given,
+    is that of the motion that fits the plate (D4).
 
     Errors are the spread of results with other noise, half of what was taken back, and for
     :math:`t_e` the difference between fitting 12 % and 24 %.
@@ -123,7 +127,7 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
             f'{tracks.name}: the ejection is not determined by running averages, for noise: they '
             f'see it after {time} s, at {speed} m/s'
         )
-    plate_speed = plate.peak_velocity
+    plate_speed = peak_plate_speed or plate.peak_velocity
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
     return Ejection(

@@ -11,7 +11,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
 
@@ -71,6 +71,14 @@ def test_running_averages_see_the_last_release_if_the_layer_catches_up(make_thro
     assert found.time.value == pytest.approx(throw.last_release.time, abs=3.0 * found.time.error)
     last_speed = throw.last_release.velocity
     assert found.speed.value == pytest.approx(last_speed, abs=3.0 * found.speed.error)
+
+
+def test_energy_transfer_is_by_the_plate_speed_that_is_given(make_throw):
+    throw = make_throw(Rig(), duration=0.08)
+    found = analyse_throw(throw, gravity=9.81, peak_plate_speed=Estimate(0.5, 0.1))
+    alpha = (found.speed.value / 0.5) ** 2
+    assert found.energy_transfer.value == pytest.approx(alpha)
+    assert found.energy_transfer.error == pytest.approx(2.0 * alpha * 0.1 / 0.5, rel=1e-2)
 
 
 def test_running_averages_say_what_is_missing(make_throw):
