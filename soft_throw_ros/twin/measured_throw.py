@@ -303,8 +303,8 @@ class MeasuredThrow(OngoingThrow):
             self._peak_plate_speed = self._estimate.plate.peak_velocity
             return
         speeds = [speed for _, speed, _ in self._states]
-        period = 1.0 / self._prepared.rig.engine.frequency
-        largest = peak_speed(self._times, speeds, period) if speeds else 0.0
+        plate = self._estimator.config.plate
+        largest = peak_speed(self._times, speeds, plate) if speeds else 0.0
         self._peak_plate_speed = max(largest, self._estimator.config.start_speed)
 
     def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:

@@ -13,13 +13,13 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
 from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.jump_filter import TYPICAL
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
     Sample,
     state_spacing_ns,
     STATES_PER_WINDOW,
-    TYPICAL,
 )
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -263,22 +263,22 @@ def find_start(
     return round(float(best.x) * SECOND)
 
 
-def peak_speed(times: Sequence[float], speeds: Sequence[float], period: float) -> float:
+def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:
     """
-    Find the largest of noisy speeds: the top of a parabola through those around it.
+    Find the largest of noisy speeds of about such a plate: the top of a parabola around it.
 
-    It goes through a fifth of the plate's period [s], in the middle of which is its own top:
-    around the largest of the speeds it would be too high, since that is where noise is.
+    It goes through a fifth of the period, in the middle of which is its own top. It is looked for
+    from where it should be: around the largest of the speeds is where noise is.
     """
     time, speed = np.array(times), np.array(speeds)
-    largest = float(speed.max())
-    top = float(time[np.argmax(speed)])
+    largest, half = float(speed.max()), 0.1 / plate.frequency
+    top = plate.peak_velocity_time
     for _ in range(_TOPS):
-        near = np.abs(time - top) <= 0.1 * period
-        if near.sum() < 5 or time[-1] - top < 0.05 * period:
-            return largest
+        near = np.abs(time - top) <= half
+        if near.sum() < 5 or time[-1] - top < 0.5 * half:
+            return largest  # it still grows
         c, b, a = np.polyfit(time[near] - top, speed[near], 2).tolist()
         if c >= 0.0:
             return largest
-        top -= float(np.clip(0.5 * b / c, -0.05 * period, 0.05 * period))
+        top -= float(np.clip(0.5 * b / c, -0.5 * half, 0.5 * half))
     return float(a - 0.25 * b * b / c)

@@ -10,7 +10,7 @@ sample. What comes for a time that is complete already is late, and is refused.
 
 Complete samples are held against where those before them say that the plate must be: a body that
 is not accelerated by much more than the engine can do gets no farther. Those that have
-jumped are left out, see `JumpFilter`.
+jumped are left out, see `jump_filter`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.smoothing import AHEAD, BEHIND, FEWEST, fit_cubics
+from soft_throw_ros.twin.jump_filter import JumpFilter
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
@@ -35,11 +36,6 @@ PAST = SECOND  # how far behind the clock a stamp may be [ns]
 FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
 PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
 STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
-_LIKELY, _STRONGEST = 1.5, 3.0  # accelerations that are likely and possible, in the engine's [-]
-_MOST_IN_A_ROW = 3  # samples that have jumped, after which it is the sensor that has
-_SURE = 6.0  # standard errors that are no noise
-_TRACKING = 1.05  # factor by which a running median is corrected at a time
-TYPICAL = 0.6745  # median of the magnitude of standard normal numbers
 _KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
 _LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
 
@@ -51,9 +47,6 @@ class Sample(NamedTuple):
     plate: float  # height [m]
     plate_velocity: float = math.nan  # or NaN [m/s]
     projectile: float = math.nan  # height, or NaN [m]
-
-
-_PLATE, _PROJECTILE = Sample._fields.index('plate'), Sample._fields.index('projectile')
 
 
 class PlateStates(NamedTuple):
@@ -80,69 +73,6 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
         (PER_PERIOD * config.plate.frequency, f'{PER_PERIOD} in a period of the plate'),
         (FEWEST / config.smoothing_window, f'{FEWEST} in measured.window'),
     )
-
-
-class JumpFilter:
-    """
-    Tells which positions of a body have jumped.
-
-    One is right if it is on the line through the last two, but for what the engine's
-    `acceleration` [m/s2] makes of it and six standard errors, by the `noise` [m] or what was
-    typical lately. If not, it has jumped unless the next one leads on from there: then it is on
-    the line from the last one to the next, but for an acceleration that is a few times as large.
-    Three in a row that have jumped are where the body is: the zero of the sensor has moved.
-    """
-
-    def __init__(self, acceleration: float, noise: float) -> None:
-        self._acceleration = acceleration
-        self._noise = noise
-        self._typical = TYPICAL  # median of such distances, relative to their standard error
-        self._last: tuple[float, float] | None = None  # time and position
-        self._before: tuple[float, float] | None = None
-        self._jumped: list[tuple[float, float]] = []  # since the last one that has not
-
-    def is_doubtful(self, time: float, position: float) -> bool:
-        """Tell whether it takes another position to judge the next one."""
-        if self._last is None or self._before is None:
-            return False
-        noise, excess = self._distance((time, position), self._before, self._last, _LIKELY)
-        return excess > _SURE / TYPICAL * self._typical * noise
-
-    def accepts(self, time: float, position: float, following: tuple[float, float] | None) -> bool:
-        """Take the next position, and tell whether it is right by the one after it, if any."""
-        new = (time, position)
-        if self._last is None or self._before is None:
-            self._before, self._last = self._last, new
-            return True
-        noise, excess = self._distance(new, self._before, self._last, _LIKELY)
-        limit = _SURE / TYPICAL * self._typical
-        has_jumped = excess > limit * noise
-        if has_jumped and following is not None:
-            between, beyond = self._distance(new, self._last, following, _STRONGEST)
-            has_jumped = beyond > limit * between
-        self._typical *= _TRACKING if excess > self._typical * noise else 1.0 / _TRACKING
-        self._typical = max(self._typical, TYPICAL)
-        if has_jumped:
-            self._jumped.append(new)
-            if len(self._jumped) < _MOST_IN_A_ROW:
-                return False
-            self._last = self._jumped[-2]
-        self._jumped.clear()
-        self._before, self._last = self._last, new
-        return True
-
-    def _distance(
-        self,
-        new: tuple[float, float],
-        one: tuple[float, float],
-        other: tuple[float, float],
-        strength: float,
-    ) -> tuple[float, float]:
-        """Return the noise of the distance from a line, and that beyond what bends the path."""
-        part = (new[0] - one[0]) / (other[0] - one[0])
-        distance = abs(new[1] - one[1] - part * (other[1] - one[1]))
-        bend = 0.5 * abs((new[0] - one[0]) * (new[0] - other[0])) * strength * self._acceleration
-        return self._noise * math.sqrt(1.0 + part**2 + (1.0 - part) ** 2), distance - bend
 
 
 class PlateEstimator:
@@ -244,41 +174,35 @@ class PlateEstimator:
         """Leave out what has jumped of the samples that are complete now."""
         first = bisect_left(self._samples, (self.complete_ns + 1,))
         end = bisect_left(self._samples, (until_ns + 1,))
-        new, kept = self._samples[first:end], []
         self.complete_ns = max(self.complete_ns, until_ns)
-        for index, sample in enumerate(new):
-            after = new[index + 1] if index + 1 < len(new) else None
-            time = self._time(sample)
-            if after is None and (
-                self._plate_filter.is_doubtful(time, sample.plate)
-                or self._projectile_filter.is_doubtful(time, sample.projectile)
-            ):  # the next one will tell
-                self.complete_ns, end = sample.stamp_ns - 1, first + index
-                break
-            if not self._is_right(self._plate_filter, sample, after, _PLATE):
-                self.jumped += 1
-                continue
-            if not self._is_right(self._projectile_filter, sample, after, _PROJECTILE):
-                self.jumped += 1
-                kept.append(sample._replace(projectile=math.nan))
-            else:
-                kept.append(sample)
-        self._samples[first:end] = kept
-
-    def _time(self, sample: Sample) -> float:
+        new = self._samples[first:end]
+        if not new:
+            return
         assert self.origin_ns is not None
-        return (sample.stamp_ns - self.origin_ns) / SECOND
-
-    def _is_right(
-        self, judge: JumpFilter, sample: Sample, after: Sample | None, place: int
-    ) -> bool:
-        """Tell whether a sample has not jumped, by its value at a place."""
-        if math.isnan(sample[place]):
-            return True
-        following = None
-        if after is not None and not math.isnan(after[place]):
-            following = (self._time(after), after[place])
-        return judge.accepts(self._time(sample), sample[place], following)
+        count, origin_ns = len(new), self.origin_ns
+        times, plates, tops = np.array(
+            [((stamp_ns - origin_ns) / SECOND, at, top) for stamp_ns, at, _, top in new]
+        ).T.copy()
+        out, top_out = np.zeros((2, count), dtype=np.bool_)
+        plate_filter, top_filter = self._plate_filter, self._projectile_filter
+        plate_filter.judge(times, plates, count - 1, out)
+        top_filter.judge(times, tops, count - 1, top_out)
+        last = times[-1:], plates[-1:], tops[-1:]
+        if plate_filter.is_doubtful(times[-1], plates[-1]) or top_filter.is_doubtful(
+            times[-1], tops[-1]
+        ):  # the next one will tell
+            self.complete_ns, end, count = new[-1].stamp_ns - 1, end - 1, count - 1
+        else:
+            plate_filter.judge(last[0], last[1], 1, out[-1:])
+            top_filter.judge(last[0], last[2], 1, top_out[-1:])
+        if not (out[:count].any() or top_out[:count].any()):
+            return
+        self.jumped += int((out | top_out)[:count].sum())
+        self._samples[first:end] = [
+            sample._replace(projectile=math.nan) if top_out[k] else sample
+            for k, sample in enumerate(new[:count])
+            if not out[k]
+        ]
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, as far as it is known."""

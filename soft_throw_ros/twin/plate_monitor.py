@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.twin.jump_filter import TYPICAL
 from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
 from soft_throw_ros.twin.plate_estimator import (
     least_rate,
     PlateEstimator,
     PlateStates,
     Sample,
-    TYPICAL,
 )
 from soft_throw_ros.twin.results import State
 

@@ -21,7 +21,7 @@ from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import steps_per_crossing
-from soft_throw_ros.twin import engine_fit
+from soft_throw_ros.twin import engine_fit, jump_filter
 from soft_throw_ros.twin.engine_forecast import EngineForecaster
 from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
 
@@ -168,6 +168,7 @@ def warm_up() -> None:
     """Compile or load the kernels of all models, so that no change of settings has to."""
     smoothing.warm_up()
     engine_fit.warm_up()
+    jump_filter.warm_up()
     wave_stepper.warm_up()
     cell_stepper.warm_up()
     _other_models(Rig(), '')

@@ -156,17 +156,25 @@ def test_first_states_follow_a_plate_of_another_frequency(measurement) -> None:
 def test_peak_speed_is_that_without_the_noise() -> None:
     times = 2.5e-4 * np.arange(60)
     exact = PLATE.velocity(times)
-    assert peak_speed(times, exact, 1.0 / 63.2) == pytest.approx(PLATE.peak_velocity, rel=1e-3)
+    assert peak_speed(times, exact, PLATE) == pytest.approx(PLATE.peak_velocity, rel=1e-3)
     random = np.random.default_rng(5)
     found, largest = [], []
     for _ in range(200):
         noisy = exact + 7e-3 * random.standard_normal(times.size)
-        found.append(peak_speed(times, noisy, 1.0 / 63.2))
+        found.append(peak_speed(times, noisy, PLATE))
         largest.append(noisy.max())
     assert np.mean(found) == pytest.approx(PLATE.peak_velocity, rel=3e-3)
     assert np.mean(largest) > 1.005 * PLATE.peak_velocity
 
 
+@pytest.mark.parametrize('factor', [0.8, 1.25])
+def test_peak_speed_is_found_where_it_was_not_expected(factor) -> None:
+    times = 2.5e-4 * np.arange(60)
+    other = replace(PLATE, frequency=factor * PLATE.frequency)
+    found = peak_speed(times, other.velocity(times), PLATE)
+    assert found == pytest.approx(other.peak_velocity, rel=2e-3)
+
+
 def test_peak_speed_while_it_still_grows_is_the_last() -> None:
     times = 2.5e-4 * np.arange(10)
-    assert peak_speed(times, PLATE.velocity(times), 1.0 / 63.2) == PLATE.velocity(times)[-1]
+    assert peak_speed(times, PLATE.velocity(times), PLATE) == PLATE.velocity(times)[-1]
