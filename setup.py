@@ -34,7 +34,7 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[f'{NAME}*']),
     # soft_throw_ros/config is a link to config: the code reads it there however it is installed.
-    package_data={NAME: ['config/*.yaml']},
+    package_data={NAME: ['config/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

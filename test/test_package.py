@@ -27,7 +27,7 @@ from soft_throw_ros.configuration.interface import (
 )
 
 ROOT = Path(__file__).parents[1]
-CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.yaml')}
+CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.*')}
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
 # What is imported: what pip calls it, and rosdep, where lz4 and zstandard come with mcap.
@@ -43,6 +43,8 @@ ON_PYPI = {
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
+# What the launch files import and start, besides rviz2, which is asked for.
+TO_LAUNCH = {'launch', 'launch_ros', 'robot_state_publisher'}
 # Nothing is downloaded: what the build needs and what the package needs are there already.
 OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
@@ -159,7 +161,7 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
 
     declared = {element.text for element in MANIFEST.findall('exec_depend')}
     required = metadata.get_all('Requires-Dist')
-    assert declared == of_ros | {key for _, key in needed}
+    assert declared == of_ros | TO_LAUNCH | {key for _, key in needed}
     assert {line for line in required if 'extra' not in line} == {name for name, _ in needed}
 
 
@@ -217,8 +219,11 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
     assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
     assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
     assert {path.name: path.read_bytes() for path in (share / 'config').iterdir()} == CONFIG
-    model = 'urdf/soft_throw.urdf'
-    assert (share / model).read_bytes() == (ROOT / model).read_bytes()
+    for folder in ('launch', 'rviz', 'urdf'):
+        (*paths,) = (ROOT / folder).glob('*.*')
+        assert paths
+        for path in paths:
+            assert (share / folder / path.name).read_bytes() == path.read_bytes()
 
 
 def test_colcon_build_finds_config(colcon_prefix, tmp_path):

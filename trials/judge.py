@@ -176,8 +176,8 @@ def _compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, De
         name: Deviation(
             value['value'],
             math.inf if value['error'] is None else value['error'],
-            truth[name.replace('averages', 'ejection')],
+            truth[name],
         )
         for name, value in found.items()
-        if name.replace('averages', 'ejection') in truth and value and value['value'] is not None
+        if name in truth and value and value['value'] is not None
     }

@@ -9,13 +9,18 @@ import sys
 
 from soft_throw_ros.commands.output import run_command
 
-# Name: module with add_arguments(parser) and run(arguments), and what it is for. Only the module
+# Name: module, the functions in it that add arguments and run, and what it is for. Only the module
 # that is asked for is imported, for they are slow to load.
 TASKS = {
-    'recommend': ('soft_throw_ros.commands.design_recommend', 'recommend a layer'),
-    'aim': ('soft_throw_ros.commands.design_aim', 'find what it takes to reach a height or speed'),
-    'map': ('soft_throw_ros.commands.design_map', 'map ejection time and energy over two axes'),
-}
+    'recommend': (
+        'design_search', 'add_recommend_arguments', 'run_recommend', 'recommend a layer'
+    ),
+    'aim': (
+        'design_search', 'add_aim_arguments', 'run_aim',
+        'find what it takes to reach a height or speed',
+    ),
+    'map': ('design_map', 'add_arguments', 'run', 'map ejection time and energy over two axes'),
+}  # fmt: skip
 
 
 def main(args: list[str] | None = None) -> int:
@@ -23,11 +28,12 @@ def main(args: list[str] | None = None) -> int:
     args = sys.argv[1:] if args is None else args
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
-    for name, (_, purpose) in TASKS.items():
+    for name, (*_, purpose) in TASKS.items():
         tasks.add_parser(
             name, help=purpose, description=f'{purpose.capitalize()}.', allow_abbrev=False
         )
     name = parser.parse_args(args[:1]).task
-    task = importlib.import_module(TASKS[name][0])
-    task.add_arguments(tasks.choices[name])
-    return run_command(tasks.choices[name], task.run, args[1:])
+    module, add_arguments, run, _ = TASKS[name]
+    task = importlib.import_module(f'soft_throw_ros.commands.{module}')
+    getattr(task, add_arguments)(tasks.choices[name])
+    return run_command(tasks.choices[name], getattr(task, run), args[1:])

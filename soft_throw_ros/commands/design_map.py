@@ -31,9 +31,9 @@ from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.design.landscape import (
     AXES,
+    check_axis,
     compute_landscape,
     Landscape,
-    LandscapeAxis,
     MODELS,
     Release,
     RESULTS,
@@ -156,7 +156,7 @@ def _read_axis(text: str) -> tuple[str, Floats]:
         raise ValueError(f'{name} must go from a lower to a higher value, got {text!r}')
     if points < 2:
         raise ValueError(f'{name} must have at least 2 points, got {text!r}')
-    LandscapeAxis(name=name, values=np.array(bounds))  # which refuses what is out of range
+    check_axis(name, bounds)
     if is_log and bounds[0] == 0.0:
         raise ValueError(f'{name} cannot begin at 0 with :log, got {text!r}')
     return name, (np.geomspace if is_log else np.linspace)(*bounds, points)
@@ -175,15 +175,15 @@ def _check_output(path: Path) -> None:
 
 def _summary(landscape: Landscape) -> Iterator[str]:
     """Tell the largest energy transfer and where it is, in a few lines."""
-    size = ' x '.join(str(axis.values.size) for axis in landscape.axes)
+    size = ' x '.join(str(values.size) for values in landscape.axes.values())
     yield f'{size} throws, {landscape.release} release by {landscape.model}'
     optimum = landscape.optimum
     if optimum is None:
         yield 'the projectile leaves nowhere'
     else:
         place = ', '.join(
-            f'{axis.name} {value:.5g} {axis.quantity.unit}'.rstrip()
-            for axis, value in zip(landscape.axes, optimum.place, strict=True)
+            f'{name} {value:.5g} {AXES[name].unit}'.rstrip()
+            for name, value in zip(landscape.axes, optimum.place, strict=True)
         )
         yield (
             f'largest alpha {optimum.energy_transfer:.4f} at {place}; '
@@ -204,12 +204,17 @@ class _Shown(NamedTuple):
     factor: float
 
     @classmethod
-    def of(cls, axis: LandscapeAxis) -> _Shown:
-        unit, factor = _UNITS.get(axis.quantity.unit, (axis.quantity.unit, 1.0))
-        title = axis.quantity.symbol + (f' ({unit})' if unit else '')
-        if axis.name in TWIN.by_name:
-            title = f'{axis.name.rpartition(".")[2].replace("_", " ")} {title}'
-        return cls(title, factor * axis.values, factor)
+    def of(cls, landscape: Landscape) -> list[_Shown]:
+        """Return the two axes of a landscape."""
+        shown = []
+        for name, values in landscape.axes.items():
+            symbol, unit, _ = AXES[name]
+            unit, factor = _UNITS.get(unit, (unit, 1.0))
+            title = f'{symbol} ({unit})' if unit else symbol
+            if name in TWIN.by_name:
+                title = f'{name.rpartition(".")[2].replace("_", " ")} {title}'
+            shown.append(cls(title, factor * values, factor))
+        return shown
 
     @property
     def scale(self) -> str:
@@ -223,7 +228,7 @@ def draw(landscape: Landscape, path: Path) -> None:
     """Draw both results of a map side by side into a PNG file, with optimum and rig."""
     from matplotlib.figure import Figure
 
-    shown = [_Shown.of(axis) for axis in landscape.axes]
+    shown = _Shown.of(landscape)
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     # Both maps of colours grow evenly in lightness, whatever the eyes
@@ -275,8 +280,7 @@ def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
     from soft_throw_ros.recording import rerun_canvas
 
     x, y = (
-        rerun_canvas.MapAxis(title=axis.title, values=axis.values)
-        for axis in map(_Shown.of, landscape.axes)
+        rerun_canvas.MapAxis(title=axis.title, values=axis.values) for axis in _Shown.of(landscape)
     )
     rerun_canvas.draw_landscape(
         stream,
@@ -306,7 +310,7 @@ def _highest(landscape: Landscape, name: str) -> float | None:
 
 def _title(landscape: Landscape) -> str:
     """Name model and release, and of the rig what is no axis and counts."""
-    rig, names = landscape.rig, [axis.name for axis in landscape.axes]
+    rig = landscape.rig
     fixed = [
         f'{AXES[name].symbol} = {value:g} {TWIN.by_name[name].unit}'.rstrip()
         for name, value in (
@@ -314,7 +318,7 @@ def _title(landscape: Landscape) -> str:
             ('layer.loss_tangent', rig.layer.loss_tangent),
             ('gravity', rig.gravity),
         )
-        if value > 0.0 and name not in (*names, *landscape.left_out)
+        if value > 0.0 and name not in (*landscape.axes, *landscape.left_out)
     ]
     model = landscape.model.replace('_', ' ')
     return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
@@ -326,7 +330,7 @@ def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
     optimum, symbol = landscape.optimum, RESULTS['energy_transfer'].symbol
     if optimum is not None:
         marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.place))
-    x, y = map(_Shown.of, landscape.axes)
+    x, y = _Shown.of(landscape)
     for title, place in marks:
         right, up = x.factor * place[0], y.factor * place[1]
         if x.values[0] <= right <= x.values[-1] and y.values[0] <= up <= y.values[-1]:

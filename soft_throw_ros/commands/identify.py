@@ -15,6 +15,11 @@ import sys
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import read_layer, read_throws
+from soft_throw_ros.commands.identify_plan import (
+    add_plan_options,
+    check_plan_options,
+    plan_throws,
+)
 from soft_throw_ros.commands.identify_report import (
     budget_lines,
     ejection_data,
@@ -74,6 +79,8 @@ def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     description = _describe_fit(arguments, known)
     _check(arguments)
+    if arguments.plan is not None:
+        return plan_throws(arguments, settings, description, _read_all(arguments))
     identify = _identify_layers if arguments.free_layer else _identify_throws
     report = identify(arguments, settings, description)
     identified = report.put_into(settings)
@@ -148,13 +155,15 @@ def _parser() -> argparse.ArgumentParser:
     add('--figure', metavar='FILE', type=Path, help='picture of data, fit and residuals to draw')
     add('--json', action='store_true', help='print one object: SI units')
     add_video_options(parser)
+    add_plan_options(parser)
     add_rig_options(parser)
     return parser
 
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse before the work what would be no use after it."""
-    if bool(arguments.files or arguments.video) == bool(arguments.free_layer):
+    is_alone = arguments.plan is not None and not arguments.free_layer  # needs no tracks
+    if not is_alone and bool(arguments.files or arguments.video) == bool(arguments.free_layer):
         raise ValueError('either FILE or --video, or --free-layer must be given, and not both')
     if arguments.last is not None and arguments.last < 1:
         raise ValueError(f'argument --last: must be at least 1, got {arguments.last}')
@@ -166,6 +175,7 @@ def _check(arguments: argparse.Namespace) -> None:
             f'got {arguments.thickness_error:g}'
         )
     check_video_options(arguments)
+    check_plan_options(arguments)
     for name in ('output', 'figure', 'tracks', 'space_time'):
         path = getattr(arguments, name)
         if path is None:
@@ -254,7 +264,7 @@ def _identify_throws(
                 'within the errors the projectile may leave one echo of the wave earlier or '
                 'later: ejection time and energy transfer jump there'
             )
-        averages, more = _running_averages(found.throws, rig.gravity)
+        averages, more = _running_averages(found.throws, rig.gravity, ejection)
         several = len(averages) > 1
         columns = {'model': ejection} | {
             f'averages, throw {number + 1}' if several else 'running averages': each
@@ -294,15 +304,18 @@ def _identify_throws(
 
 
 def _running_averages(
-    throws: Sequence[ThrowTracks], gravity: float
+    throws: Sequence[ThrowTracks], gravity: float, ejection: Ejection
 ) -> tuple[dict[int, Ejection], list[str]]:
     """Analyse throws without a model of the layer, and say of which that cannot be done."""
+    plate_speed = ejection.peak_plate_speed if len(throws) == 1 else None
     averages: dict[int, Ejection] = {}
     refused: list[str] = []
     for number, throw in enumerate(throws):
         if throw.projectile is not None:
             try:
-                averages[number] = analyse_throw(throw, gravity=gravity)
+                averages[number] = analyse_throw(
+                    throw, gravity=gravity, peak_plate_speed=plate_speed
+                )
             except FitError as error:
                 refused.append(str(error))
     if not refused:

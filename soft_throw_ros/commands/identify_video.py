@@ -81,7 +81,7 @@ def check_video_options(arguments: argparse.Namespace) -> None:
     layers = [path for _, path in arguments.free_layer]
     videos = arguments.video + [path for path in layers if is_video(path)]
     if not videos:
-        for name in _OPTIONS:
+        for name in _OPTIONS[1:] if arguments.plan is not None else _OPTIONS:
             if getattr(arguments, name) not in (None, False):
                 raise ValueError(f'argument --{name.replace("_", "-")}: is for videos')
         return
@@ -149,13 +149,16 @@ def _follow(path: str, arguments: argparse.Namespace) -> list[Spot]:
             file=sys.stderr,
         )
     spots = follow_spots(read_pictures(path), light=arguments.light_spots)
+    end = max((int(spot.picture[-1]) for spot in spots if spot.picture.size), default=0)
     for spot in spots:
         gaps = [f'{first} to {last}' for first, last in spot.gaps]
+        gaps[_MAX_GAPS:] = [f'{len(gaps) - _MAX_GAPS} more times'] * (len(gaps) > _MAX_GAPS)
+        if spot is not spots[-1] and spot.picture.size > 0 and spot.picture[-1] < end:
+            gaps.append(f'{spot.picture[-1] + 1} to the end')  # the highest one may leave
         if gaps:
-            more = f' and {len(gaps) - _MAX_GAPS} more times' * (len(gaps) > _MAX_GAPS)
             print(
                 f'identify: {path}: the spot at {spot.place} is not seen as a whole in pictures '
-                f'{", ".join(gaps[:_MAX_GAPS])}{more}; these samples are missing',
+                f'{", ".join(gaps)}; these samples are missing',
                 file=sys.stderr,
             )
     if arguments.overlay:

@@ -91,6 +91,7 @@ def add_options(
             metavar=entry.unit.upper() or ('NAME' if is_text else 'NUMBER'),
             nargs='+' if isinstance(entry.default, tuple) else None,
             type=str if is_text else number_or_text,
+            choices=entry.choices or None,
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
@@ -112,7 +113,6 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     request = {name: given[name] for name in _ALL_OPTIONS if name in given}
     settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
     try:
-        _check_motion(request.get(_MOTION.name, _MOTION.default))
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
         options = (f'argument {_ALL_OPTIONS[name]}: ' for name in error.names if name in request)
@@ -126,16 +126,6 @@ def number_or_text(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
-
-
-def _check_motion(motion: Value) -> None:
-    """Refuse a motion that a command cannot compute."""
-    if not _MOTION.allows(motion):
-        raise ParameterError(
-            f'{_MOTION.name} must be {_MOTION.rule}, got {motion!r}; '
-            'what is measured is for the twin',
-            _MOTION.name,
-        )
 
 
 def _format(value: Value) -> str:

@@ -33,7 +33,7 @@ TEXT = 'std_msgs/msg/String'
 TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # more than are published at once, so that no late subscriber misses one
-_ONE_SECOND = 1000  # of ticks at the default rate
+_ONE_SECOND = 5000  # of ticks at the highest rate
 _AFTER_A_STALL = 5000  # a second of measurements at the usual rate, which may come at once
 
 
@@ -199,6 +199,8 @@ class CalibratorTopics(NamedTuple):
 
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
+    diagnostics: Topic = Topic(
+        '/diagnostics', ARRAY, 'What the last identification found, at 1 Hz', depth=_SEVERAL)
 
 
 class ReplayTopics(NamedTuple):

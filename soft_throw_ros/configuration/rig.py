@@ -26,6 +26,35 @@ RIG = Table(
              unit='m', low=0.0, high=1e-2),
         row('jitter', 1e-5, 'Largest deviation of the times of measurements from an even rate',
              unit='s', low=0.0, high=1e-3),
+        row('faults.outlier_rate', 0.0, 'Share of the heights that are far off',
+             low=0.0, high=0.5),
+        row('faults.outlier_size', 3e-3, 'How far they are off at most; at least a tenth of that',
+             unit='m', low=0.0, high=1.0),
+        row('faults.missing_rate', 0.0, 'Share of the measurements that are lost',
+             low=0.0, high=0.9),
+        row('faults.stamp_error', 0.0, 'Largest error of a stamp', unit='s', low=0.0, high=1e-3),
+        row('faults.rounding', 0.0, 'Step to which heights are rounded; 0 for none',
+             unit='m', low=0.0, high=1e-3),
+        row('faults.drift', 0.0, 'Drift of both heights, which turns round every second',
+             unit='m/s', low=-0.1, high=0.1),
+        row('faults.projectile_scale', 1.0,
+             'Height of the projectile that is measured over the true one', low=0.5, high=2.0),
+        row('faults.projectile_delay', 0.0,
+             "How much older the projectile's heights are than their stamps",
+             unit='s', low=-2e-3, high=2e-3),
+        row('faults.ringing', 0.0,
+             'Amplitude with which the plate rings before a throw by the period, over that of the '
+             'engine', low=0.0, high=0.5),
+        row('faults.second_mode', 0.0,
+             'Amplitude of a second mode of the plate, over that of the engine',
+             low=0.0, high=0.5),
+        row('faults.second_mode_frequency', 310.0, 'Its frequency',
+             unit='Hz', low=10.0, high=2000.0),
+        row('faults.stiffening', 0.0,
+             'k of a layer whose stress is E (e + k e^2) at a compression e; negative softens',
+             low=-2.0, high=5.0),
+        row('faults.sticking', 0.0, 'How long the layer holds a projectile that wants to leave',
+             unit='s', low=0.0, high=2e-3),
         row('wear.throws', 0, 'After how many throws the layer has aged; 0 for never',
              low=1, high=1_000_000, or_zero=True),
         row('wear.wave_speed', 0.95, 'What is left of its wave speed then, as a part of it',
@@ -33,6 +62,25 @@ RIG = Table(
     ),
 )  # fmt: skip
 """The parameters of the rig; those shared with the twin mean the same."""
+
+_OF_SENSORS = (
+    'outlier_rate', 'outlier_size', 'missing_rate', 'stamp_error', 'rounding', 'drift',
+    'projectile_scale', 'projectile_delay',
+)  # fmt: skip
+_OF_RIG = ('ringing', 'second_mode', 'second_mode_frequency', 'stiffening', 'sticking')
+
+
+def sensor_faults_of(settings: Settings) -> dict[str, float]:
+    """Return what the sensors get wrong, by the names that `SensorFaults` has for it."""
+    return {name: settings[name] for name in ('noise', 'jitter')} | {
+        name: settings[f'faults.{name}'] for name in _OF_SENSORS
+    }
+
+
+def imperfections_of(settings: Settings) -> dict[str, float]:
+    """Return what the rig does that no model does, by the names of `Imperfections`."""
+    return {name: settings[f'faults.{name}'] for name in _OF_RIG}
+
 
 CALIBRATOR = Table(
     node='calibrator',

@@ -68,6 +68,8 @@ class Entry:
         What a text is, in words.
     max_length : int
         Of a list.
+    examples : tuple of str
+        Some of the texts allowed, for those who ask what a parameter is.
 
     """
 
@@ -82,6 +84,7 @@ class Entry:
     pattern: str = '.*'
     kind: str = 'a text'
     max_length: int = 1000
+    examples: tuple[str, ...] = ()
 
     @property
     def group(self) -> str:

@@ -61,7 +61,7 @@ _ENTRIES = (
          kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
          'A layer of the library, which sets what it is known by; `custom` after any other change',
-         kind='a name in the library, or `custom`'),
+         kind='a name in the library, or `custom`', examples=tuple(LAYERS)),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
          **_bounds('thickness')),
     row('layer.wave_speed', _RIG.layer.wave_speed,

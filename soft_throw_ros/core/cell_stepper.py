@@ -73,7 +73,7 @@ from soft_throw_ros.core.cells import (
     VELOCITY,
     VISCOSITY,
 )
-from soft_throw_ros.core.kernels import compiled
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, reduction
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
@@ -130,12 +130,6 @@ _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
 _THROWS_PER_THREAD = 16
 
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
-
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
-_inlined = nb.njit(  # what every step calls
-    cache=True, nogil=True, error_model='numpy', fastmath={'contract'}, forceinline=True
-)
-_sum = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract', 'reassoc'})
 
 # Three such records make a stepper: the first is at a step of the grid, the second at the time
 # asked for; the third is what both are reset to. Where two values stand for one, they are those
@@ -305,17 +299,17 @@ def _spring_step(rig: Rig) -> float:
     return 1.0 / (_SPRING_STEPS * max(rig.engine.frequency, rig.natural_frequency))
 
 
-@_jit
-def _set_contact(s, contact):
-    """Choose the system of equations."""
-    s.contact = contact
-    system = s.systems[1 if contact else 0]
+@part
+def _choose_system(s):
+    """Choose the equations of contact or of flight."""
+    system = s.systems[1 if s.contact else 0]
     s.known, s.first, s.end, s.quarter = system[0], system[1], system[2], system[3]
 
 
-@_jit
-def _prepare(s, nodes):
+@kernel
+def _prepare(core, nodes):
     """Complete a record at rest from step, cells, masses, gravity and the cells' properties."""
+    s = core[2]
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
     s.rate = 2.0 / s.step
     s.event_time = math.inf
@@ -333,9 +327,11 @@ def _prepare(s, nodes):
         nodes[VISCOSITY, joint - 1] += 2.0 / s.step * nodes[MASS, joint]
     if joint + 2 <= last:
         nodes[VISCOSITY, joint + 1] += 2.0 / s.step * nodes[MASS, joint + 1]
-    factorise(s, nodes, s.step, joint, 1 if s.is_massless else 0, 0)
-    factorise(s, nodes, s.step, joint, 1 if joint == 0 else 0, 1)
-    _set_contact(s, True)
+    for case in range(2):
+        given = s.is_massless if case == 0 else joint == 0
+        factorise(s, nodes, s.step, joint, 1 if given else 0, case)
+    s.contact = True
+    _choose_system(s)
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
     s.bodies[0], s.bodies[1] = joint, joint + 1
@@ -362,7 +358,7 @@ def _prepare(s, nodes):
     s.plate_force = s.thrown * s.gravity
 
 
-@_inlined
+@inlined
 def _accelerate(s, nodes):
     """Compute the stress in all links, and the velocities of all nodes at the whole step."""
     now = s.index & 1
@@ -374,7 +370,7 @@ def _accelerate(s, nodes):
     solve(s, nodes, now, 1 if s.contact else 0)
 
 
-@_inlined
+@inlined
 def _tension(s, nodes, j):
     """Compute the tension of a link with its viscous part, and that of a stiff cell."""
     w, case = MEAN_VELOCITY + (s.index & 1), 1 if s.contact else 0
@@ -384,46 +380,60 @@ def _tension(s, nodes, j):
     return nodes[STRESS + (s.index & 1), j] + viscous
 
 
-@_inlined
+@inlined
 def _drive(s, nodes, path):
-    """Move the plate, and what goes with it; return its velocity."""
-    w = MEAN_VELOCITY + (s.index & 1)
-    stretch = s.below_before - nodes[DISPLACEMENT, 0]
-    if s.plate_kind == DAMPED:
-        # Rotations of a phasor that is evaluated anew for every block
-        k = s.index & (BLOCK - 1)
-        if k == 0:
-            time = s.index * s.step
-            fading = s.growth * time
-            size = 0.0 if fading < -600.0 else math.exp(fading)
-            s.cosine, s.sine = (
-                size * math.cos(s.turn * time),
-                size * math.sin(s.turn * time),
-            )
-        real = s.cosine * path[0, k] - s.sine * path[1, k]
-        imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
-        nodes[DISPLACEMENT, 0] = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
-        speed = s.factor * imaginary
-        s.plate_acceleration = s.factor * (s.turn * real + s.growth * imaginary)
-    else:
-        nodes[DISPLACEMENT, 0], speed, s.plate_acceleration = motion_at(s, path, s.index * s.step)
-    nodes[w, 0], nodes[VELOCITY, 0] = speed, speed - 0.5 * s.step * s.plate_acceleration
+    """Move an underdamped plate by rotations of a phasor, evaluated anew for every block."""
+    k = s.index & (BLOCK - 1)
+    if k == 0:
+        _start_block(s)
+    real = s.cosine * path[0, k] - s.sine * path[1, k]
+    imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
+    height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+    acceleration = s.factor * (s.turn * real + s.growth * imaginary)
+    _move_plate(s, nodes, height, s.factor * imaginary, acceleration)
+
+
+@part
+def _drive_along(s, nodes, path):
+    """Move a plate whose motion is given in pieces."""
+    height, speed, acceleration = motion_at(s, path, s.index * s.step)
+    _move_plate(s, nodes, height, speed, acceleration)
+
+
+@inlined
+def _move_plate(s, nodes, height, speed, acceleration):
+    """Move the lowest node, and what goes with it."""
+    w, before = MEAN_VELOCITY + (s.index & 1), nodes[DISPLACEMENT, 0]
+    s.plate_acceleration = acceleration
+    nodes[DISPLACEMENT, 0], nodes[w, 0] = height, speed
+    nodes[VELOCITY, 0] = speed - 0.5 * s.step * acceleration
     if s.joint == 0 and s.contact:
-        nodes[DISPLACEMENT, 1], nodes[VELOCITY, 1], nodes[w, 1] = (
-            nodes[DISPLACEMENT, 0],
-            nodes[VELOCITY, 0],
-            nodes[w, 0],
-        )
-    elif s.is_massless and not s.contact:  # the free end creeps to where it has no load
-        free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
-        stretch = (stretch - free) * math.exp(-s.creep * s.step)
-        nodes[DISPLACEMENT, 1] = nodes[DISPLACEMENT, 0] + free + stretch
-        nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.below_before) / s.step
-        nodes[w, 1] = nodes[w, 0] - (s.creep * stretch if s.is_lossy else 0.0)
-    return speed
+        nodes[DISPLACEMENT, 1], nodes[w, 1] = height, speed
+        nodes[VELOCITY, 1] = nodes[VELOCITY, 0]
+    elif s.is_massless and not s.contact:
+        _creep(s, nodes, w, s.below_before - before)
 
 
-@_jit
+@part
+def _start_block(s):
+    """Evaluate the phasor of an underdamped plate."""
+    time = s.index * s.step
+    fading = s.growth * time
+    size = 0.0 if fading < -600.0 else math.exp(fading)
+    s.cosine, s.sine = size * math.cos(s.turn * time), size * math.sin(s.turn * time)
+
+
+@part
+def _creep(s, nodes, w, stretch):
+    """Let the free end of a layer without mass creep to where it has no load."""
+    free = s.thrown * s.gravity / nodes[STIFFNESS, 0]
+    stretch = (stretch - free) * math.exp(-s.creep * s.step)
+    nodes[DISPLACEMENT, 1] = nodes[DISPLACEMENT, 0] + free + stretch
+    nodes[VELOCITY, 1] = (nodes[DISPLACEMENT, 1] - s.below_before) / s.step
+    nodes[w, 1] = nodes[w, 0] - (s.creep * stretch if s.is_lossy else 0.0)
+
+
+@part
 def _speed_of_thrown(s, nodes):
     """Compute the speed of the centre of mass of what is thrown, at the half step."""
     momentum = 0.0
@@ -432,14 +442,14 @@ def _speed_of_thrown(s, nodes):
     return momentum / s.thrown
 
 
-@_jit
+@part
 def _note_event(s, events, kind, part, height, velocity):
     """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + part) * s.step, velocity
     note_event(s, events, kind, s.event_time, height, velocity)
 
 
-@_inlined
+@inlined
 def _weigh(s, nodes):
     """Compute the forces of the layer on plate and projectile, and that in the contact."""
     w, j, face, last = MEAN_VELOCITY + (s.index & 1), s.joint + 1, s.cells + 1, nodes.shape[1] - 1
@@ -462,10 +472,12 @@ def _weigh(s, nodes):
     if s.joint == 0:
         s.on_plate_now = -force if s.contact else 0.0
     else:
-        s.on_plate_now = _tension(s, nodes, 0) - nodes[MASS, 0] * s.plate_acceleration - weight
+        s.on_plate_now = (
+            _tension(s, nodes, s.bottom) - nodes[MASS, 0] * s.plate_acceleration - weight
+        )
 
 
-@_jit
+@part
 def _leave(s, nodes, events):
     """Let go, now that the force is below zero."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -489,11 +501,12 @@ def _leave(s, nodes, events):
     impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = _speed_of_thrown(s, nodes) + s.step * impulse / s.thrown
-    _set_contact(s, False)
+    s.contact = False
+    _choose_system(s)
     _note_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
 
 
-@_jit
+@part
 def _land(s, nodes, events):
     """Close the gap, now that it is negative."""
     j = s.joint
@@ -524,13 +537,14 @@ def _land(s, nodes, events):
     for k in range(j + 1, s.bodies[1] + 1):
         u[k] += part_above * overlap
         v[k] += part_above * approach
-    _set_contact(s, True)
+    s.contact = True
+    _choose_system(s)
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     _note_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
 
 
-@_jit
+@part
 def _march(s, nodes, path, events, goal):
     """Advance to step `goal`, or into one with more events than there is room for."""
     step, joint = s.step, s.joint
@@ -545,7 +559,10 @@ def _march(s, nodes, path, events, goal):
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before, s.heat_before = s.work, s.heat
-        speed = _drive(s, nodes, path)
+        if s.plate_kind == DAMPED:
+            _drive(s, nodes, path)
+        else:
+            _drive_along(s, nodes, path)
         gap = nodes[DISPLACEMENT, joint + 1] - nodes[DISPLACEMENT, joint]
         lands = not s.contact and gap < 0.0
         if lands:
@@ -562,7 +579,7 @@ def _march(s, nodes, path, events, goal):
             if not leaves:
                 break
             _leave(s, nodes, events)  # and compute the step again, in flight
-        power = -s.on_plate_now * speed
+        power = -s.on_plate_now * nodes[MEAN_VELOCITY + (s.index & 1), 0]
         s.work += 0.5 * step * (s.power + power)
         s.power = power
         if s.is_lossy:
@@ -576,7 +593,7 @@ def _march(s, nodes, path, events, goal):
             s.first_work = s.work_before + part * (s.work - s.work_before)
 
 
-@_sum
+@reduction
 def _heating(nodes, now):
     """Compute the power that turns to heat in the layer."""
     total = 0.0
@@ -586,14 +603,14 @@ def _heating(nodes, now):
     return total
 
 
-@_jit
+@part
 def _strain(nodes, row, j):
     """Compute the strain of a cell from displacements or positions."""
     stretch = nodes[row, j + 1] - nodes[row, j]
     return stretch * nodes[INVERSE, j] - nodes[STATIC, j]
 
 
-@_jit
+@part
 def _compare_loads(s, nodes):
     """Look whether anything is larger than it has been."""
     for j in range(nodes.shape[1] - 1):
@@ -611,7 +628,7 @@ def _compare_loads(s, nodes):
     s.plate_force = max(s.plate_force, abs(s.on_plate_now))
 
 
-@_jit
+@part
 def _motion(s, nodes, j, part):
     """Interpolate displacement and velocity of a node between the last two steps."""
     u, v, step = nodes[DISPLACEMENT, j], nodes[VELOCITY, j], s.step
@@ -629,7 +646,7 @@ def _motion(s, nodes, j, part):
     return height, v + turn
 
 
-@_jit
+@kernel
 def _advance(core, nodes, path, events, time):
     """Advance to `time`; the number of events so far, or what is wrong."""
     grid, s = core[0], core[1]
@@ -676,7 +693,7 @@ def _advance(core, nodes, path, events, time):
     return s.events
 
 
-@_jit
+@part
 def _move_nodes(s, nodes):
     """Bring all nodes and the forces through all cells to the time asked for."""
     now, part = s.index & 1, s.part if s.index > 0 else 1.0
@@ -707,9 +724,9 @@ def _move_nodes(s, nodes):
         nodes[FORCE, j] = nodes[BURDEN, j] - earlier - part * (later - earlier)
 
 
-@_jit
+@kernel
 def _read_layer(core, nodes, places, out):
-    """Read heights, velocities and forces of the layer from plate to top."""
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
@@ -722,19 +739,12 @@ def _read_layer(core, nodes, places, out):
         height[n] = below + part * (above - below)
         velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
         force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
+        if out.shape[0] > 3:
+            here = _strain(nodes, POSITION, j)
+            out[3, n] = here + weight * (_strain(nodes, POSITION, k) - here)
 
 
-@_jit
-def _read_strain(core, nodes, places, strain):
-    """Read the strain of the layer from plate to top."""
-    _move_nodes(core[1], nodes)
-    for n in range(places.size):
-        here = _strain(nodes, POSITION, places[n].cell)
-        there = _strain(nodes, POSITION, places[n].beside)
-        strain[n] = here + places[n].weight * (there - here)
-
-
-@_jit
+@kernel
 def _stored_energy(core, nodes):
     """Add up the energy of layer and projectile against rest."""
     s = core[1]
@@ -749,7 +759,7 @@ def _stored_energy(core, nodes):
     return total
 
 
-@_inlined
+@part
 def _copy_record(core):
     """Let the second record be as the first."""
     numbers = core.view(np.float64)
@@ -758,7 +768,7 @@ def _copy_record(core):
         numbers[size + k] = numbers[k]
 
 
-@_jit
+@kernel
 def _reset(core, nodes):
     """Put everything back to rest."""
     s = core[0]
@@ -777,53 +787,29 @@ def _reset(core, nodes):
     _copy_record(core)
 
 
-@_jit
-def _throw_first(cases, cells, bars, is_on_projectile, core, nodes, path, found):
-    """Compute rows of `FirstThrows` in units of layer mass, crossing time and amplitude."""
-    events = np.empty((0, 4))
-    for n in range(cases.shape[0]):
-        mu, kappa, zeta = cases[n, 0], cases[n, 1], cases[n, 2]
-        gravity, loss, crossing = cases[n, 3], cases[n, 4], cases[n, 5]
-        omega = 2.0 * math.pi / kappa
-        core[2] = core[3]
-        s = core[2]
-        s.step, s.cells = 1.0 / cells, cells
-        s.bottom, s.joint = (1, 0) if is_on_projectile else (0, cells)
-        s.mass = s.face_mass = mu
-        s.gravity = gravity * omega * omega
-        s.release_threshold = -_NOISE * omega
-        s.edge_weights[0] = s.edge_weights[1] = -0.5
-        s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
-        s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
-        write_underdamped(s, path, omega, omega, zeta, s.step)
-        for j in range(nodes.shape[1]):
-            for k in range(nodes.shape[0]):
-                nodes[k, j] = 0.0
-            if s.bottom <= j < s.bottom + cells:
-                nodes[INVERSE, j] = cells
-        add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
-        if bars > 0:
-            s.face_mass = 0.5 * mu / bars
-            add_cells(nodes, cells + 1, bars, mu, mu / crossing**2, 0.0, s.step)
-        else:
-            nodes[MASS, cells + 1] += mu
-        _prepare(s, nodes)
-        core[0] = core[2]
-        _reset(core, nodes)
-        grid = core[0]
-        periods = MAX_PERIODS * max(kappa, 2.0 * math.pi * math.sqrt(mu))
-        last = math.ceil(min(1.0 + periods, MAX_CROSSINGS) * cells)
-        _march(grid, nodes, path, events, last)
-        for k in range(6):
-            found[n, k] = math.nan
-        if grid.events > 0:
-            strain = max(grid.edge_strains[0], grid.edge_strains[1])
-            for j in range(nodes.shape[1]):
-                strain = max(strain, nodes[LARGEST, j])
-            found[n, 0], found[n, 1] = grid.event_time / kappa, grid.event_velocity / omega
-            found[n, 2], found[n, 3] = strain / omega, grid.acceleration / omega**2
-            found[n, 4] = grid.plate_force / omega
-            found[n, 5] = grid.first_work / (mu * omega**2)
+@kernel
+def _cut_one_layer(core, nodes, path, ratios, cells, bars, is_on_projectile):
+    """Start a record and its cells in units of layer mass, crossing time and amplitude."""
+    mu, kappa, zeta, gravity, loss, crossing = ratios
+    omega = 2.0 * math.pi / kappa
+    s = core[2]
+    s.step, s.cells = 1.0 / cells, cells
+    s.bottom, s.joint = (1, 0) if is_on_projectile else (0, cells)
+    s.mass = s.face_mass = mu
+    s.gravity = gravity * omega * omega
+    s.release_threshold = -_NOISE * omega
+    s.edge_weights[0] = s.edge_weights[1] = -0.5
+    s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
+    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
+    write_underdamped(s, path, omega, omega, zeta, s.step)
+    for j in range(s.bottom, s.bottom + cells):
+        nodes[INVERSE, j] = cells
+    add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
+    if bars > 0:
+        s.face_mass = 0.5 * mu / bars
+        add_cells(nodes, cells + 1, bars, mu, mu / crossing**2, 0.0, s.step)
+    else:
+        nodes[MASS, cells + 1] += mu
 
 
 def first_throws(
@@ -911,26 +897,42 @@ def first_throws(
 def _throw_all(
     rows: Floats, cells: int | None, is_on_projectile: bool, threads: int | None
 ) -> Floats:
-    """Compute all rows, those with the same number of cells by one call in each thread."""
-    found = np.empty((rows.shape[0], 6))
+    """Compute a row of `FirstThrows` for each row of ratios."""
+    found = np.full((rows.shape[0], 6), math.nan)
     counts = np.full(rows.shape[0], cells or _CELLS)
     if cells is None:
         wanted = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
         while (too_few := (counts < wanted) & (counts < _MOST_FOR_BATCH)).any():
             counts[too_few] *= 2
     bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (counts * rows[:, 5]).astype(np.int64)), 0)
-    groups = [
-        (count, bar, np.flatnonzero((counts == count) & (bars == bar)))
-        for count, bar in sorted(set(zip(counts.tolist(), bars.tolist(), strict=True)))
-    ]
+    mu, kappa = rows[:, 0], rows[:, 1]
+    periods = MAX_PERIODS * np.maximum(kappa, 2.0 * math.pi * np.sqrt(mu))
+    latest = np.minimum(1.0 + periods, MAX_CROSSINGS)
 
     def run(part: int, parts: int) -> None:
-        core, path = np.zeros(4, _CORE), np.empty((2, BLOCK))
-        for count, bar, members in groups:
-            own = members[part::parts]
-            nodes, results = np.empty((ROWS, count + bar + 2)), np.empty((own.size, 6))
-            _throw_first(rows[own], count, bar, is_on_projectile, core, nodes, path, results)
-            found[own] = results
+        core, path, no_events = np.zeros(3, _CORE), np.empty((2, BLOCK)), np.empty((0, 4))
+        numbers = core.view(np.float64).reshape(3, -1)
+        advance = _advance_compiled()
+        for n in range(part, rows.shape[0], parts):
+            count, bar = int(counts[n]), int(bars[n])
+            nodes = np.zeros((ROWS, count + bar + 2))
+            numbers[:] = 0.0
+            ratios = tuple(rows[n].tolist())
+            _cut_one_layer(core, nodes, path, ratios, count, bar, is_on_projectile)
+            _prepare(core, nodes)
+            numbers[:2] = numbers[2]
+            _reset(core, nodes)
+            advance(core, nodes, path, no_events, latest[n])
+            grid = core[0]
+            if grid['events']:
+                omega = 2.0 * math.pi / ratios[1]
+                strain = max(grid['edge_strains'].max(), nodes[LARGEST].max())
+                work = grid['first_work'] / (ratios[0] * omega**2)
+                found[n] = (
+                    grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
+                    strain / omega, grid['acceleration'] / omega**2,
+                    grid['plate_force'] / omega, work,
+                )  # fmt: skip
 
     in_threads(run, count=rows.shape[0], per_thread=_THROWS_PER_THREAD, threads=threads)
     return found
@@ -1020,7 +1022,7 @@ class CellStepper(Stepper):
         edges = self._places[[0, -1]]
         start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
         start['edge_weights'] = edges['weight']
-        _prepare(start, self._nodes)
+        _prepare(self._core, self._nodes)
         self._bind()
         self.reset()
 
@@ -1035,9 +1037,6 @@ class CellStepper(Stepper):
     def _copy_layer(self, origin: Stepper) -> None:
         assert isinstance(origin, CellStepper)
         self._nodes[:] = origin._nodes
-
-    def _read_strain(self, strain: Floats) -> None:
-        _read_strain(self._core, self._nodes, self._places, strain)
 
     @property
     def horizon(self) -> float:

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.kernels import inlined, kernel, part
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -88,11 +88,6 @@ _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
 _SHORTEST = 16  # row of coupled nodes that is worth four chains
-
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})
-_inlined = nb.njit(  # what every step calls
-    cache=True, nogil=True, error_model='numpy', fastmath={'contract'}, forceinline=True
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,7 +202,7 @@ def _projectile_cells(rig: Rig, step: float) -> int:
     return max(_FEWEST_PROJECTILE_CELLS, int(wanted))
 
 
-@_jit
+@kernel
 def add_cells(
     nodes: Floats,
     first: int,
@@ -228,7 +223,7 @@ def add_cells(
         nodes[STIFF, j] = _AVERAGE_ACCELERATION * step * step * spring if is_stiff else 0.0
 
 
-@_jit
+@part
 def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     rigid = joint if case == 1 else -1
@@ -277,7 +272,7 @@ def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: 
     response[separator] = 1.0
 
 
-@_jit
+@part
 def _eliminate(nodes, case, first, merge, end, rigid):
     """Eliminate nodes from both ends towards one that they merge in."""
     mass, coupling = nodes[MASS], nodes[COUPLING + case]
@@ -300,41 +295,43 @@ def _eliminate(nodes, case, first, merge, end, rigid):
     gain[merge] = 1.0 / total
 
 
-@_inlined
+@inlined
 def _substitute(nodes, x, case, first, end, quarter):
     """Solve the two parts beside the separator for row x, in four chains side by side."""
+    # Unsigned, since any other index is looked at whether it counts from the end
+    one, first, end, quarter = np.uintp(1), np.uintp(first), np.uintp(end), np.uintp(quarter)
     share, gain = SHARE + case, GAIN + case
-    separator = first + 2 * quarter + 1
-    low, high = first + quarter, separator + 1 + quarter
+    separator = first + quarter + quarter + one
+    low, high = first + quarter, separator + one + quarter
     rest = high + quarter
-    for j in range(end, rest, -1):
+    for j in range(int(end), int(rest), -1):
         nodes[x, j - 1] += nodes[share, j - 1] * nodes[x, j]
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for i in range(quarter):
-        j, k, m, n = first + i, separator - 1 - i, separator + 1 + i, rest - i
-        a = nodes[x, j] + nodes[share, j - 1] * a
+        j, k, m, n = first + i, separator - one - i, separator + one + i, rest - i
+        a = nodes[x, j] + nodes[share, j - one] * a
         b = nodes[x, k] + nodes[share, k] * b
-        c = nodes[x, m] + nodes[share, m - 1] * c
+        c = nodes[x, m] + nodes[share, m - one] * c
         d = nodes[x, n] + nodes[share, n] * d
         nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
-    a = nodes[x, low] + nodes[share, low - 1] * a + nodes[share, low] * b
-    c = nodes[x, high] + nodes[share, high - 1] * c + nodes[share, high] * d
+    a = nodes[x, low] + nodes[share, low - one] * a + nodes[share, low] * b
+    c = nodes[x, high] + nodes[share, high - one] * c + nodes[share, high] * d
     a *= nodes[gain, low]
     c *= nodes[gain, high]
     nodes[x, low], nodes[x, high] = a, c
     b, d = a, c
-    for i in range(1, quarter + 1):
+    for i in range(one, quarter + one):
         j, k, m, n = low - i, low + i, high - i, high + i
         a = nodes[gain, j] * nodes[x, j] + nodes[share, j] * a
-        b = nodes[gain, k] * nodes[x, k] + nodes[share, k - 1] * b
+        b = nodes[gain, k] * nodes[x, k] + nodes[share, k - one] * b
         c = nodes[gain, m] * nodes[x, m] + nodes[share, m] * c
-        d = nodes[gain, n] * nodes[x, n] + nodes[share, n - 1] * d
+        d = nodes[gain, n] * nodes[x, n] + nodes[share, n - one] * d
         nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
-    for j in range(rest + 1, end + 1):
+    for j in range(int(rest) + 1, int(end) + 1):
         nodes[x, j] = nodes[gain, j] * nodes[x, j] + nodes[share, j - 1] * nodes[x, j - 1]
 
 
-@_inlined
+@inlined
 def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
     """
     Compute the mean velocities w of all nodes but those that are known.

@@ -40,7 +40,6 @@ from collections.abc import Iterable
 import math
 from typing import Literal, NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
@@ -50,6 +49,7 @@ from soft_throw_ros.core.batch import (
     in_threads,
     ThrowUnresolvedError,
 )
+from soft_throw_ros.core.kernels import inlined, kernel, part
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 
 MAX_INTERVALS = 2048
@@ -64,8 +64,7 @@ _SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
 _THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
-_inline = nb.njit(cache=True, nogil=True, error_model='numpy', forceinline=True)
+_FIRST = np.int64(0)  # interval; a literal 0 would have its functions compiled a second time
 
 
 class FirstRelease(NamedTuple):
@@ -233,7 +232,7 @@ def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> Throw
     )
 
 
-@_jit
+@kernel
 def first_release_kernel(
     mu: float, kappa: float, zeta: float, gravity: float, work: NDArray[np.float64]
 ) -> tuple[float, float, int]:
@@ -254,7 +253,7 @@ def first_release_kernel(
     return phase, speed, status
 
 
-@_jit
+@kernel
 def _release_part(ratios, phase, speed, status, part, parts):
     """Compute every throw of `parts`, from number `part` on; `ratios` has a row for each ratio."""
     work = np.empty((2, MAX_INTERVALS))
@@ -280,14 +279,14 @@ class _Wave(NamedTuple):
     fade: float  # e^{-2 / mu}
 
 
-@_inline
+@inlined
 def _phasor(lam, sigma):
     """Compute e^{lambda sigma}."""
     size, angle = math.exp(lam.real * sigma), lam.imag * sigma
     return complex(size * math.cos(angle), size * math.sin(angle))
 
 
-@_inline
+@inlined
 def _wave(mu, kappa, zeta, gravity):
     root = math.sqrt(1.0 - zeta * zeta)
     rate = 1.0 / mu
@@ -311,7 +310,7 @@ def _wave(mu, kappa, zeta, gravity):
     )
 
 
-@_inline
+@inlined
 def _find(wave, c, b):
     """
     Go through the intervals to that of the release; fill c with c_j, b with phi_j(2 / mu).
@@ -335,10 +334,10 @@ def _find(wave, c, b):
         # G falls at least until the plate brakes hardest, and later periods push it off less
         # than the first.
         high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
-        if _force(0, high, wave, steady, c)[0] <= 0.0:
+        if _force(_FIRST, high, wave, steady, c)[0] <= 0.0:
             return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
         if high < 2.0:
-            low, high = _search(0, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
+            low, high = _search(_FIRST, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
                 return _RELEASED, 0, low, high, math.nan, steady
     effort = 0.0
@@ -383,19 +382,19 @@ def _find(wave, c, b):
     return _NOT_WITHIN, MAX_INTERVALS, 0.0, 0.0, math.nan, steady
 
 
-@_inline
+@inlined
 def _size(z):
     """Compute |z|^2."""
     return z.real * z.real + z.imag * z.imag
 
 
-@_inline
+@inlined
 def _underflows(k, mu):
     """Tell whether e^{-sigma / mu} may be lost where phi_k is not negligible."""
     return k > 250 and mu < 2.0 / 700.0
 
 
-@_inline
+@inlined
 def _first_guess(wave):
     """Guess the release in interval 0 to a few percent: pi/2 + atan(w tau), less the start."""
     x = wave.lam.imag * wave.mu
@@ -403,7 +402,7 @@ def _first_guess(wave):
     return (0.5 * math.pi + angle) / wave.lam.imag
 
 
-@_jit
+@part
 def _attached(k, sigma, wave, steady, c):
     """Compute G, its derivative, and v_+ in interval k, while the projectile is attached."""
     phasor = steady * _phasor(wave.lam, sigma)
@@ -430,7 +429,7 @@ def _attached(k, sigma, wave, steady, c):
     )
 
 
-@_jit
+@part
 def _polish(k, low, high, sigma, wave, steady, c):
     """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
     tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
@@ -456,14 +455,14 @@ def _polish(k, low, high, sigma, wave, steady, c):
     return phase, speed, _RELEASED
 
 
-@_jit
+@part
 def _force(k, sigma, wave, steady, c):
     """Compute G + weight and G' in interval k."""
     force, slope, _ = _attached(k, sigma, wave, steady, c)
     return force + wave.weight, slope
 
 
-@_jit
+@part
 def _search(k, start, stop, wave, steady, c):
     """Bracket the first root of G + weight between two points of interval k; (0, -1) if none."""
     layer = min(stop - start, (4 * k + 8) * wave.mu)  # the Laguerre functions live here

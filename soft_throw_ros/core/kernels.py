@@ -18,6 +18,14 @@ _PART: dict[str, Any] = {**_OPTIONS, 'no_cpython_wrapper': True, 'no_cfunc_wrapp
 part = nb.njit(**_PART)
 """What only kernels call: without a way in from Python it takes half as long to compile."""
 
+_INLINED: dict[str, Any] = {**_PART, 'forceinline': True}
+inlined = nb.njit(**_INLINED)
+"""A part that every step calls."""
+
+_REDUCTION: dict[str, Any] = {**_PART, 'fastmath': {'contract', 'reassoc'}}
+reduction = nb.njit(**_REDUCTION)
+"""A part that adds up, in whatever order is fastest."""
+
 
 def compiled(function: Any, *types: nb.types.Type) -> Callable[[], Callable[..., Any]]:
     """

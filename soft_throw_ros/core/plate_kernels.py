@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.kernels import kernel, part
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine
 
@@ -46,16 +46,15 @@ PLATE = [
 ]
 """Fields of a record, for `numpy.dtype`."""
 
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
-
 
 def write_motion(
-    record: NDArray[np.void],
+    core: NDArray[np.void],
     motion: PlateMotion | Literal['measured'] | None,
     engine: Engine,
     step: float,
 ) -> Floats:
-    """Write a motion into a record whose fields `PLATE` are zero, and return its path."""
+    """Write a motion into the third record, whose fields `PLATE` are zero; return its path."""
+    record = core[2]
     record['horizon'] = math.inf
     if motion is None:
         motion = Underdamped.of(engine)
@@ -85,7 +84,8 @@ def write_motion(
             f'{motion.start_time:g} s'
         )
     path = np.zeros((_ROWS, motion.times.size + 1))
-    append_states(record, path, motion.times, motion.states)
+    pieces = append_states(record['last'], 1, path, motion.times, motion.states)
+    record['pieces'], record['horizon'] = pieces, motion.end_time
     if motion.after == 'hold':
         path[:2, -1] = motion.end_time, motion.states[-1, 0]
         record['pieces'] += 1
@@ -93,7 +93,7 @@ def write_motion(
     return path
 
 
-@_jit
+@part
 def write_underdamped(
     s: Any, path: Floats, speed: float, omega: float, zeta: float, step: float
 ) -> None:
@@ -109,7 +109,7 @@ def write_underdamped(
         path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
 
 
-@_jit
+@part
 def piece_at(s: Any, path: Floats, time: float) -> int:
     """Go to the piece at `time`, which never goes back, and return its column."""
     capacity = path.shape[1]
@@ -118,7 +118,7 @@ def piece_at(s: Any, path: Floats, time: float) -> int:
     return s.piece % capacity  # type: ignore[no-any-return]
 
 
-@_jit
+@part
 def velocity_of_piece(path: Floats, k: int, time: float) -> float:
     """Evaluate the velocity of piece k."""
     u = time - path[0, k]
@@ -127,7 +127,7 @@ def velocity_of_piece(path: Floats, k: int, time: float) -> float:
     )
 
 
-@_jit
+@part
 def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
     """Evaluate height, velocity and acceleration of the plate."""
     if s.plate_kind == DAMPED:
@@ -150,13 +150,12 @@ def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
     return height, velocity_of_piece(path, k, time), acceleration
 
 
-@_jit
-def append_states(s: Any, path: Floats, times: Floats, states: Floats) -> None:
-    """Append states of the plate (height, velocity, acceleration), joined by quintics."""
-    last = s.last
+@kernel
+def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states: Floats) -> int:
+    """Append states (height, velocity, acceleration), joined by quintics; count all pieces."""
     for n in range(times.size):
         if last[0] >= 0.0:
-            piece = path[:, s.pieces % path.shape[1]]
+            piece = path[:, pieces % path.shape[1]]
             D = times[n] - last[0]
             rise = states[n, 0] - last[1]
             v, w = last[2] * D, states[n, 1] * D
@@ -165,18 +164,17 @@ def append_states(s: Any, path: Floats, times: Floats, states: Floats) -> None:
             piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
             piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
             piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
-            s.pieces += 1
+            pieces += 1
         last[0], last[1], last[2], last[3] = times[n], states[n, 0], states[n, 1], states[n, 2]
-        s.horizon = times[n]
+    return pieces
 
 
-@_jit
-def extrapolate(s: Any, path: Floats) -> None:
+def extrapolate(core: NDArray[np.void], path: Floats) -> None:
     """Let the plate go on for ever with the acceleration that it has at the horizon."""
-    if not math.isinf(s.horizon) and s.last[0] >= 0.0:
-        piece = path[:, s.pieces % path.shape[1]]
-        piece[0], piece[1], piece[2] = s.last[0], s.last[1], s.last[2]
-        piece[3] = 0.5 * s.last[3]
-        piece[4:] = 0.0
-        s.pieces += 1
-    s.horizon = math.inf
+    s = core[0]
+    time, height, velocity, acceleration = s['last'].tolist()
+    if math.isfinite(s['horizon']) and time >= 0.0:
+        piece = time, height, velocity, 0.5 * acceleration, 0.0, 0.0, 0.0
+        path[:, s['pieces'] % path.shape[1]] = piece
+        s['pieces'] += 1
+    core['horizon'][:2] = math.inf

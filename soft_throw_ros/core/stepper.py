@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-import copy
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
@@ -41,7 +39,7 @@ Floats = NDArray[np.float64]
 ) = range(7)
 """Where things stand in `Stepper.state`."""
 
-RELEASE, RECONTACT, LANDING = range(3)
+RELEASE, RECONTACT, LANDING = np.arange(3)
 """Kinds of events in the memory of a kernel; `EVENT_KINDS` are their names."""
 
 EVENT_KINDS: tuple[Literal['release', 'recontact', 'landing'], ...] = (
@@ -192,7 +190,7 @@ class Stepper(ABC):
     _advance: Callable[[float], int]
     """Goes to a time, and returns the number of events, or what is wrong."""
     _read_layer: Callable[[Floats], None]
-    """Writes the layer."""
+    """Writes heights, velocities, forces and, if there is a fourth row, strains."""
     _changing: ClassVar[str]
     """Name of the array that changes as the stepper goes on, beside records, path and events."""
 
@@ -200,6 +198,7 @@ class Stepper(ABC):
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
+        self._scratch = np.zeros((4, field_points))
         self._readable = np.empty(0)  # the array that was checked last
         self._work_unit = 1.0  # of the records' works [J]
 
@@ -212,7 +211,7 @@ class Stepper(ABC):
         """Make records and path, and return the record to fill in."""
         self._use_records(np.zeros(3, record))
         start: NDArray[np.void] = self._core[2]
-        self._path = write_motion(start, motion, self.rig.engine, step)
+        self._path = write_motion(self._core, motion, self.rig.engine, step)
         self._is_measured = isinstance(motion, str)
         return start
 
@@ -319,7 +318,11 @@ class Stepper(ABC):
                 f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
                 f'got {times.size} which makes {ahead}'
             )
-        _append(self._core, self._path, times, states)
+        core = self._core
+        core['pieces'][0] = append_states(
+            core['last'][0], int(core['pieces'][0]), self._path, times, states
+        )
+        core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:
         """
@@ -330,7 +333,8 @@ class Stepper(ABC):
         """
         if not self._is_measured:
             raise ValueError("fork needs a stepper made with motion 'measured'")
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
         other._use_records(self._core.copy())
         setattr(other, self._changing, getattr(self, self._changing).copy())
         other._bind()
@@ -348,7 +352,7 @@ class Stepper(ABC):
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
-        _extrapolate(self._core, self._path)
+        extrapolate(self._core, self._path)
 
     @abstractmethod
     def _copy_layer(self, origin: Stepper) -> None:
@@ -370,10 +374,6 @@ class Stepper(ABC):
             self._readable = out
         self._read_layer(out)
 
-    @abstractmethod
-    def _read_strain(self, strain: Floats) -> None:
-        """Have the kernel write the total strain at the heights of the layer."""
-
     def sample_strain(self, times: ArrayLike, out: Floats) -> None:
         """
         Go forward through `times` as `advance_to`, and write the total strain at each to `out`.
@@ -392,7 +392,8 @@ class Stepper(ABC):
         require_target('out', out, (times.size, self.field_points))
         for time, row in zip(times.tolist(), out, strict=True):
             self.advance_to(time)
-            self._read_strain(row)
+            self._read_layer(self._scratch)
+            row[:] = self._scratch[3]
 
     @property
     def horizon(self) -> float:
@@ -469,39 +470,21 @@ def note_event(
         row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
 
 
-@nb.njit(cache=True, nogil=True)
 def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
     """Tell whether states are finite, and times increase after `last` and are not negative."""
-    for n in range(times.size):
-        if not (last < times[n] < math.inf and times[n] >= 0.0):
+    for time in times.tolist():
+        if not (last < time < math.inf and time >= 0.0):
             return False
-        if not np.isfinite(states[n]).all():
-            return False
-        last = times[n]
-    return True
-
-
-@nb.njit(cache=True, nogil=True)
-def _append(core: NDArray[np.void], path: Floats, times: Floats, states: Floats) -> None:
-    """Append states to the path, and let both records know."""
-    append_states(core[0], path, times, states)
-    core[1].horizon = core[0].horizon
-
-
-@nb.njit(cache=True, nogil=True)
-def _extrapolate(core: NDArray[np.void], path: Floats) -> None:
-    """Let the plate go on from where it is known."""
-    extrapolate(core[0], path)
-    core[1].horizon = core[0].horizon
+        last = time
+    return all(map(math.isfinite, states.ravel().tolist()))
 
 
 def load_kernels(stepper: Stepper) -> None:
-    """Have a new stepper for a measured plate compile or load all its kernels."""
+    """Have a new stepper for a measured plate compile or load the kernels of real time."""
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
     stepper.read_layer(np.empty((3, stepper.field_points)))
     stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
-    stepper.stored_energy()
     stepper.fork().sync_from(stepper)
     assert stepper.loads
 

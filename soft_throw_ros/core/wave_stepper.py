@@ -527,13 +527,6 @@ def _fill(s, waves, path, last):
 
 
 @part
-def _first_kept(s):
-    """Return the index of the oldest sample that is still needed."""
-    crossings = 3 if s.events == 0 else 1
-    return max(s.cell - crossings * s.steps - _PAD - s.base, 0)
-
-
-@part
 def _march(s, waves, path, events, goal):
     """Advance to grid point `goal`, or until there is no more room for events."""
     while s.cell < goal and s.events <= events.shape[0]:
@@ -541,7 +534,8 @@ def _march(s, waves, path, events, goal):
             s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                shift = _first_kept(s)
+                # Loads up to the first release look back three crossings
+                shift = s.cell - s.base - _PAD - (3 if s.events == 0 else 1) * s.steps
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
@@ -651,7 +645,7 @@ def _advance(core, waves, path, events, time):
 
 @kernel
 def _read_layer(core, waves, out):
-    """Read heights, velocities and forces of the layer from plate to top."""
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
@@ -687,6 +681,8 @@ def _read_layer(core, waves, out):
     error = (high - low - s.thickness + stretch * squeezed) / last
     for n in range(last + 1):
         height[n] = low + n * (cell + error) - stretch * height[n]
+        if out.shape[0] > 3:
+            out[3, n] = -force[n] * s.steps * s.step / s.thickness
         force[n] *= s.impedance
 
 
@@ -703,18 +699,17 @@ def _stored_energy(core, waves):
         first, second = waves[w, i - s.steps], waves[w, i - s.steps + 1]
         start = first + x * (second - first)
         total += 0.5 * first**2 - 0.5 * x * (first**2 + start**2)
+    if s.contact:
+        # Where the mass takes power V (2 p - V) from the waves, the rule is not exact (as it is at
+        # the plate, of work and waves alike): Euler's and Maclaurin's correction
+        V, force = s.state[PROJECTILE_VELOCITY], 2.0 * s.plus[1] - s.state[PROJECTILE_VELOCITY]
+        slope = waves[0, i - s.steps + 1] - waves[0, i - s.steps]
+        total += (s.rate * force * (force - V) + 2.0 * V * slope) / 12.0
     mass = s.impedance * s.relaxation
     height = s.state[PROJECTILE_POSITION] - s.rest_height
     lift = s.state[PLATE_POSITION] + height - s.surface
     energy = 0.5 * mass * s.state[PROJECTILE_VELOCITY] ** 2 + mass * s.gravity * lift
     return s.impedance * s.step * total + energy
-
-
-@kernel
-def _kept(core):
-    """Return from where to where waves are still needed."""
-    s = core[0]
-    return _first_kept(s), s.filled + 2 - s.base
 
 
 @kernel
@@ -786,7 +781,6 @@ class WaveStepper(Stepper):
             rig.layer.impedance, rig.engine.speed_scale,
         )  # fmt: skip
         self._waves = _make_waves(self.steps)
-        self._scratch = np.zeros((3, field_points))
         self._work_unit = rig.layer.impedance * float(start['step'])
         self._bind()
         self.reset()
@@ -802,14 +796,10 @@ class WaveStepper(Stepper):
     def _copy_layer(self, origin: Stepper) -> None:
         """Copy the waves that are still on their way."""
         assert isinstance(origin, WaveStepper)
-        first, last = _kept(self._core)
+        grid = origin._core[0]
+        kept = int(grid['cell'] - grid['base']) - (3 if grid['events'] == 0 else 1) * self.steps
+        first, last = max(kept - _PAD, 0), int(grid['filled'] - grid['base']) + 2
         self._waves[:2, first:last] = origin._waves[:2, first:last]
-
-    def _read_strain(self, strain: Floats) -> None:
-        """Write the strain, which is the force over the layer's stiffness."""
-        self._read_layer(self._scratch)
-        stiffness = self.rig.layer.wave_speed * self.rig.layer.impedance
-        np.divide(self._scratch[2], -stiffness, out=strain)
 
     @property
     def cost(self) -> float:

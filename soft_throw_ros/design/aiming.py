@@ -52,6 +52,7 @@ _ITERATIONS = 3  # of the amplitude that a layer needs, which gravity makes depe
 _WORTH = 1.1  # times the least amplitude that others may seem to need to be looked at
 _OUT_OF_REACH = 1e6  # a speed for which every amplitude that is allowed is needed [m/s]
 _NEAREST = 3  # layers that are followed to the last release if none reaches the target
+_NO_LOADS = {'max_strain': math.inf, 'max_acceleration': math.inf}
 _ROOM = 1e-3  # part of a limit that is left for what is not seen in a search
 
 
@@ -163,14 +164,6 @@ class Aim(PredictedThrow):
             f'acceleration {self.peak_acceleration:.3g} m/s2'
         )
 
-    def values(self) -> dict[str, float | str | bool]:
-        """Return all that is one value by its name."""
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if name != 'rig' and value is not None
-        }
-
 
 def aim(
     rig: Rig,
@@ -236,29 +229,27 @@ def aim(
     limits = replace(limits, max_strain=min(limits.max_strain, MAX_STRAIN))
     task = _Task(rig, target, vary, limits, max_amplitude, cancelled)
     spaces = search_spaces(rig, vary, limits, materials or {})
-    # Without its loads no layer needs more than with them, so this tells which one to try first.
-    free = task.without_limits()
-    needs = [(best.score, i) for i, space in enumerate(spaces) if (best := free.search(space))]
-    easiest: Aim | None = None
+    drafts = [(best, space) for space in spaces if (best := task.search(space)) is not None]
+    drafts.sort(key=lambda draft: -draft[0].score)
     found: Aim | None = None
-    for score, i in sorted(needs, key=lambda need: -need[0]):
+    for best, space in drafts:
         # Re-contacts may make a throw better than its first release tells, but not by so much.
-        if found is not None and _HIGHEST / score > _WORTH * found.amplitude:
+        if found is not None and max_amplitude / best.score > _WORTH * found.amplitude:
             break
-        throw = free.reach(spaces[i])
-        if throw is not None and (easiest is None or throw.amplitude < easiest.amplitude):
-            easiest = throw
-        if throw is not None and task.excess(throw):
-            throw = task.reach(spaces[i])
+        throw = task.reach(space, best)
         if throw is not None and not task.excess(throw):
             found = throw if found is None or throw.amplitude < found.amplitude else found
     if found is not None:
         return replace(found, is_reached=True, summary=_how(task, found))
-    most = task.approach(spaces)
+    most = task.approach(drafts)
     if most is None:
         raise ThrowUnresolvedError(
             f'nothing is thrown within the limits, let alone {target.summary}'
         )
+    free = task.without_limits()
+    throws = (free.reach(space) for _, space in drafts[:_NEAREST])
+    reached = [throw for throw in throws if throw is not None]
+    easiest = min(reached, key=lambda throw: throw.amplitude, default=None)
     return replace(most, summary=_why_not(task, easiest, most))
 
 
@@ -267,11 +258,10 @@ def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
 
 
 class _Needs(NamedTuple):
-    """Amplitudes that layers need and are allowed [m], and speeds over amplitude [1/s]."""
+    """Amplitudes that layers need, infinite if they throw nothing, and are allowed. [m]"""
 
     needed: Floats
     allowed: Floats
-    rate: Floats
 
 
 class _Task(NamedTuple):
@@ -286,8 +276,7 @@ class _Task(NamedTuple):
 
     def without_limits(self) -> _Task:
         """Return the same with whatever amplitude and loads it takes."""
-        limits = replace(self.limits, max_strain=math.inf, max_acceleration=math.inf)
-        return self._replace(limits=limits, max_amplitude=_HIGHEST)
+        return self._replace(limits=replace(self.limits, **_NO_LOADS), max_amplitude=_HIGHEST)
 
     def excess(self, throw: Aim) -> str:
         """Say what of a throw is beyond the limits; nothing if nothing is."""
@@ -319,7 +308,7 @@ class _Task(NamedTuple):
         )
 
     def needs(
-        self, rig: Rig, thickness: Floats, wave_speed: Floats, *, speed: float, room: float = 0.0
+        self, rig: Rig, thickness: Floats, wave_speed: Floats, speed: float, *, room: float = 0.0
     ) -> _Needs:
         """Find what layers need for a speed, and are allowed, by their first releases."""
         omega = rig.engine.angular_frequency
@@ -332,8 +321,7 @@ class _Task(NamedTuple):
                 cells=SEARCH_CELLS,
                 cancelled=self.cancelled,
             )
-            rate = np.nan_to_num(throws.speed) * omega
-            needed = speed / np.maximum(rate, 1e-300)
+            needed = speed / np.maximum(np.nan_to_num(throws.speed) * omega, 1e-300)
             allowed = np.full(amplitude.shape, self.max_amplitude)
             for limit, load in (
                 (self.limits.max_strain, throws.peak_strain * omega / wave_speed),
@@ -342,7 +330,7 @@ class _Task(NamedTuple):
                 if limit < math.inf:
                     allowed = np.fmin(allowed, (1.0 - room) * limit / load)
             amplitude = np.minimum(needed, allowed)
-        return _Needs(needed, allowed, rate)
+        return _Needs(needed, allowed)
 
     def search(
         self, space: SearchSpace, rig: Rig | None = None, rise: float = 0.0
@@ -355,23 +343,28 @@ class _Task(NamedTuple):
         """
         there = rig or space.rig
         speed = self.target.speed_after(rise, there.gravity)
-        room = 0.0 if space.is_single else _ROOM
+        free = self._replace(limits=replace(self.limits, **_NO_LOADS))
 
         def score(thickness: Floats, wave_speed: Floats, *, least: Floats) -> Floats:
-            needs = self.needs(there, thickness, wave_speed, speed=speed, room=room)
-            is_enough = needs.needed <= needs.allowed
-            parts = np.minimum(needs.allowed * needs.rate / speed, 1.0 - 1e-9)
-            found = np.where(is_enough, self.max_amplitude / needs.needed, parts)
-            return np.where(found >= least, found, 0.0)
+            # Loads take long, and only make it worse.
+            scores = self.max_amplitude / free.needs(there, thickness, wave_speed, speed).needed
+            alive = scores >= least
+            if self.limits.of_loads and alive.any():
+                place = thickness[alive], wave_speed[alive]
+                room = 0.0 if space.is_single else _ROOM
+                needed, allowed = self.needs(there, *place, speed, room=room)
+                parts = np.minimum(allowed / needed, 1.0 - 1e-9)
+                scores[alive] = np.where(needed <= allowed, self.max_amplitude / needed, parts)
+            return np.where(scores >= least, scores, 0.0)
 
-        return find_best_layer(score, space.layers, step=space.step, is_whole=self.limits.of_loads)
+        return find_best_layer(score, space.layers, step=space.step)
 
-    def reach(self, space: SearchSpace) -> Aim | None:
+    def reach(self, space: SearchSpace, best: Optimum | None = None) -> Aim | None:
         """Find layer and amplitude that reach the target; None if no layer keeps the limits."""
         rig, rise = space.rig, 0.0
         throw: Aim | None = None
         for _ in range(_ROUNDS):
-            best = self.search(space, rig, rise)
+            best = best or self.search(space, rig, rise)
             if best is None or (best.score < 1.0 and not space.is_single):
                 return None
             rig = space._replace(rig=rig).rig_with(best)
@@ -385,20 +378,18 @@ class _Task(NamedTuple):
                 break
             if rig.gravity > 0.0:
                 rise = throw.height - throw.speed**2 / (2.0 * rig.gravity)
+            best = None
         return throw
 
-    def approach(self, spaces: list[SearchSpace]) -> Aim | None:
-        """Find layer and amplitude that reach the most within the limits; None if none throws."""
-        found = [(best, space) for space in spaces if (best := self.search(space)) is not None]
+    def approach(self, drafts: list[tuple[Optimum, SearchSpace]]) -> Aim | None:
+        """Follow the layers that reach the most within the limits; None if none throws."""
         throws = []
-        for best, space in sorted(found, key=lambda each: -each[0].score)[:_NEAREST]:
+        for best, space in drafts[:_NEAREST]:
             rig = space.rig_with(best)
             place = np.array([best.thickness]), np.array([best.wave_speed])
-            needs = self.needs(rig, *place, speed=_OUT_OF_REACH)
+            allowed = float(self.needs(rig, *place, _OUT_OF_REACH).allowed[0])
             with contextlib.suppress(ThrowUnresolvedError):
-                throws.append(
-                    self.throw(_with_amplitude(rig, float(needs.allowed[0])), space.name)
-                )
+                throws.append(self.throw(_with_amplitude(rig, allowed), space.name))
         return max(throws, key=self.target.reached, default=None)
 
     def amplitude(self, rig: Rig) -> float | None:

@@ -115,10 +115,16 @@ MODELS: Mapping[str, tuple[str, ...]] = {
 """Models of the layer by name, with the fields of `Ratios` that each knows."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LandscapeAxis:
+def check_axis(name: str, values: ArrayLike) -> Floats:
     """
-    An axis of a landscape: one of `AXES`, and its values, increasing, in SI units.
+    Return the values of an axis, as floats.
+
+    Parameters
+    ----------
+    name : str
+        One of `AXES`.
+    values : array_like, shape (n,)
+        Increasing. [SI]
 
     Raises
     ------
@@ -126,37 +132,22 @@ class LandscapeAxis:
         If there is no such axis, or a value is not allowed.
 
     """
-
-    name: str
-    values: Floats
-
-    def __post_init__(self) -> None:
-        if self.name not in AXES:
-            raise ValueError(f'no axis is named {self.name!r}; there are: {", ".join(AXES)}')
-        values = checks.require_not_negative_array(self.name, self.values)
-        if values.ndim != 1 or not values.size:
-            raise ValueError(f'{self.name} must be a row of numbers, got shape {values.shape}')
-        for before, after in itertools.pairwise(values.tolist()):
-            if after <= before:
-                raise ValueError(f'{self.name} must increase, got {before:g} and then {after:g}')
-        if self.name in TWIN.by_name:
-            for value in (values[0], values[-1]):
-                TWIN.check_value(self.name, float(value))
-        else:
-            checks.require_positive(self.name, values[0])
-        if self.name == 'x':
-            checks.require_in_unit_interval(self.name, values[-1])
-        object.__setattr__(self, 'values', values)
-
-    @property
-    def quantity(self) -> QuantityLabel:
-        """What it shows."""
-        return AXES[self.name]
-
-    @property
-    def key(self) -> str:
-        """Its name as an identifier, for files and data sets."""
-        return self.name.replace('.', '_')
+    if name not in AXES:
+        raise ValueError(f'no axis is named {name!r}; there are: {", ".join(AXES)}')
+    array = checks.require_not_negative_array(name, values)
+    if array.ndim != 1 or not array.size:
+        raise ValueError(f'{name} must be a row of numbers, got shape {array.shape}')
+    for before, after in itertools.pairwise(array.tolist()):
+        if after <= before:
+            raise ValueError(f'{name} must increase, got {before:g} and then {after:g}')
+    if name in TWIN.by_name:
+        for value in (array[0], array[-1]):
+            TWIN.check_value(name, float(value))
+    else:
+        checks.require_positive(name, array[0])
+    if name == 'x':
+        checks.require_in_unit_interval(name, array[-1])
+    return array
 
 
 class HighestPoint(NamedTuple):
@@ -174,8 +165,10 @@ class Landscape:
 
     Parameters
     ----------
-    rig, axes
-        What all throws have in common, and the two axes.
+    rig : Rig
+        What all throws have in common.
+    axes : mapping of str to ndarray
+        The values of the two axes, of shapes (n,) and (m,). [SI]
     ejection_phase, energy_transfer : ndarray, shape (n, m)
         :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
         NaN where the projectile does not leave, or the model cannot tell when. [-]
@@ -185,7 +178,7 @@ class Landscape:
     """
 
     rig: Rig
-    axes: tuple[LandscapeAxis, LandscapeAxis]
+    axes: Mapping[str, Floats]
     ejection_phase: Floats
     energy_transfer: Floats
     model: str
@@ -198,8 +191,9 @@ class Landscape:
         if np.isnan(self.energy_transfer).all():
             return None
         i, j = np.unravel_index(np.nanargmax(self.energy_transfer), self.energy_transfer.shape)
+        x, y = self.axes.values()
         return HighestPoint(
-            (float(self.axes[0].values[i]), float(self.axes[1].values[j])),
+            (float(x[i]), float(y[j])),
             float(self.ejection_phase[i, j]),
             float(self.energy_transfer[i, j]),
         )
@@ -209,8 +203,7 @@ class Landscape:
         x = self.density_ratio / (self.density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
         first, second = (
-            ratios[axis.name] if axis.name in ratios else float(attrgetter(axis.name)(rig))
-            for axis in self.axes
+            ratios[name] if name in ratios else float(attrgetter(name)(rig)) for name in self.axes
         )
         return first, second
 
@@ -230,8 +223,7 @@ class Landscape:
         parts = asdict(self.rig)
         gravity = parts.pop('gravity')
         return {
-            'title': f'{self.release.capitalize()} release over {self.axes[0].name} and '
-            f'{self.axes[1].name}',
+            'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
             'source': f'soft_throw_ros {soft_throw_ros.__version__}',
             'model': self.model,
             'left_out': ', '.join(self.left_out),
@@ -260,20 +252,20 @@ class Landscape:
         """
         if path.suffix not in ('.npz', '.nc'):
             raise ValueError(f'a landscape is saved as .npz or .nc, got {str(path)!r}')
-        keys = [axis.key for axis in self.axes]
-        arrays = {axis.key: axis.values for axis in self.axes}
-        arrays.update((name, getattr(self, name)) for name in RESULTS)
+        labels = {name.replace('.', '_'): AXES[name] for name in self.axes} | dict(RESULTS)
+        results = [getattr(self, name) for name in RESULTS]
+        arrays = dict(zip(labels, [*self.axes.values(), *results], strict=True))
+        keys = list(labels)[:2]
         with atomic_file(path) as unfinished, unfinished.open('wb') as file:
             if path.suffix == '.npz':
                 attributes = json.dumps({'dimensions': keys, **self.attributes})
                 np.savez(file, allow_pickle=False, attributes=np.array(attributes), **arrays)
                 return
-            labels = {axis.key: axis.quantity for axis in self.axes} | dict(RESULTS)
             with netcdf_file(file, 'w', version=2) as data:
                 for name, value in {'Conventions': 'CF-1.11', **self.attributes}.items():
                     setattr(data, name, value)
-                for axis in self.axes:
-                    data.createDimension(axis.key, axis.values.size)
+                for key in keys:
+                    data.createDimension(key, arrays[key].size)
                 for name, values in arrays.items():
                     variable = data.createVariable(name, 'f8', keys if name in RESULTS else [name])
                     variable[:] = values
@@ -354,16 +346,17 @@ def compute_landscape(
     """
     if len(axes) != 2:
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
-    first, second = (LandscapeAxis(name=name, values=np.asarray(axes[name])) for name in axes)
-    _check_axes(first.name, second.name)
+    checked = {name: check_axis(name, values) for name, values in axes.items()}
+    _check_axes(*checked)
     _check_model(rig, axes, model, release)
     if density_ratio is None:
         projectile = rig.projectile
         density_ratio = projectile.mass / (rig.layer.section * projectile.length)
         density_ratio /= rig.layer.density
     checks.require_positive('density_ratio', density_ratio)
-    shape = (first.values.size, second.values.size)
-    along = {first.name: first.values[:, None], second.name: second.values[None, :]}
+    first, second = checked.values()
+    shape = (first.size, second.size)
+    along = dict(zip(checked, (first[:, None], second), strict=True))
     ratios = _ratios(rig, along, density_ratio)._asdict()
     known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
     cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
@@ -379,7 +372,7 @@ def compute_landscape(
     phase, transfer = results.reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
-        axes=(first, second),
+        axes=checked,
         ejection_phase=phase,
         energy_transfer=transfer,
         model=model,

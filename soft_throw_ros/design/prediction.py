@@ -54,6 +54,14 @@ class PredictedThrow:
     plate_work: float
     kinetic_energy: float
 
+    def values(self) -> dict[str, float | str | bool]:
+        """Return all that is one value by its name."""
+        return {
+            name: value
+            for name, value in vars(self).items()
+            if isinstance(value, (bool, float, str))
+        }
+
 
 def predict(rig: Rig) -> PredictedThrow:
     """

@@ -36,6 +36,10 @@ _HOLDING = 1.0  # gravity over the plate's acceleration, beyond which few layers
 _MAX_CANDIDATES = 5  # materials that are shown
 
 
+_PARTS = ('now', 'by_thickness', 'by_wave_speed', 'by_both')
+_OF_SENSITIVITY = ('elasticity', 'low', 'high', 'tolerance', 'edge')
+
+
 class BestRatios(NamedTuple):
     r"""Mass ratio, speed ratio, and what they give without gravity and loss. [-]"""
 
@@ -168,20 +172,16 @@ class Recommendation(PredictedThrow):
         """Part by which the score would grow, infinite if there is none now. [-]"""
         return self.score / self.now_score - 1.0 if self.now_score > 0.0 else math.inf
 
-    def values(self) -> dict[str, float | str]:
+    def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        flat: dict[str, float | str] = {}
-        for name, value in vars(self).items():
-            if isinstance(value, PredictedThrow):
-                flat.update({f'{name}.{part}': each for part, each in vars(value).items()})
-            elif isinstance(value, (float, str)):
-                flat[name] = value
-        for name, each in self.optimum._asdict().items():
-            flat[f'optimum.{name}'] = each
+        parts = {name: vars(each) for name, each in vars(self).items() if name in _PARTS and each}
+        parts['optimum'] = self.optimum._asdict()
         for item in self.sensitivities:
-            for name in ('elasticity', 'low', 'high', 'tolerance', 'edge'):
-                flat[f'{item.name}.{name}'] = getattr(item, name)
-        return {**flat, **{f'candidate.{item.layer}': item.score for item in self.candidates}}
+            parts[item.name] = {name: getattr(item, name) for name in _OF_SENSITIVITY}
+        parts['candidate'] = {item.layer: item.score for item in self.candidates}
+        return super().values() | {
+            f'{name}.{key}': value for name, part in parts.items() for key, value in part.items()
+        }
 
 
 def recommend(
@@ -302,7 +302,7 @@ def _look(
         if isinstance(search.objective, Peak) or name == vary:
             (space,) = search_spaces(rig, name, search.limits, {})
             starts = tuple(each.rig.layer for each in found.values())
-            best = search.run(space, starts=starts)
+            best = search.finish(space, search.draft(space, starts=starts))
             if best is not None:
                 found[name] = best
     picked: list[_Found] = []
@@ -325,11 +325,6 @@ class _Search(NamedTuple):
             uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
             return replace(objective, uncertainties=uncertainties)
         return objective
-
-    def run(self, space: SearchSpace, *, starts: tuple[Layer, ...] = ()) -> _Found | None:
-        """Find the best layer of a space, which is that of its rig if no other is better."""
-        draft = self.draft(space, starts=starts)
-        return self.finish(space, draft)
 
     def pick(self, spaces: list[SearchSpace]) -> list[_Found]:
         """Find the best layers among many spaces, the best first."""

@@ -37,9 +37,13 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
         If `cancelled` says so.
 
     """
-    rig = rig_of(settings)
-    asked = _group(settings, 'recommendation')
-    materials = library(str(settings['layer.library'])).materials
+    rig, asked = rig_of(settings), _group(settings, 'recommendation')
+    search: dict[str, Any] = {
+        'vary': asked['vary'],
+        'limits': limits_of(settings),
+        'materials': library(str(settings['layer.library'])).materials,
+        'cancelled': cancelled,
+    }
     if asked['objective'] == 'aim':
         height, speed = asked['target_height'] or None, asked['target_speed'] or None
         if height is None and speed is None:
@@ -48,28 +52,13 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
                 'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
             )
         target = Target(height=height, speed=speed)
-        return aim(
-            rig,
-            target,
-            vary=asked['vary'],
-            limits=limits_of(settings),
-            max_amplitude=asked['max_amplitude'],
-            materials=materials,
-            cancelled=cancelled,
-        )
+        return aim(rig, target, max_amplitude=asked['max_amplitude'], **search)
     if asked['vary'] == 'amplitude':
         raise ValueError(
             "recommendation.vary 'amplitude' is for recommendation.objective 'aim' alone, got "
             f'{asked["objective"]!r}'
         )
-    return recommend(
-        rig,
-        vary=asked['vary'],
-        objective=objective_of(settings),
-        limits=limits_of(settings),
-        materials=materials,
-        cancelled=cancelled,
-    )
+    return recommend(rig, objective=objective_of(settings), **search)
 
 
 def limits_of(settings: Settings) -> Limits:

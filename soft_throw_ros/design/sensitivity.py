@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 import math
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +75,8 @@ class Sensitivity:
         return f'{scale * self.tolerance:.2g} {unit}'.rstrip()
 
 
-class _Remaining(Protocol):
-    """What is left of the best score after changes of a parameter, in logarithms."""
-
-    def __call__(self, changes: Floats) -> Floats: ...
+_Remaining: TypeAlias = Callable[[Floats], Floats]
+"""What is left of the best score after changes of a parameter, in logarithms."""
 
 
 def sensitivities(

@@ -19,7 +19,8 @@ is apart from all else that is dark, as large, dark and round as before, and as 
 Otherwise the sample is missing, and the spot is looked for where it may have got to: the doubt
 about its place grows by the largest acceleration of all spots. If two are found there, neither
 is taken. The samples beside a gap are left out, too, and so is what is seen for a few pictures
-only. What covers it in the first picture already cannot be told from its shape.
+only. One that moves farther while a picture is taken is longer, and a wider circle is taken around
+it. What covers it in the first picture already cannot be told from its shape.
 
 trackpy links spots over gaps as well, but within a range that does not grow with the gap, and it
 takes what is partly covered for a spot; that is where the errors are.
@@ -52,6 +53,7 @@ _MIN_AREA = 9  # pixels of a spot
 _MIN_DARKNESS = 0.3  # darkness of a spot over that of the darkest, and ...
 _MIN_CONTRAST = 6.0  # over the noise
 _MAX_ECCENTRICITY = 0.8  # of a spot at most, as an ellipse
+_SMEARED = 0.4  # of its diameter per picture that a spot moves may make it longer
 _MIN_SOLIDITY = 0.85  # of its convex hull that it fills at least
 _BLUR = 2.0  # how far a spot reaches beyond where it is half as dark, and ...
 _RING = 2.0  # half the width of what is looked at around that [px]
@@ -264,8 +266,9 @@ def find_spots(picture: Picture) -> list[DetectedSpot]:
     return sorted(found, reverse=True)
 
 
-def _is_round(region: Any) -> bool:  # scikit-image has no types
-    return bool(region.eccentricity < _MAX_ECCENTRICITY and region.solidity > _MIN_SOLIDITY)
+def _is_round(region: Any, *, smeared: bool = False) -> bool:  # scikit-image has no types
+    is_long = region.eccentricity > _MAX_ECCENTRICITY and not smeared
+    return bool(region.solidity > _MIN_SOLIDITY and not is_long)
 
 
 class _Sighting(NamedTuple):
@@ -374,7 +377,8 @@ class _SpotTracker:
         """Look for it; return nothing if it is not there as a whole, or if two may be it."""
         from skimage.measure import label, regionprops
 
-        reach = self._diameter + _MARGIN + self.doubt + self._velocity_doubt
+        smear = float(np.linalg.norm(self._velocity))  # by motion while a picture is taken
+        reach = self._diameter + _MARGIN + self.doubt + self._velocity_doubt + smear
         corner = np.maximum(np.floor(self._expected - reach).astype(int), 0)
         end = np.maximum(np.ceil(self._expected + reach).astype(int), 0)
         part = picture[corner[0] : end[0], corner[1] : end[1]].astype(np.float64)
@@ -389,10 +393,10 @@ class _SpotTracker:
             if usual / _MAX_CHANGE < region.area < usual * _MAX_CHANGE
             and min(region.bbox[:2]) > 0
             and (np.array(region.bbox[2:]) < part.shape).all()
-            and _is_round(region)
+            and _is_round(region, smeared=smear > _SMEARED * self._diameter)
             and not any(other.has(corner + region.centroid) for other in others)
         ]
-        sightings = [self._measure(region, part, smooth) for region in candidates]
+        sightings = [self._measure(region, part, smooth, smear) for region in candidates]
         whole = [each for each in sightings if each is not None and self._is_like(each)]
         if len(whole) > 1 and self.doubt > 0.0:
             return None
@@ -419,10 +423,13 @@ class _SpotTracker:
         unlike = float(np.sqrt(np.mean((found.asymmetry - self._first.asymmetry) ** 2)))
         return change < _MAX_CHANGE and unlike < _MAX_ASYMMETRY + noise
 
-    def _measure(self, region: Any, part: Floats, smooth: Floats) -> _Sighting | None:
+    def _measure(
+        self, region: Any, part: Floats, smooth: Floats, smear: float
+    ) -> _Sighting | None:
         """Find the centre of a spot; nothing if it leaves the picture."""
         place = np.array(region.centroid)
-        reach = 0.5 * self._diameter + _BLUR
+        longer = smear if smear > _SMEARED * self._diameter else 0.0
+        reach = 0.5 * (self._diameter + longer) + _BLUR
         pixels = np.indices(part.shape).reshape(2, -1).T
         levels = part.ravel()
         for _ in range(_ROUNDS):
@@ -438,9 +445,9 @@ class _SpotTracker:
             place = darkness @ pixels / total
         depth = around - float(smooth[region.slice][region.image].min())
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total
-        size = math.ceil(reach)
+        size = math.ceil(0.5 * self._diameter + _BLUR)
         grid = np.indices((2 * size + 1, 2 * size + 1)).reshape(2, -1) - float(size)
-        beside = grid[:, np.hypot(*grid) < reach]
+        beside = grid[:, np.hypot(*grid) < 0.5 * self._diameter + _BLUR]
         this, turned = (
             map_coordinates(smooth, place[:, None] + side * beside, order=3, mode='nearest')
             for side in (1.0, -1.0)

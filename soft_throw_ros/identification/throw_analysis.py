@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.identification.forward import first_releases
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.forward import first_releases, ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
@@ -30,7 +31,11 @@ _APPROACH = 0.16  # of the ejection speed: how much of the end of its rise is fi
 _OTHER_APPROACHES = (0.12, 0.24)  # and what else one could have taken
 _REPEATS = 100  # with other noise, for the errors
 _MIN_FLIGHT_SAMPLES = 8
+_SPEED_OVER_NOISE = 10.0  # that averages leave, at least
+_MAX_TIME_ERROR = 0.125  # plate periods, beyond which the ejection is not determined, ...
+_MAX_SPEED_ERROR = 0.25  # and of the speed
 _JUMP_SHARE = 0.025  # of them with other echoes, from which on an interval of 95 % holds both
+_JERK_STEP = 0.01  # of the ejection time
 _DRAWS = 400  # of rigs that may be as well as the one that was fitted
 
 
@@ -54,7 +59,9 @@ class Ejection:
     is_near_jump: bool = False
 
 
-def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
+def analyse_throw(
+    tracks: ThrowTracks, *, gravity: float, peak_plate_speed: Estimate | None = None
+) -> Ejection:
     r"""
     Find how the projectile left from running averages and centred differences.
 
@@ -65,11 +72,13 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
         vary a little.
     gravity : float
         [m/s2]
+    peak_plate_speed : Estimate, optional
+        :math:`V_p^*`, if it is known better than from the track alone, which may drift. [m/s]
 
     Raises
     ------
     FitError
-        If the tracks do not show it, saying what is missing.
+        If the tracks do not show it, saying what is missing, or do not determine it.
 
     Notes
     -----
@@ -78,8 +87,8 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     vanishes at :math:`t_e`. That is fitted where it falls short by less than 16 %, and
     :math:`V_e` is the speed of the flight, taken back to :math:`t_e`; if the projectile was
     caught up in between, it is that of the last release. What is smooth is smoothed once more to
-    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*` is that of the motion
-    that fits the plate (D4).
+    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*`, if it is not given,
+    is that of the motion that fits the plate (D4).
 
     Errors are the spread of results with other noise, half of what was taken back, and for
     :math:`t_e` the difference between fitting 12 % and 24 %.
@@ -112,7 +121,13 @@ def analyse_throw(tracks: ThrowTracks, *, gravity: float) -> Ejection:
     time_error = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
     time = Estimate(float(found[0]) - plate.start_time, time_error)
     speed = Estimate(float(found[1]), math.hypot(errors[1], gravity * doubt))
-    plate_speed = plate.peak_velocity
+    is_seen = time.value > 0.0 and time_error < _MAX_TIME_ERROR * period
+    if not (is_seen and speed.error < _MAX_SPEED_ERROR * speed.value):
+        raise FitError(
+            f'{tracks.name}: the ejection is not determined by running averages, for noise: they '
+            f'see it after {time} s, at {speed} m/s'
+        )
+    plate_speed = peak_plate_speed or plate.peak_velocity
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
     return Ejection(
@@ -169,6 +184,12 @@ class _RunningAverages(NamedTuple):
         time, position = smooth.time, smooth.position
         speed = (position[2:] - position[:-2]) / (time[2:] - time[:-2])
         time, height = time[1:-1], position[1:-1]
+        noise = projectile.noise / (self.width * projectile.interval)
+        if speed.max() < _SPEED_OVER_NOISE * noise:
+            raise FitError(
+                f'the ejection is not determined by running averages: the projectile goes at '
+                f'{speed.max():.2g} m/s at most, with a noise of {noise:.2g} m/s'
+            )
         fastest = int(np.argmax(speed >= _FULL_SPEED * speed.max()))
         is_flight = time > time[fastest] + self.period / 8.0
         fallen = np.flatnonzero(is_flight & (height < height[fastest]))
@@ -214,7 +235,8 @@ def ejection_of(found: RigFit) -> Ejection:
     Notes
     -----
     Errors are the spread over rigs that are drawn from the covariance of the fit, since
-    :math:`t_e` and :math:`\alpha` jump and have no derivative there.
+    :math:`t_e` and :math:`\alpha` jump and have no derivative there. A layer that sticks lets go
+    so much later, and has slowed the projectile down by then; the error of how long is added.
 
     """
     releases = first_releases([found.rig, *found.draw(_DRAWS)])
@@ -226,10 +248,35 @@ def ejection_of(found: RigFit) -> Ejection:
         error = float(np.std(values[seen], ddof=1)) if seen.sum() > 1 else 0.0
         return Estimate(float(values[0]), error)
 
+    time, speed = estimate(releases.time), estimate(releases.speed)
+    peak = estimate(releases.peak_plate_speed)
+    alpha = estimate(releases.energy_transfer)
+    if 'projectile.sticking' in found.fit:
+        held = found.fit['projectile.sticking']
+        jerk = _jerk(found.rig, time.value)
+        slower = Estimate(0.5 * jerk * held.value**2, jerk * held.value * held.error)
+        time = _sum(time, held)
+        speed = _sum(speed, slower)
+        factor = 2.0 * speed.value / peak.value**2
+        alpha = Estimate(
+            (speed.value / peak.value) ** 2, math.hypot(alpha.error, factor * slower.error)
+        )
     return Ejection(
-        time=estimate(releases.time + found.sticking()),
-        speed=estimate(releases.speed),
-        peak_plate_speed=estimate(releases.peak_plate_speed),
-        energy_transfer=estimate(releases.energy_transfer),
+        time=time,
+        speed=speed,
+        peak_plate_speed=peak,
+        energy_transfer=alpha,
         is_near_jump=bool(np.mean(releases.echoes[seen] != releases.echoes[0]) > _JUMP_SHARE),
     )
+
+
+def _jerk(rig: Rig, time: float) -> float:
+    """Find how fast the projectile's acceleration falls as it leaves. [m/s3]"""
+    step = _JERK_STEP * time
+    velocity = ThrowSimulator().follow(rig, time - step * np.arange(3.0)).velocity
+    return float(velocity[0] - 2.0 * velocity[1] + velocity[2]) / step**2
+
+
+def _sum(one: Estimate, other: Estimate) -> Estimate:
+    """Add numbers with independent errors."""
+    return Estimate(one.value + other.value, math.hypot(one.error, other.error))

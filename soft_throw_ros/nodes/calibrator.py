@@ -21,17 +21,23 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
-from soft_throw_ros.configuration.interface import JOINTS, resolve, TWIN_SERVICES, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import (
+    CALIBRATOR_TOPICS,
+    JOINTS,
+    resolve,
+    TWIN_SERVICES,
+    TWIN_TOPICS,
+)
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time
+from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time, status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
-from soft_throw_ros.nodes.topics import create_subscription, full_name
+from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
 from soft_throw_ros.twin.results import ThrowResult
@@ -87,6 +93,11 @@ class Calibrator(RunnableNode):
             Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, self._twin)
         )
         self.create_timer(_DRAIN_PERIOD, self._measured.take)
+        self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
+        self._status = status_to_msg(
+            self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
+        )
+        self.create_timer(1.0, self._publish_status)
         self._released: dict[int, tuple[int, float]] = {}
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_mispredicted: Rig | None = None
@@ -143,6 +154,10 @@ class Calibrator(RunnableNode):
             self._worker.submit((self._mispredicted, result.rig))
             self._mispredicted = []
 
+    def _publish_status(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        self._outgoing.send(CALIBRATOR_TOPICS.diagnostics, now, [self._status])
+
     # in the thread of the work
 
     def _identify(
@@ -154,7 +169,9 @@ class Calibrator(RunnableNode):
             self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
         except (_Unanswered, ValueError) as error:
             if not self._closing.is_set():
-                self.get_logger().warning(f'nothing has been changed: {error}')
+                message = f'nothing has been changed: {error}'
+                self.get_logger().warning(message)
+                self._say(message, warn=True)
 
     def _on_identified(self, _answer: None) -> None:
         self._is_busy = False
@@ -170,7 +187,9 @@ class Calibrator(RunnableNode):
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
         )
-        self.get_logger().info(f'identified: {", ".join(words)}')
+        message = f'identified: {", ".join(words)}'
+        self.get_logger().info(message)
+        self._say(message, found)
         if self._rig:
             before = self._layer()
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
@@ -178,6 +197,18 @@ class Calibrator(RunnableNode):
             changes = {name: after[name] for name in after if after[name] != before[name]}
             if changes:
                 self._set_parameters(self._rig, changes)
+
+    def _say(self, message: str, found: RigFit | None = None, *, warn: bool = False) -> None:
+        """Have diagnostics say what an identification came to: all that was fitted, and doubts."""
+        values: dict[str, Any] = {}
+        if found is not None:
+            values = {name: str(value) for name, value in found.estimates().items()}
+            values['outliers'] = sum(len(each.outliers) for each in found.fit.residuals)
+            doubts = found.fit.warnings()
+            values |= {f'warning {number}': text for number, text in enumerate(doubts, 1)}
+            warn = bool(doubts)
+        name = self.get_fully_qualified_name()
+        self._status = status_to_msg(name, 'identification', message, values, warn=warn)
 
     def _layer(self) -> dict[str, Any]:
         """Return the twin's layer, as it is to be."""

@@ -207,8 +207,9 @@ class _ChangeLog:
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:
     unit = f' [{entry.unit}]' if entry.unit else ''
+    constraints = ': '.join(filter(None, (entry.rule, ', '.join(entry.examples))))
     descriptor = ParameterDescriptor(
-        description=f'{entry.meaning}{unit}', additional_constraints=entry.rule
+        description=f'{entry.meaning}{unit}', additional_constraints=constraints
     )
     low = 0 if entry.or_zero else entry.low
     if not math.isfinite(low) or isinstance(entry.default, tuple):

@@ -21,14 +21,13 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
 from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
 from soft_throw_ros.nodes.process import POLL, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.nodes.realtime import set_realtime_priority
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema, SchemaError
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -186,7 +185,7 @@ class Player(RunnableNode):
     def _make_publisher(self, channel: Channel) -> Publisher:
         kind = load_type(channel.type)
         try:
-            here = find_schema(channel.type, prefixes()).type_hash
+            here = find_schema(channel.type, installed_prefixes()).type_hash
         except SchemaError:
             here = ''
         if here and channel.type_hash and here != channel.type_hash:

@@ -12,7 +12,6 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib import metadata
 import os
-import sys
 import time
 from typing import Any
 
@@ -28,12 +27,9 @@ from soft_throw_ros.nodes.conversions import profile_to_qos
 from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema, SchemaError
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
 EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
-
-SETTLE_TIME = 2.0
-"""What is found later than this after the beginning was not there before. [s]"""
 
 DEPTH = 10_000
 """How many messages of a topic may wait to be drained."""
@@ -64,9 +60,9 @@ class RawSubscription:
         Of the topic.
     profile : QoSProfile
         What is asked for.
-    joins_late : bool
-        Whether the publishers may have been there before: then what was published before the
-        first message that came is no loss.
+    began_ns : int, optional
+        Since when all messages are wanted, by the clock of the system; otherwise since the first
+        that comes. [ns]
 
     Attributes
     ----------
@@ -89,13 +85,15 @@ class RawSubscription:
     """
 
     def __init__(
-        self, node: Node, channel: Channel, profile: QoSProfile, *, joins_late: bool = True
+        self, node: Node, channel: Channel, profile: QoSProfile, *, began_ns: int | None = None
     ) -> None:
         self.channel = channel
         self.received = 0
         self.is_shared = False
         self._node = node
-        self._joins_late = joins_late
+        self._began = began_ns
+        self._first: tuple[int, int] | None = None  # number and time of the first message
+        self._last = 0, 0
         self._gaps = 0
         self._earlier = 0
         self._lost_by_event = 0
@@ -126,12 +124,14 @@ class RawSubscription:
     @property
     def lost(self) -> int:
         """How many messages did not come, though they were published."""
-        return self._gaps if self._has_numbers else self._lost_by_event
+        if not self._has_numbers:
+            return self._lost_by_event
+        return self._gaps + (0 if self._has_joined_late else self._earlier)
 
     @property
     def earlier(self) -> int:
-        """How many messages were published before the first that came: it joined late."""
-        return self._earlier if self._has_numbers else 0
+        """How many messages were published before we joined late."""
+        return self._earlier if self._has_numbers and self._has_joined_late else 0
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -145,6 +145,8 @@ class RawSubscription:
                     sequence = 0
                 else:
                     self._count(sequence, info.get('publisher_gid'))
+                    self._last = sequence, info['source_timestamp']
+                    self._first = self._first or self._last
                 times = info['received_timestamp'], info['source_timestamp']
                 messages.append(Message(self.channel, data, *times, sequence))
         self.received += len(messages)
@@ -170,14 +172,21 @@ class RawSubscription:
         """Whether the numbers of messages are those of one publisher each."""
         return not self.is_shared or None not in self._last_numbers
 
+    @property
+    def _has_joined_late(self) -> bool:
+        """Whether the publisher was there before we began, by how often it publishes."""
+        if self._began is None or self._first is None or self._last <= self._first:
+            return True
+        (number, when), (last_number, last_when) = self._first, self._last
+        period = (last_when - when) / max(last_number - number, 1)
+        return (number - 1) * period > when - self._began
+
     def _count(self, sequence: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
         last = self._last_numbers.get(publisher)
-        if last is None and self._joins_late:
+        if last is None:
             self._earlier += sequence - 1
-        elif last is None:
-            self._gaps += sequence - 1
         elif sequence > last + 1:
             self._gaps += sequence - last - 1
         self._last_numbers[publisher] = sequence
@@ -198,7 +207,7 @@ class RawSubscriptions:
         self.refused: dict[str, str] = {}
         self._node = node
         self._wanted = wanted
-        self._settled = time.monotonic() + SETTLE_TIME
+        self._began = time.time_ns()
         self._subscriptions: dict[str, RawSubscription] = {}
 
     def __iter__(self) -> Iterator[RawSubscription]:
@@ -248,7 +257,7 @@ class RawSubscriptions:
     ) -> RawSubscription:
         if len(types) > 1:
             raise ValueError(f'it has messages of several types, {", ".join(types)}')
-        schema = find_schema(types[0], prefixes())
+        schema = find_schema(types[0], installed_prefixes())
         channel = Channel(
             topic=topic,
             type=types[0],
@@ -256,9 +265,8 @@ class RawSubscriptions:
             type_hash=schema.type_hash,
             qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
         )
-        joins_late = time.monotonic() < self._settled
         profile = fitting_profile(publishers)
-        return RawSubscription(self._node, channel, profile, joins_late=joins_late)
+        return RawSubscription(self._node, channel, profile, began_ns=self._began)
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:
@@ -293,12 +301,6 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def prefixes() -> list[str]:
-    """Return where packages of ROS are installed."""
-    paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    return [path for path in paths if path] + [sys.prefix]  # the latter with ROS from PyPI
 
 
 def distribution() -> str:

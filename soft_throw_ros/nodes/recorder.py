@@ -166,6 +166,8 @@ class Recording:
             text += ''.join(f', {count} of {topic}' for topic, count in earlier.items())
         if self.error:
             text += f'; the end is missing: {self.error}'
+            if self.bag is not None and self.bag.exists():
+                text += f'; `soft-throw recover {self.bag}` makes a whole bag of it'
         if self.live_stream is not None and self.live_stream.dropped:
             text += f'; {self.live_stream.dropped} not shown'
         return text

@@ -14,12 +14,10 @@ import zlib
 from mcap import records as mcap
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.recording.bag_writer import is_being_written, METADATA_FILE, METADATA_KEY
+from soft_throw_ros.recording.definitions import DamageError, Definitions, Known
 from soft_throw_ros.recording.mcap_file import (
     Chunk,
-    DamageError,
-    Definitions,
     Gap,
-    Known,
     McapFile,
     not_mcap,
     read_records,
@@ -128,7 +126,7 @@ class BagReader:
     @property
     def doubts(self) -> list[str]:
         """What is left out of the definitions of channels, since it cannot be trusted."""
-        return [doubt for file in self._files for doubt in file.definitions.doubts]
+        return list(dict.fromkeys(it for file in self._files for it in file.definitions.doubts))
 
     @property
     def metadata(self) -> list[mcap.Metadata]:

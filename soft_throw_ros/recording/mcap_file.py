@@ -8,7 +8,7 @@ whole chunks after it are found here.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 import contextlib
 from io import BytesIO
@@ -18,18 +18,16 @@ from pathlib import Path
 import re
 import struct
 import tempfile
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 import zlib
 
 from mcap import records as mcap
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording import qos
-from soft_throw_ros.recording.cdr import decoder_of, MessageError
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.definitions import DamageError, Definitions, Known
+from soft_throw_ros.recording.message import BagError, Channel, Message
 import zstandard
 
 LARGEST_RECORD = 256 * 2**20
@@ -44,8 +42,6 @@ _CHUNK_HEAD = re.compile(
 )
 """The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
 
-_TOPIC = re.compile(r'(/[A-Za-z_]\w*)+', re.ASCII)
-_TYPE = re.compile(r'\w+/msg/\w+', re.ASCII)
 
 _UNCHUNKED = -1  # instead of the offset of a chunk, for messages that are in none
 
@@ -53,17 +49,11 @@ _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 _OTHERS = {b'SQLite format 3': 'in sqlite3', b'#ROSBAG V': 'of ROS 1'}
 
-Known = dict[tuple[object, ...], Channel]
-
 _LIBRARY_ERRORS = (
     *(McapError, ValueError, LookupError, ArithmeticError, EOFError, MemoryError, TypeError),
     *(OSError, RuntimeError, struct.error, zstandard.ZstdError),
 )
 """What the library raises, where damaged bytes lead it."""
-
-
-class DamageError(ValueError):
-    """Bytes are not what they should be; the message says why."""
 
 
 class Gap(NamedTuple):
@@ -89,94 +79,6 @@ class Chunk(NamedTuple):
     first: int
     last: int
     channels: frozenset[int]
-
-
-class Definitions:
-    """
-    The channels of a file or stream, by their numbers in it.
-
-    `known` has the channels of all files of a bag, so that what is the same is one object.
-
-    Attributes
-    ----------
-    doubts : list of str
-        What is left out of channels whose definition has no checksum.
-
-    """
-
-    def __init__(self, known: Known) -> None:
-        self.doubts: list[str] = []
-        self._known = known
-        self._schemas: dict[int, mcap.Schema] = {}
-        self._records: dict[int, mcap.Channel] = {}
-        self._checked: set[tuple[type, int]] = set()
-        self._channels: dict[int, Channel | None] = {}
-
-    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = True) -> None:
-        """Take a definition; one whose checksum is not right by now only if there is no other."""
-        records = self._schemas if isinstance(record, mcap.Schema) else self._records
-        if is_checked:
-            self._checked.add((type(record), record.id))
-        elif record.id in records:
-            return
-        records[record.id] = record  # type: ignore[assignment]  # of the kind that is in there
-        self._channels.clear()
-
-    def all(self) -> dict[int, Channel]:
-        """Return those that are defined, or raise BagError if one is not of ROS 2."""
-        for number, record in self._records.items():
-            if number not in self._channels and record.schema_id in self._schemas:
-                self._channels[number] = self._make(record, self._schemas[record.schema_id])
-        return {number: channel for number, channel in self._channels.items() if channel}
-
-    def message(self, record: mcap.Message) -> Message:
-        """Return a message, or raise DamageError."""
-        channel = self._channels.get(record.channel_id) or self.all().get(record.channel_id)
-        if channel is None:
-            raise DamageError(f'nothing defines channel {record.channel_id} of a message')
-        if (record.log_time | record.publish_time) > LATEST:
-            raise DamageError('a message has no valid times')
-        return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
-
-    def _make(self, record: mcap.Channel, schema: mcap.Schema) -> Channel | None:
-        """Make a channel, of what can be trusted; None if that is not enough."""
-        schema_text = schema.data.decode(errors='replace')
-        type_hash = record.metadata.get('topic_type_hash', '')
-        keys = {(mcap.Schema, schema.id), (mcap.Channel, record.id)}
-        if not keys <= self._checked:
-            if not _is_plausible(record, schema, schema_text):
-                return None
-            if type_hash:
-                self.doubts.append(f'the type hash of {record.topic}, which has no checksum')
-                type_hash = ''
-        if record.message_encoding != 'cdr':
-            raise BagError(
-                f'{record.topic} has messages in {record.message_encoding!r}, not in '
-                "'cdr' as those of ROS 2 are"
-            )
-        try:
-            profiles = qos.from_yaml(record.metadata.get('offered_qos_profiles'))
-        except ValueError:
-            profiles = ()  # recorders of others write what they like
-        channel = Channel(
-            topic=record.topic,
-            type=schema.name,
-            schema=schema_text,
-            type_hash=type_hash,
-            qos=profiles,
-            schema_encoding=schema.encoding,
-        )
-        return self._known.setdefault(tuple(vars(channel).values()), channel)
-
-
-def _is_plausible(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
-    """Tell whether a definition without a checksum may be what was written."""
-    is_named = _TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)
-    if not is_named or schema.encoding not in ('ros2msg', 'ros2idl'):
-        return False
-    with contextlib.suppress(MessageError):
-        return schema.encoding == 'ros2idl' or decoder_of(schema.name, text) is not None
-    return False
 
 
 class McapFile:
@@ -281,32 +183,36 @@ class McapFile:
 
     def _read_summary(self) -> Mapping[int, int] | None:
         """Return the counts of messages; None if the summary is not what it should be."""
+        found: dict[type, list[Any]] = defaultdict(list)  # records, by their types
         try:
-            self._stream.seek(0)
-            reader = SeekingReader(self._stream, record_size_limit=LARGEST_RECORD)
-            summary = reader.get_summary()
-            metadata = list(reader.iter_metadata())
-            is_checked = self._is_summary_checked()
-        except _LIBRARY_ERRORS:
+            self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
+            _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
+            self._stream.seek(start)
+            data = self._stream.read(min(self._size - len(MAGIC) - start, LARGEST_RECORD))
+            if not start or checksum not in (0, zlib.crc32(data[:-4])):
+                return None
+            for record in read_records(BytesIO(data)):
+                found[type(record)].append(record)
+            there = (self._record_at(index.offset) for index in found[mcap.MetadataIndex])
+            metadata = [record for record in there if isinstance(record, mcap.Metadata)]
+        except (OSError, ValueError, struct.error):
             return None
-        if summary is None or summary.statistics is None:
+        for record in found[mcap.Schema] + found[mcap.Channel]:
+            self.definitions.add(record, is_checked=bool(checksum))
+        if not found[mcap.Statistics]:
             return None
-        statistics = summary.statistics
-        for schema in summary.schemas.values():
-            self.definitions.add(schema, is_checked=is_checked)
-        for channel in summary.channels.values():
-            self.definitions.add(channel, is_checked=is_checked)
+        statistics, chunks = found[mcap.Statistics][-1], found[mcap.ChunkIndex]
         is_complete = (
-            summary.channels.keys() >= statistics.channel_message_counts.keys()
-            and len(summary.chunk_indexes) == statistics.chunk_count
-            and bool(summary.chunk_indexes or not statistics.message_count)
-            and len(summary.attachment_indexes) == statistics.attachment_count
+            {each.id for each in found[mcap.Channel]} >= statistics.channel_message_counts.keys()
+            and len(chunks) == statistics.chunk_count
+            and bool(chunks or not statistics.message_count)
+            and len(found[mcap.AttachmentIndex]) == statistics.attachment_count
             and len(metadata) == statistics.metadata_count
         )
         if not is_complete:
             return None
         self.metadata = metadata
-        self._attachments = [index.offset for index in summary.attachment_indexes]
+        self._attachments = [index.offset for index in found[mcap.AttachmentIndex]]
         self.chunks = sorted(
             Chunk(
                 index.chunk_start_offset,
@@ -314,19 +220,9 @@ class McapFile:
                 index.message_end_time,
                 frozenset(index.message_index_offsets),
             )
-            for index in summary.chunk_indexes
+            for index in chunks
         )
-        return statistics.channel_message_counts
-
-    def _is_summary_checked(self) -> bool:
-        """Tell whether the summary has a checksum; raise DamageError if it is wrong."""
-        self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
-        _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
-        self._stream.seek(start)
-        data = self._stream.read(self._size - len(MAGIC) - 4 - start)
-        if checksum not in (0, zlib.crc32(data)):
-            raise DamageError('the checksum of the summary is wrong')
-        return bool(checksum)
+        return dict(statistics.channel_message_counts)
 
     def _scan(self) -> Mapping[int, int]:
         """Look at all records, those after damage from the next chunk on; count the messages."""

@@ -79,15 +79,12 @@ def to_yaml(profiles: Sequence[Qos]) -> str:
     return dump_yaml([profile.to_dict() for profile in profiles]).strip() if profiles else ''
 
 
-def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, ...]:
+@functools.lru_cache(maxsize=1000)  # every file of a bag, and many channels, have the same
+def from_yaml(text: str | None) -> tuple[Qos, ...]:
     """
-    Read profiles as any version of rosbag2 writes them.
+    Read `offered_qos_profiles` of a channel, as any version of rosbag2 writes them.
 
-    Parameters
-    ----------
-    profiles : str or sequence of mapping
-        `offered_qos_profiles` of a channel, or of `metadata.yaml`, where it is a text before
-        version 9. The policies are names, or numbers before version 9.
+    The policies are names, or numbers before version 9; nothing stands for no profile.
 
     Raises
     ------
@@ -101,20 +98,12 @@ def from_yaml(profiles: str | Sequence[Mapping[str, Any]] | None) -> tuple[Qos, 
 
     """
     try:
-        if isinstance(profiles, str):
-            return _from_text(profiles)
-        return tuple(map(_profile, profiles or ()))
+        items = load_yaml(text or '') or []
+        if not isinstance(items, list):
+            raise ValueError('no list')  # noqa: TRY301
+        return tuple(map(_profile, items))
     except (ValueError, TypeError, LookupError, OverflowError, AttributeError) as error:
-        raise ValueError(f'no quality of service, {error}: {profiles!r:.200}') from None
-
-
-@functools.lru_cache(maxsize=1000)
-def _from_text(text: str) -> tuple[Qos, ...]:
-    """Read a text, which every file of a bag, and many channels, have alike."""
-    items = load_yaml(text) or []
-    if not isinstance(items, list):
-        raise ValueError('no list')
-    return tuple(map(_profile, items))
+        raise ValueError(f'no quality of service, {error}: {text!r:.200}') from None
 
 
 def _profile(item: Mapping[str, Any]) -> Qos:

@@ -62,8 +62,15 @@ _PLOTS = {
     'residual': 'Model less measurement (µm)',
 }
 
-_MARGIN = 0.036
-"""Part of the width of a plot that its axis takes."""
+_PLOTS_SIZE = 616.0, 650.0
+"""Width and height of all plots together in a picture of the default size. [points]"""
+
+_LABEL_SPACE, _LABEL_DISTANCE = 9.0, 20.0
+"""What Rerun leaves beside the labels of an axis, and between them at least. [points]"""
+
+_CHARACTERS = {'-': 6.0, '.': 3.5}
+_DIGIT = 7.5
+"""How wide characters of labels are. [points]"""
 
 _LOG = '/log'
 
@@ -233,6 +240,7 @@ class _TwinView:
         self._throw_start = 0
         self._has_residual = False
         self._residuals = np.zeros(0)  # in the last contacts, or in that which is shown
+        self._extents: dict[str, tuple[float, float]] = {}  # of plots, in the throw that is shown
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
         styles = {
@@ -289,6 +297,14 @@ class _TwinView:
         style = rr.SeriesLines(names=lines, colors=colours, widths=[width] * len(lines))
         self._canvas.style(self._path(name), style)
         self._canvas.send(self._path(name), stamps, rr.Scalars.columns(scalars=values))
+        throw = self._canvas.throw
+        if throw is not None:
+            periods = (stamps - throw.stamp) / (SECOND * self._period_of_stamps)
+            shown = values[(periods > 0.3 - _BEFORE) & (periods < 0.3 + _AFTER)]
+            known, plot = shown[np.isfinite(shown)], name.partition('/')[0]
+            if known.size:
+                low, high = self._extents.get(plot, (math.inf, -math.inf))
+                self._extents[plot] = min(low, float(known.min())), max(high, float(known.max()))
 
     def _draw_states(self, states: series.RigStates) -> None:
         stamps = states.stamps
@@ -424,8 +440,8 @@ class _TwinView:
             )
         )
         limit = self._residual_limit()
-        plots = [
-            rrb.TimeSeriesView(
+        plots = {
+            name: rrb.TimeSeriesView(
                 origin=self._path(name),
                 name=title,
                 axis_x=window,
@@ -434,11 +450,13 @@ class _TwinView:
             )
             for name, title in _PLOTS.items()
             if name != 'residual' or limit
-        ]
+        }
+        extents = {**self._extents, 'residual': (-limit, limit)}
+        height = _PLOTS_SIZE[1] / len(plots)
+        axes = {name: _axis_width(*extents.get(name, (0.0, 10.0)), height) for name in plots}
+        widest = max(axes.values())
+        lanes = [self._indented(plot, widest - axes[name]) for name, plot in plots.items()]
         phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
-        # it has no axis to its left as the plots do, which begin so much later
-        margin = rrb.TextDocumentView(origin=self._path('margin'), name=' ', titlebar=False)
-        lane = rrb.Horizontal(margin, phase, column_shares=[_MARGIN, 1.0 - _MARGIN])
         strain, landscape = self._path('strain'), self._path('landscape')
         throw = rrb.TextDocumentView(origin=self._path('throw_result'), name='Throw')
         best = rrb.TextDocumentView(origin=self._path('recommendation'), name='Recommended layer')
@@ -459,11 +477,32 @@ class _TwinView:
         views, shares = zip(*right, strict=True)
         return rrb.Horizontal(
             rrb.Vertical(self._side.view(), throw, row_shares=[3.0, 2.1]),
-            rrb.Vertical(lane, *plots, row_shares=[0.35 * len(plots), *[3.0] * len(plots)]),
+            rrb.Vertical(
+                self._indented(phase, widest),
+                *lanes,
+                row_shares=[0.35 * len(lanes), *[3.0] * len(lanes)],
+            ),
             rrb.Vertical(*views, row_shares=shares),
             column_shares=[2.5, 4.2, 4.2],
             name=self._node or '/',
         )
+
+    def _indented(self, view: rrb.View, width: float) -> rrb.View | rrb.Container:
+        """Leave room to the left of a view, so that all begin where the widest axis ends."""
+        if width < 1.0:
+            return view
+        margin = rrb.TextDocumentView(origin=self._path('margin'), name=' ', titlebar=False)
+        return rrb.Horizontal(margin, view, column_shares=[width, _PLOTS_SIZE[0] - width])
+
+
+def _axis_width(low: float, high: float, height: float) -> float:
+    """Return how much Rerun needs for the labels beside a plot, at powers of ten. [points]"""
+    extent = max(high - low, 1e-9)
+    step = 10.0 ** math.ceil(math.log10(_LABEL_DISTANCE * extent / height))
+    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
+    labels = [f'{step * number:g}' for number in numbers]
+    widths = [sum(_CHARACTERS.get(each, _DIGIT) for each in label) for label in labels]
+    return _LABEL_SPACE + max(widths, default=_DIGIT)
 
 
 class _SideView:

@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 import json
+import os
 from pathlib import Path
 import re
+import sys
 
 _TYPE = re.compile(r'([A-Za-z]\w*)/msg/([A-Za-z]\w*)')
 
@@ -74,6 +76,33 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
         return Schema(text=text, type_hash=_hash_of(type_name, description))
     except (OSError, UnicodeDecodeError) as error:
         raise SchemaError(f'{type_name}: its definition cannot be read, {error}') from None
+
+
+def installed_prefixes() -> list[str]:
+    """Return where packages of ROS are installed."""
+    paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    return [path for path in paths if path] + [sys.prefix]  # the latter with ROS from PyPI
+
+
+def is_complete(type_name: str, text: str) -> bool:
+    r"""
+    Tell whether a text defines a type with all that it depends on, as `find_schema` finds it.
+
+    Examples
+    --------
+    >>> is_complete('a/msg/A', f'B b\n{"=" * 80}\nMSG: a/B\nint8 x\n')
+    True
+    >>> is_complete('a/msg/A', 'B b\n')
+    False
+
+    """
+    first, *others = re.split(rf'^{_SEPARATOR}\nMSG: (\S+)\n', text, flags=re.MULTILINE)
+    short = type_name.replace('/msg/', '/')
+    parts = {short: first, **dict(zip(others[::2], others[1::2], strict=True))}
+    needed = {short}
+    for name, part in parts.items():
+        needed.update(_dependencies(part, name.partition('/')[0]))
+    return needed == parts.keys() and '\ufffd' not in text and bool(_TYPE.fullmatch(type_name))
 
 
 def _dependencies(text: str, package: str) -> list[str]:

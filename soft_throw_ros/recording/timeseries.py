@@ -11,7 +11,7 @@ message of its step, and gets its time from that one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 import functools
 import math
 import operator
@@ -71,13 +71,18 @@ _SAME_CLOCK = 3600 * SECOND
 """Times by the journal that are farther from a message than this are of another clock. [ns]"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RigStates:
-    """Plate and projectile."""
+_STATE = np.dtype(
+    [('stamps', np.int64), ('published', np.int64)]
+    + [(name, np.float64, 2) for name in ('position', 'velocity', 'force')]
+    + [(name, np.float64) for name in ('plate_work', 'projectile_energy')]
+)
 
-    # (n,) When they were so, in ascending order, and when that was said. [ns]
-    stamps: Stamps
-    published: Stamps
+
+class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type for
+    """Plate and projectile, a record for each stamp, in ascending order."""
+
+    stamps: Stamps  # (n,) When they were so. [ns]
+    published: Stamps  # (n,) When that was said. [ns]
     # (n, 2) Of plate and projectile; the force is that of the layer on each, up. [m], [m/s], [N]
     position: Floats
     velocity: Floats
@@ -93,37 +98,29 @@ class RigStates:
         read = decode_joint_states([message.data for message in messages])
         if not set(JOINTS) <= set(read.names):
             return None
+        states = np.zeros(len(messages), _STATE).view(cls)
         columns = [read.names.index(name) for name in JOINTS]
-        count = len(messages)
-        position, velocity, force = (
-            values[:, columns] if values.shape[1] == len(read.names) else np.zeros((count, 2))
-            for values in (read.position, read.velocity, read.effort)
-        )
-        _check_numbers(position, velocity, force)
-        published = np.array([each.publish_time or each.log_time for each in messages], np.uint64)
-        if published.max() > _LAST_TIME:
-            raise MessageError(f'a time of {published.max()} ns')
-        nothing = np.full(count, math.nan)
-        columns_of = (read.stamps, published.astype(np.int64), position, velocity, force)
-        return cls(**dict(zip(_STATE_FIELDS, (*columns_of, nothing, nothing), strict=True)))
+        for name, values in vars(read).items():
+            if name in ('position', 'velocity', 'effort') and values.shape[1] == len(read.names):
+                states['force' if name == 'effort' else name] = values[:, columns]
+        _check_numbers(states.position, states.velocity, states.force)
+        published = [each.publish_time or each.log_time for each in messages]
+        if max(published) > _LAST_TIME:
+            raise MessageError(f'a time of {max(published)} ns')
+        states.stamps[:], states.published[:] = read.stamps, published
+        return cls.join(states)
 
     @classmethod
     def join(cls, *parts: RigStates) -> RigStates:
         """Put parts together, in the order of their stamps, of which each is there once."""
-        joined = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in _STATE_FIELDS
-        }
+        joined: NDArray[Any] = np.concatenate(parts)  # of records, as above
         _, order = np.unique(joined['stamps'], return_index=True)
-        return cls(**{name: values[order] for name, values in joined.items()})
-
-    def last(self, count: int) -> RigStates:
-        """Return only so many of the last."""
-        return RigStates(**{name: getattr(self, name)[-count:] for name in _STATE_FIELDS})
+        return joined[order].view(cls)
 
     def since(self, stamp: int) -> RigStates:
         """Return those from a time on, and the one before."""
-        row = int(np.searchsorted(self.stamps, stamp))
-        return self.last(min(self.stamps.size - row + 1, self.stamps.size))
+        first = max(int(np.searchsorted(self.stamps, stamp)) - 1, 0)
+        return self[first:].view(RigStates)
 
     def rows(self, stamps: Stamps) -> NDArray[np.intp]:
         """Return which ones are of some stamps, or next to them."""
@@ -149,9 +146,6 @@ class RigStates:
         if first == 0 or last == self.stamps.size:
             return False
         return bool(np.diff(self.stamps[first - 1 : last + 1]).max() < 1.5 * self._tick)
-
-
-_STATE_FIELDS = tuple(item.name for item in fields(RigStates))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -476,14 +470,14 @@ class _TwinDecoder:
         read = RigStates.read(messages)
         if read is None:
             return
-        states = self._with_energies(RigStates.join(read))
+        states = self._with_energies(read)
         before = () if self._states is None else (self._states,)
-        self._states = RigStates.join(*before, states).last(_KEPT_STATES)
+        self._states = RigStates.join(*before, states)[-_KEPT_STATES:].view(RigStates)
         yield states
 
     def _with_energies(self, states: RigStates) -> RigStates:
         """Integrate what the plate does, from where it was last at rest."""
-        before = self._states or states
+        before = states if self._states is None else self._states
         height = np.concatenate([before.position[-1:, 0], states.position[:, 0]])
         force = np.concatenate([before.force[-1:, 0], states.force[:, 0]])
         work = cumulative_trapezoid(-force, height)
@@ -500,7 +494,8 @@ class _TwinDecoder:
         # without any force the layer is left out, and nothing is thrown: the rig is put back
         is_put_back = (states.force == 0.0).all(axis=1)
         work[is_put_back] = energy[is_put_back] = math.nan
-        return replace(states, plate_work=work, projectile_energy=energy)
+        states.plate_work[:], states.projectile_energy[:] = work, energy
+        return states
 
     def _auxiliary(self, topic: Topic, messages: Sequence[Message]) -> Iterator[Positions]:
         read = decode_joint_states([message.data for message in messages])

@@ -43,6 +43,12 @@ _RECORDED_EVERY = 5e-6  # [s]
 _LEAD_IN = 30e-3  # during which a plate that rings begins to [s]
 _MAX_EVENTS = 64
 
+_TABLE_STEP = 2e-5  # of deviations [s]
+_TABLE_CELLS = 128
+_RINGS_BEFORE = 0.1  # a throw, in a table [s]
+_LONGEST_THROW = 0.6  # in a table [s]
+_FADING = 0.03  # part of the flight before the landing in which deviations fade
+
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
@@ -77,6 +83,11 @@ class Imperfections:
     second_mode: float = 0.0
     second_mode_frequency: float = 310.0
     second_mode_damping_ratio: float = 0.02
+
+    @property
+    def are_there(self) -> bool:
+        """Whether there are any."""
+        return any((self.stiffening, self.sticking, self.ringing, self.second_mode))
 
 
 class Change(NamedTuple):
@@ -177,6 +188,61 @@ def throw(
         _time=time[::every],
         _projectile=layer.thickness + path,
     )
+
+
+class Deviations:
+    """
+    What imperfections change: what is to be added to a throw of a perfect rig, as it is followed.
+
+    Parameters
+    ----------
+    rig : Rig
+    imperfections : Imperfections
+
+    Notes
+    -----
+    The difference of two throws on the same cells, so that the cells are not seen in it. It fades
+    before the projectile lands, since what comes then is chaotic.
+
+    """
+
+    def __init__(self, rig: Rig, imperfections: Imperfections) -> None:
+        start = -_RINGS_BEFORE if imperfections.ringing else 0.0
+        pure, spoilt = (
+            throw(rig, each, start=start, until=_LONGEST_THROW, cells=_TABLE_CELLS)
+            for each in (Imperfections(), imperfections)
+        )
+        self.start = start
+        """Time before the throw from which on there are any. [s]"""
+        landings = [
+            change.time
+            for each in (pure, spoilt)
+            for change in each.changes
+            if not change.is_release and change.velocity <= 0.0 < change.time
+        ]
+        end = min([*landings, _LONGEST_THROW])
+        time = np.arange(start, end + _TABLE_STEP, _TABLE_STEP)
+        left = np.clip((end - time) / (_FADING * end), 0.0, 1.0)
+        begun = np.clip((time - start) / _LEAD_IN, 0.0, 1.0) if imperfections.ringing else 1.0
+        self._plate: list[float] = (
+            left * begun * (spoilt.plate(time) - pure.plate(time))
+        ).tolist()
+        self._projectile: list[float] = (
+            left * begun * (spoilt.projectile(time) - pure.projectile(time))
+        ).tolist()
+
+    def at(self, since: float) -> tuple[float, float]:
+        """Return how far plate and projectile are off [m], at a time since the throw began [s]."""
+        place = (since - self.start) / _TABLE_STEP
+        row = math.floor(place)
+        if not 0 <= row < len(self._plate) - 1:
+            return 0.0, 0.0
+        part = place - row
+        plate, projectile = self._plate, self._projectile
+        return (
+            plate[row] + part * (plate[row + 1] - plate[row]),
+            projectile[row] + part * (projectile[row + 1] - projectile[row]),
+        )
 
 
 def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -> Floats:

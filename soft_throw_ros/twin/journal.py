@@ -177,7 +177,8 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
     """Return the samples that an entry tells, in batches, each before a step."""
     try:
         data = base64.b64decode(entry['data'], validate=True)
-        rows = np.frombuffer(zlib.decompressobj().decompress(data, _LONGEST_DATA), _SAMPLE)
+        content = zlib.decompressobj().decompress(data, _LONGEST_DATA)
+        rows = np.frombuffer(content, _SAMPLE, entry['count'])  # refuses what is too short
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         raise JournalError(f'no samples can be read, {error}: {dict(entry)!r}') from error
     steps = [*rows['step'].tolist(), entry['step']]

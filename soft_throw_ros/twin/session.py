@@ -226,5 +226,7 @@ class Session:
         with self._lock:
             outputs = self._cycle.advance(self.step)
             self.step += 1
-            self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
+            rate = self._staged.config.state_rate
+            is_measured = self._cycle.monitor is not None
+            self._journal.end_step(outputs, rate=rate, is_measured=is_measured)
             return outputs

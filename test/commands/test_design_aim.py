@@ -5,7 +5,7 @@ from dataclasses import replace
 import re
 
 import pytest
-from soft_throw_ros.commands import design, design_aim
+from soft_throw_ros.commands import design, design_search
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.evaluate import last_release
@@ -54,8 +54,8 @@ def test_speed_as_target_takes_the_place_of_the_default_height(command):
 
 def test_target_out_of_reach_says_what_would_do_and_ends_with_1(command):
     args = ('--target-height', 0.2, '--vary', 'amplitude', '--max-strain', 0.12)
-    first = command.run(*args, code=design_aim.NOT_REACHED).splitlines()[0]
-    found = command.json(*args, code=design_aim.NOT_REACHED)['aim']
+    first = command.run(*args, code=design_search.NOT_REACHED).splitlines()[0]
+    found = command.json(*args, code=design_search.NOT_REACHED)['aim']
     assert found['is_reached'] is False
     assert found['peak_strain'] == pytest.approx(0.12, rel=1e-4)
     assert found['summary'] == first
@@ -63,6 +63,13 @@ def test_target_out_of_reach_says_what_would_do_and_ends_with_1(command):
     layer = Layer(thickness=1e-3 * thickness, wave_speed=speed)
     limits = Limits(max_strain=0.12)
     assert aim(replace(Rig(), layer=layer), Target(height=0.2), limits=limits).is_reached
+
+
+def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
+    rig = 'twin: {ros__parameters: {gravity: 5.0'
+    aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
+    assert command.json('--config', aims)['aim']['target_speed'] == 1.5
+    assert 'nothing to aim at' in command.refused('--config', write(rig + '}}', 'other.yaml'))
 
 
 def test_layer_is_picked_from_a_library_of_one_s_own(command, write):
@@ -93,7 +100,7 @@ def test_layer_is_picked_from_a_library_of_one_s_own(command, write):
         (['--target-height', '0.1', '--gravity', '0'], 'gravity, got gravity 0'),
         (['--target-height', '1', '--max-amplitude', '1'],
          r'argument --max-amplitude: .* to 0.1 m, got 1\.0'),
-        (['--target-height', '1', '--vary', 'colour'], "argument --vary: .* got 'colour'"),
+        (['--target-height', '1', '--vary', 'colour'], "argument --vary: .*'colour'"),
         (['--objective', 'peak'], 'unrecognized arguments: --objective peak'),
         (['--frequency', '3', '--amplitude', '1e-5', '--vary', 'amplitude',
           '--max-amplitude', '1e-5', '--target-speed', '1'], 'nothing is thrown .* 1 m/s'),

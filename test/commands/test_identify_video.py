@@ -87,16 +87,15 @@ def layer_video(tmp_path_factory):
 
 def assert_is_the_rig(found):
     truth = {
-        'engine.frequency': 58.0,
-        'engine.damping_ratio': 0.05,
-        'engine.amplitude': 1.8e-3,
-        'layer.wave_speed': 6.9,
+        'engine.frequency': (58.0, 2e-3),
+        'engine.damping_ratio': (0.05, 2e-3),
+        'engine.amplitude': (1.8e-3, 2e-3),
+        'layer.wave_speed': (6.9, 3e-2),  # what may be wrong with the rest is in it
     }
-    assert list(found['found']) == list(truth)
-    for name, expected in truth.items():
+    for name, (expected, most) in truth.items():
         value, error = found['found'][name]['value'], found['found'][name]['error']
         assert value == pytest.approx(expected, abs=4.0 * error)
-        assert error < 2e-3 * expected
+        assert error < most * expected
     assert found['warnings'] == []
 
 
@@ -115,7 +114,9 @@ def test_video_gives_the_rig_that_was_filmed(command, throw_video, tmp_path):
     assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
     assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
     assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
-    again = command.json(tracks, '--thickness', 12e-3)
+    # ... in which both bodies are seen by the same sensor
+    hold = ('--hold', 'projectile.scale', '--hold', 'projectile.delay')
+    again = command.json(tracks, '--thickness', 12e-3, *hold)
     for name, value in found['found'].items():
         assert again['found'][name]['value'] == pytest.approx(
             value['value'], abs=0.2 * value['error']

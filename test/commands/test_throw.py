@@ -139,7 +139,7 @@ def test_options_replace_what_the_file_says(command, write):
         (('--thickness', '16.8'), 'argument --thickness: layer.thickness .* m, got 16.8'),
         (('--thickness', 'soft'), "argument --thickness: .* got 'soft'"),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
-        (('--motion', 'measured'), "argument --motion: .* got 'measured'"),
+        (('--motion', 'measured'), "argument --motion: .*'measured'"),
         (('--model', 'magic'), "argument --model: .* 'magic'"),
         (('--max-strain', '0'), 'max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),

@@ -20,6 +20,7 @@ from soft_throw_ros.core.cell_stepper import (
     first_throws,
     MAX_CELLS,
 )
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
@@ -152,6 +153,16 @@ def first_fall(force, start):
     times = start + np.arange(1.0, 20_000.0) * 5e-3
     last = next(i for i, time in enumerate(times) if force(time) < 0.0)
     return brentq(force, times[last - 1], times[last])
+
+
+@pytest.mark.parametrize('kappa', [3.0, 20.0])
+@pytest.mark.parametrize('length', [0.4, 1.0, 2.5])
+def test_projectile_of_the_layers_material_is_exact(kappa, length):
+    force, momentum = waves(kappa, 1.0, 1.0 + 2.0 * length, 2.0 * (1.0 + length))
+    time = first_fall(force, 1.0)
+    throws = first_throws(mass_ratio=length, speed_ratio=kappa, crossing_ratio=length, cells=500)
+    assert throws.ejection_phase == pytest.approx(time / kappa, rel=1e-3)
+    assert throws.speed == pytest.approx(momentum(time) / length, rel=1e-3)
 
 
 @pytest.mark.parametrize('kappa', [3.0, 6.0, 8.0, 12.0])
@@ -359,6 +370,25 @@ def test_release_with_loss_agrees_with_the_sum_over_modes(
     throws = first_throws(**case)
     assert throws.ejection_phase == pytest.approx(exact[0], rel=1e-3)
     assert throws.speed == pytest.approx(exact[1], rel=3e-4, abs=1e-4)
+
+
+def test_spread_wave_can_end_a_throw_before_it_has_arrived():
+    case = {'mass_ratio': math.exp(-1.0), 'speed_ratio': 1.0, 'loss_tangent': math.exp(0.5)}
+    phase, speed = normal_modes.first_release(**case)
+    assert phase < 1.0
+    throws = first_throws(**case, cells=256)
+    assert throws.ejection_phase == pytest.approx(phase, rel=1e-4)
+    assert throws.speed == pytest.approx(speed, rel=1e-4)
+
+
+@pytest.mark.parametrize(('mass_ratio', 'speed_ratio'), [(0.25, 8.5), (3.0, 20.0), (0.1, 5.7)])
+def test_little_loss_is_a_small_perturbation_of_none(mass_ratio, speed_ratio):
+    ratios = {'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': 0.064}
+    losses = np.array([0.0, 1e-5, 1e-4])
+    none, less, more = first_throws(**ratios, loss_tangent=losses, cells=256).energy_transfer
+    assert none == pytest.approx(first_release(**ratios).energy_transfer, rel=1e-4)
+    assert 0.0 < none - more < 0.01
+    assert (none - more) / (none - less) == pytest.approx(10.0, rel=0.1)
 
 
 @pytest.mark.parametrize('model', CELL_MODELS[:3])
@@ -634,3 +664,9 @@ def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model
         cells_per_layer(make(value), model)
     feasible = str(refusal.value).split('feasible: ')[1].split('of ')[1].split()[0]
     assert CellStepper(make(float(feasible) * 0.9999), model=model).cells <= MAX_CELLS
+
+
+@pytest.mark.parametrize('wave_speed', [31.9, 41.1])
+def test_sorbothane_of_a_quarter_inch_can_be_stepped_in_real_time(wave_speed):
+    layer = Layer(thickness=6.35e-3, wave_speed=wave_speed, density=1350.0, loss_tangent=0.5)
+    assert cells_per_layer(Rig(layer=layer)) >= 64

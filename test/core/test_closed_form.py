@@ -298,6 +298,19 @@ def test_release_is_finite_or_refused_at_extremes(
     assert all(map(math.isfinite, release))
 
 
+@given(between(0.003, 100.0), between(0.15, 120.0), st.floats(0.0, 0.3), st.floats(0.0, 10.0))
+def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, gravity_ratio):
+    free = release_of(mass_ratio, speed_ratio, damping_ratio)
+    assert 1.0 < free.ejection_phase * speed_ratio < math.inf
+    assert 0.0 < free.energy_transfer < 5.0
+    try:
+        held = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
+    except ThrowUnresolvedError:
+        return
+    assert held.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
+    assert math.isfinite(held.speed)
+
+
 @pytest.mark.parametrize('mass_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
 @pytest.mark.parametrize('speed_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
 @pytest.mark.parametrize('gravity_ratio', [0.0, 1e300])

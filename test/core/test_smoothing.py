@@ -68,7 +68,7 @@ def test_uneven_samples_with_velocities_are_fitted_as_by_least_squares():
     slopes = np.column_stack((np.zeros(measured.sum()), slopes))
     rows = np.vstack((powers / 0.1, slopes / 0.4))
     values = np.concatenate((positions / 0.1, velocities[measured] / 0.4))
-    solution = np.linalg.lstsq(rows, values)[0]
+    solution = np.linalg.lstsq(rows, values, rcond=None)[0]
     assert fit.states[0] == pytest.approx(solution[:3] * [1.0, 1.0, 2.0], rel=1e-8)
     covariance = np.linalg.inv(rows.T @ rows)
     assert fit.errors[0] == pytest.approx(math.sqrt(covariance[1, 1]), rel=1e-8)

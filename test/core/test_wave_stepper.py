@@ -79,6 +79,8 @@ BOUNCES = [
     (0.367, 4.4, 0.0, 0.2),
     (3.453, 1.6, 0.0, 0.05),
     (0.2342, 8.242, 0.0, 0.3),
+    (2.0, 40.0, 0.064, 0.3),
+    (10.0, 150.0, 0.064, 0.5),
 ]
 
 
@@ -183,10 +185,10 @@ def test_largest_strain_is_that_of_the_field(ratios):
 
 def test_work_of_the_plate_is_energy_of_layer_and_projectile():
     model = WaveStepper(Rig())
-    for time in (0.002, 0.004, 0.006, 0.00764):
+    for time in (0.0035, 0.005, 0.006, 0.00764):
         model.advance_to(time)
         assert model.plate_work == model.work_so_far
-        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=2e-6)
+        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-6)
     before = model.plate_work
     model.advance_to(0.1)
     assert model.plate_work == pytest.approx(before, rel=1e-3) != model.work_so_far
@@ -198,7 +200,7 @@ def test_energy_is_kept_over_twenty_bounces(ratios):
     for time in np.linspace(0.0, 2.0, 50):
         if model.advance_to(time) > 40:
             break
-        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-3, abs=1e-9)
+        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=3e-4, abs=1e-9)
     assert model.event_count > 20
 
 

@@ -108,8 +108,8 @@ def test_npz_is_read_back_by_numpy(saved):
         np.testing.assert_array_equal(file['energy_transfer'], landscape.energy_transfer)
         np.testing.assert_array_equal(file['ejection_phase'], landscape.ejection_phase)
         attributes = json.loads(str(file['attributes']))
-        for key, axis in zip(attributes['dimensions'], landscape.axes, strict=True):
-            np.testing.assert_array_equal(file[key], axis.values)
+        for key, values in zip(attributes['dimensions'], landscape.axes.values(), strict=True):
+            np.testing.assert_array_equal(file[key], values)
     assert attributes['model'] == 'travelling_wave'
     assert attributes['engine_frequency'] == 1.0
 

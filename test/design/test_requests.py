@@ -95,9 +95,17 @@ def test_what_cannot_be_done_is_refused(changes, message):
 
 
 @pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
-def test_answer_is_given_up_when_cancelled(objective):
+@pytest.mark.parametrize('batches', [0, 3])
+def test_answer_is_given_up_when_cancelled_between_batches(objective, batches):
+    asked = []
+
+    def cancelled():
+        asked.append(True)
+        return len(asked) > batches
+
     with pytest.raises(SearchCancelledError):
-        answer(changed(recommendation__objective=objective), cancelled=lambda: True)
+        answer(changed(recommendation__objective=objective), cancelled=cancelled)
+    assert len(asked) == batches + 1
 
 
 def test_every_limit_counts():

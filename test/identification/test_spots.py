@@ -105,6 +105,20 @@ def test_spot_that_hides_for_good_is_missing_from_then_on():
     assert np.abs(spot.row - rows[spot.picture]).max() < 0.2
 
 
+def test_spots_that_smear_while_a_picture_is_taken_are_followed():
+    rng = np.random.default_rng(0)
+    middle = 80.0 + 40.0 * np.cos(0.15 * np.arange(60))  # up to 6 pixels in a picture
+    during = np.linspace(-0.5, 0.5, 8)
+    pictures = []
+    for number in range(60):
+        rows = 80.0 + 40.0 * np.cos(0.15 * (number + during))
+        seen = sum(CAMERA['disc']((160, 50), row, 25.0) for row in rows) / during.size
+        pictures.append(CAMERA['exposed'](200.0 - CAMERA['CONTRAST'] * seen, rng))
+    (spot,) = follow_spots(pictures)
+    assert spot.picture.size > 55
+    assert np.abs(spot.row - middle[spot.picture]).max() < 0.3
+
+
 def test_light_spots_are_followed_like_dark_ones():
     spots = follow_spots((255 - each for each in video()), light=True)
     assert [spot.row.size for spot in spots[:2]] == [60, 60]

@@ -8,10 +8,10 @@ import pytest
 from reference.method_of_steps import follow
 from scipy.optimize import bisect
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
 
@@ -52,6 +52,33 @@ def test_running_averages_err_by_what_they_say(make_throw, thickness, gravity, n
 def test_running_averages_pass_over_the_landing(make_throw):
     throw = make_throw(Rig(), duration=0.4)
     assert np.abs(pulls_of(analyse_throw(throw, gravity=9.81), truth_of(Rig()))).max() < 3.0
+
+
+@pytest.mark.parametrize('noise', [3e-4, 1e-3])
+def test_running_averages_do_not_determine_what_is_lost_in_noise(make_throw, noise):
+    for seed in range(3):
+        with pytest.raises(FitError, match='not determined by running averages'):
+            analyse_throw(make_throw(Rig(), duration=0.08, noise=noise, seed=seed), gravity=9.81)
+
+
+def test_running_averages_see_the_last_release_if_the_layer_catches_up(make_throw):
+    layer = Layer(thickness=6e-3, wave_speed=11.0)
+    engine = Engine(frequency=47.0, amplitude=3e-3)
+    rig = Rig(engine=engine, layer=layer, projectile=Projectile(mass=0.15 * layer.mass))
+    throw = simulate(rig, until=0.03)
+    assert throw.last_release.velocity > 1.4 * throw.first_release.velocity
+    found = analyse_throw(make_throw(rig, duration=0.07, noise=5e-6), gravity=9.81)
+    assert found.time.value == pytest.approx(throw.last_release.time, abs=3.0 * found.time.error)
+    last_speed = throw.last_release.velocity
+    assert found.speed.value == pytest.approx(last_speed, abs=3.0 * found.speed.error)
+
+
+def test_energy_transfer_is_by_the_plate_speed_that_is_given(make_throw):
+    throw = make_throw(Rig(), duration=0.08)
+    found = analyse_throw(throw, gravity=9.81, peak_plate_speed=Estimate(0.5, 0.1))
+    alpha = (found.speed.value / 0.5) ** 2
+    assert found.energy_transfer.value == pytest.approx(alpha)
+    assert found.energy_transfer.error == pytest.approx(2.0 * alpha * 0.1 / 0.5, rel=1e-2)
 
 
 def test_running_averages_say_what_is_missing(make_throw):

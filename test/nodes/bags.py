@@ -8,18 +8,17 @@ from pathlib import Path
 import struct
 from typing import Any
 
-from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 
 BEGIN = 1_700_000_000_000_000_000
 
 
 def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
     """Make the channel of a topic whose publisher offers `qos`."""
-    schema = find_schema(kind, prefixes())
+    schema = find_schema(kind, installed_prefixes())
     return Channel(
         topic=topic,
         type=kind,

@@ -9,7 +9,7 @@ import statistics
 import sys
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from rclpy.node import Node
 from soft_throw_ros.configuration import rig_of
@@ -49,6 +49,16 @@ def listen(ros: Any) -> list[ThrowResult]:
     return heard
 
 
+def hear_identification(ros: Any) -> list[DiagnosticStatus]:
+    heard: list[DiagnosticStatus] = []
+
+    def take(msg: DiagnosticArray) -> None:
+        heard.extend(each for each in msg.status if each.name == '/calibrator: identification')
+
+    create_subscription(ros.node(Node, 'listener'), CALIBRATOR_TOPICS.diagnostics, take)
+    return heard
+
+
 def rig_with(**changes: float) -> Rig:
     """Return the rig as it is."""
     return rig_of(to_twin({**RIG.defaults(), **HIDDEN, **changes}))
@@ -59,7 +69,7 @@ def with_thickness(rig: Rig, thickness: float) -> Rig:
 
 
 def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> None:
-    results = listen(ros)
+    results, said = listen(ros), hear_identification(ros)
     twin = run(
         start, 'twin',
         engine__motion='measured', layer__name='gelatin_29.1mm', recommendation__vary='thickness',
@@ -85,6 +95,10 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
 
     # The measured plate's noise makes speeds scatter by 0.5 %: five throws are within 0.3 %.
     ros.spin_until(lambda: len(with_new_layer()) > 4, 'throws with the new layer')
+    ros.spin_until(lambda: said and 'wave_speed 7.' in said[-1].message, 'diagnostics')
+    found = {item.key: item.value for item in said[-1].values}
+    assert float(found['layer.wave_speed'].split()[0]) == pytest.approx(7.3, rel=0.01)
+    assert int(found['outliers']) >= 0
     for process in (rig, calibrator, twin):
         assert process.end(signal.SIGINT) == 0
         assert not any('Traceback' in line for line in process.lines)
@@ -116,6 +130,7 @@ def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> N
     for process in (twin, calibrator):
         process.wait_for('ready')
     rig = run(start, 'rig', rate=2500.0, throw__period=0.6)
+    rig.wait_for('ready')
     ros.spin_until(
         lambda: sum(item.stage == 'final' and item.comparison is not None for item in results) > 3,
         'throws',

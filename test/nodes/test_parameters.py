@@ -66,6 +66,7 @@ def test_descriptor_tells_tools_type_range_and_unit(ros, twin) -> None:
     (limits,) = client.describe('throw.period').floating_point_range
     assert limits.from_value == 0.0  # it may be 0
     assert "'harmonic'" in client.describe('engine.motion').additional_constraints
+    assert 'gelatin_2.0mm' in client.describe('layer.name').additional_constraints
 
 
 def test_set_is_accepted_and_handed_on(ros, twin) -> None:

@@ -18,10 +18,9 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, resolve
 from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import Player
-from soft_throw_ros.nodes.raw_subscriptions import prefixes
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -221,7 +220,7 @@ def test_playing_bag_is_paused(ros, play, call, tmp_path) -> None:
 
 def test_what_cannot_be_published_is_skipped_and_told(ros, play, tmp_path, capsys) -> None:
     made = messages(100)
-    string = find_schema('std_msgs/msg/String', prefixes())
+    string = find_schema('std_msgs/msg/String', installed_prefixes())
     strange = [
         Channel(topic='/strange', type='no_such_msgs/msg/Thing', schema='int32 x'),
         Channel(topic='/action', type='no_such_msgs/action/Go_FeedbackMessage', schema=''),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import sys
+import time
 from typing import Any
 
 import pytest
@@ -111,11 +112,14 @@ def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> 
 def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
     ros, talker, listener, joins_late
 ) -> None:
+    began = time.time_ns()
     publisher = talker.create_publisher(String, '/talk', 100)
     for _ in range(7):
         publisher.publish(String(data='too early'))
     channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
-    subscription = RawSubscription(listener, channel, QoSProfile(depth=5), joins_late=joins_late)
+    subscription = RawSubscription(
+        listener, channel, QoSProfile(depth=5), began_ns=None if joins_late else began
+    )
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
     taken: list[Message] = []
     while not taken:

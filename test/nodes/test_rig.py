@@ -68,6 +68,43 @@ def test_sensors_are_as_bad_as_they_should_be(start) -> None:
     assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1e-5)
 
 
+def test_faulty_sensors_lose_samples_and_tell_outliers(start) -> None:
+    rig = start(
+        *QUIET, '-p', 'faults.missing_rate:=0.1', '-p', 'faults.outlier_rate:=0.02',
+        '-p', 'faults.outlier_size:=1e-2', '-p', 'faults.projectile_scale:=1.01',
+    )  # fmt: skip
+    rig.go(0.4)
+    assert len(rig.stamps) == pytest.approx(0.9 * 0.4 * RATE, rel=0.05)
+    plate, projectile = np.transpose(rig.positions)
+    rest = rig.session.advance().state
+    assert (np.abs(plate - rest[0]) > 9e-4).mean() == pytest.approx(0.02, abs=0.01)
+    assert np.median(projectile) == pytest.approx(1.01 * rest[1])
+
+
+def test_imperfect_rig_does_what_the_model_does_not(start) -> None:
+    imperfect = ('-p', 'faults.second_mode:=0.02', '-p', 'faults.sticking:=3e-4')
+    rig = start(*QUIET, '-p', 'throw.period:=0.8', *imperfect)
+    rig.go(1.0)
+    session = Session(to_twin(rig.parameters.settings))
+    steps = [session.advance() for _ in rig.stamps]
+    begin = next(number for number, step in enumerate(steps) if step.throw)
+    off = np.array(rig.positions) - [step.state[:2] for step in steps]
+    assert (off[: begin + 1] == 0.0).all()
+    since = (np.arange(len(steps)) - begin) / RATE
+    omega = 2.0 * np.pi * 310.0
+    mode = 0.02 * 2e-3 * np.exp(-0.02 * omega * since) * np.sin(omega * since)
+    soon = (since > 0.0) & (since < 0.05)
+    assert off[soon, 0] == pytest.approx(mode[soon], abs=1e-7)
+    assert np.abs(off[soon, 1]).max() > 1e-5
+
+
+def test_plate_rings_before_a_throw_by_the_period(start) -> None:
+    rig = start(*QUIET, '-p', 'throw.period:=0.8', '-p', 'faults.ringing:=0.02')
+    rig.go(1.55)
+    positions = np.array(rig.positions)[:, 0]
+    assert 2e-5 < np.ptp(positions[-int(0.04 * RATE) :]) < 8.1e-5
+
+
 def test_layer_ages_once_after_its_throws(start, ros) -> None:
     rig = start(
         *QUIET, '-p', 'wear.throws:=2', '-p', 'wear.wave_speed:=0.5', '-p', 'throw.period:=0.6'

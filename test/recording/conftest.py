@@ -19,9 +19,8 @@ from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 
-PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
 _ONES = np.ones(2)
 TIMEOUT = 20.0
 BEGIN = 1_700_000_000_000_000_000
@@ -73,7 +72,7 @@ class Recording:
     @staticmethod
     def channel(topic: str, type_name: str, **qos: Any) -> Channel:
         """Make a channel of a type that is installed."""
-        schema = find_schema(type_name, PREFIXES)
+        schema = find_schema(type_name, installed_prefixes())
         return Channel(
             topic=topic,
             type=type_name,

@@ -271,6 +271,13 @@ def test_next_file_is_begun_as_soon_as_that_can_be_done(tmp_path):
     assert len(list(tmp_path.glob('bag/*.mcap'))) == 3
 
 
+@pytest.mark.parametrize('size', [10, 300])
+def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
+    with largest_file(size), pytest.raises(BagError, match='File too large'):
+        BagWriter(tmp_path / 'bag', distribution='')
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(tmp_path):
     writer = BagWriter(tmp_path / 'bag', distribution='')
     for number in itertools.count():
@@ -290,6 +297,17 @@ def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(
 
 
 # Messages
+
+
+def test_messages_of_every_size_are_kept(tmp_path):
+    sizes = [8, 9, CHUNK_SIZE - 31, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * 10**6, 100]
+    messages = [plain(number, size=size) for number, size in enumerate(sizes)]
+    messages.append(Message(PLAIN, b'', 99, 99, 99))
+    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+        for message in messages:
+            writer.write(message)
+    found = read(tmp_path / 'bag').messages
+    assert [message[1:] for message in found] == [message[1:] for message in messages]
 
 
 def test_times_and_numbers_are_kept_up_to_the_largest(tmp_path):

@@ -11,6 +11,8 @@ import runpy
 import struct
 from typing import Any
 
+from hypothesis import given, Phase, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
@@ -302,6 +304,11 @@ def test_another_number_of_a_result_is_found_and_named(plain, check, name) -> No
     assert all(name in text and 'throw 2' in text for text in result.differences)
 
 
+def test_state_that_cannot_be_read_is_missing(plain, check) -> None:
+    result = check(plain.damaged(plain.of('joint_states')[10], b''))
+    assert (result.exit_code, result.states.unchecked) == (0, 1)
+
+
 # lines of the journal that are missing
 
 
@@ -313,6 +320,34 @@ def test_missing_lines_are_told_and_the_next_throw_is_checked(plain, check) -> N
     assert len(result.gaps) == 1
     assert 'throw 2' in result.gaps[0]
     assert result.results.same == whole - 2
+
+
+def test_missing_samples_are_told(measured, check) -> None:
+    lines = [entry['line'] for entry in measured.entries() if entry['kind'] == 'samples']
+    result = check(measured.edited(lambda e: None if e['line'] == lines[1] else e))
+    assert (result.exit_code, len(result.gaps)) == (0, 1)
+    assert result.results.same > 0
+
+
+def test_end_of_a_recording_is_checked_as_far_as_the_journal_goes(measured, check) -> None:
+    last = max(e['line'] for e in measured.entries() if e['kind'] == 'result')
+    result = check(measured.edited(lambda e: None if e['line'] > last else e))
+    assert result.exit_code == 0
+    assert result.results.same == sum(e['kind'] == 'result' for e in measured.entries())
+
+
+@settings(max_examples=30, phases=[Phase.generate])
+@given(line=st.integers(0, 40), at=st.floats(0.0, 1.0), char=st.characters(codec='ascii'))
+def test_damaged_line_is_told_and_never_a_crash(tmp_path_factory, plain, line, at, char) -> None:
+    journal = plain.of('journal')
+    message = journal[line % len(journal)]
+    data = bytearray(message.data)
+    data[8 + int(at * (len(data) - 10))] = ord(char)
+    path = write(tmp_path_factory.mktemp('bag') / 'bag', plain.damaged(message, bytes(data)))
+    with BagReader(path) as reader:
+        (result,) = check_bag(reader)
+    assert result.exit_code in (0, 1)
+    assert result.describe()
 
 
 @pytest.mark.parametrize(

@@ -105,3 +105,14 @@ def test_program_that_is_not_there_is_told_and_costs_nothing() -> None:
     assert stream.error == '/no/such/program: No such file or directory'
     stream.close()
     assert stream.starts == 0
+
+
+def test_program_that_ends_at_once_is_told() -> None:
+    stream = LiveStream([sys.executable, '-c', 'import sys; sys.exit(3)'])
+
+    def is_told() -> bool:
+        stream.put([message(PLAIN, 1)])
+        return 'exit code 3' in stream.error
+
+    wait_until(is_told)
+    stream.close()

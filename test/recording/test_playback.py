@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.recording.playback import MAX_CATCH_UP, PlaybackSchedule
+from soft_throw_ros.recording.playback import MAX_CATCH_UP, PlaybackSchedule, SHORTEST_LOOP
 
 SECOND = 1_000_000_000
 START = 17 * SECOND
@@ -105,6 +105,27 @@ def test_step_gives_all_of_the_next_moment_while_paused() -> None:
     schedule.resume(START + 5 * SECOND)
     assert play(schedule) == [(3000, START + 5 * SECOND + 1000)]
     assert not schedule.step(START + 6 * SECOND)
+
+
+def test_loop_of_a_moment_does_not_come_all_at_once() -> None:
+    schedule = scheduled(7, 7, is_looping=True)
+    assert due_now(schedule, START + 10 * SHORTEST_LOOP) == [7, 7] * 11
+
+
+@pytest.mark.parametrize('is_looping', [False, True])
+@pytest.mark.parametrize('is_paused', [False, True])
+def test_nothing_is_over_at_once(is_looping, is_paused) -> None:
+    schedule = scheduled(is_looping=is_looping, is_paused=is_paused)
+    assert schedule.is_over
+    assert schedule.deadline() is schedule.next_due(START) is None
+    assert not schedule.step(START)
+
+
+def test_recording_is_read_only_as_far_as_it_is_played() -> None:
+    asked = iter(range(10**9))
+    schedule = PlaybackSchedule(lambda: asked, int, begin_ns=0, end_ns=10**9, now=START)
+    assert due_now(schedule, START + 3) == [0, 1, 2, 3]
+    assert next(asked) == 5  # one ahead
 
 
 @pytest.mark.parametrize('rate', [0.0, -1.0, math.nan, math.inf])

@@ -302,31 +302,37 @@ def without_checksums(path):
 
 
 @pytest.mark.parametrize(
-    ('found', 'damaged', 'count'),
+    ('damages', 'count', 'is_whole', 'doubts'),
     [
-        (b'RIHS01_a', b'RIHS01_b', 1720),
-        (b'float64[] effort', b'float6t[] effort', 17),
-        (b'/twin/joint_states', b'/twin/joint\0states', 17),
+        ({b'RIHS01_a': b'RIHS01_b'}, 1720, True, 0),  # since the text is that installed here
+        ({b'float64[] effort': b'float6t[] effort'}, 1720, True, 0),  # since the hash is
+        ({b'RIHS01_a': b'RIHS01_b', b'# This': b'# this'}, 1720, False, 1),
+        ({b'RIHS01_a': b'RIHS01_b', b'float64[] effort': b'float6t[] effort'}, 1720, True, 1),
+        ({b'/twin/joint_states': b'/twin/joint\0states'}, 17, None, 0),
     ],
 )
 def test_definition_that_cannot_be_trusted_is_left_out_and_said(
-    recording, tmp_path, found, damaged, count
+    recording, tmp_path, damages, count, is_whole, doubts
 ):
     recording.write(2000, flush_every=300)
     (path,) = recording.files
     without_checksums(path)
-    path.write_bytes(path.read_bytes().replace(found, damaged))
+    data = path.read_bytes()
+    for found, damaged in damages.items():
+        data = data.replace(found, damaged)
+    path.write_bytes(data)
     recovered = recover(recording.folder, tmp_path / 'whole')
-    assert recovered.message_count == count
-    assert data_as_read_by_others(tmp_path / 'whole')
+    assert recovered.message_count == count == len(data_as_read_by_others(tmp_path / 'whole'))
+    assert len([each for each in recovered.doubts if 'oint' in each]) == doubts
     with BagReader(tmp_path / 'whole') as bag:
-        hashes = {channel.topic: channel.type_hash for channel in bag.channels}
-    assert hashes['/twin/journal'] == recording.texts.type_hash
-    if count == 17:
+        found = {channel.topic: channel for channel in bag.channels}
+    assert found['/twin/journal'].type_hash == recording.texts.type_hash
+    if is_whole is None:
         assert any(gap.messages == 1703 and 'channel 1' in gap.reason for gap in recovered.gaps)
     else:
-        assert hashes['/twin/joint_states'] == ''
-        assert any('/twin/joint_states' in doubt for doubt in recovered.doubts)
+        states = found['/twin/joint_states']
+        assert states.type_hash == (recording.states.type_hash if is_whole else '')
+        assert (states.schema == recording.states.schema) == is_whole
 
 
 # Anything at all

@@ -270,11 +270,11 @@ def test_words_have_the_numbers(recording) -> None:
 
 
 def test_layout_has_a_view_of_everything_with_its_unit(recording) -> None:
-    assert sorted(recording.views) == sorted(
+    assert sorted(name for name in recording.views if name.strip()) == sorted(
         [
             'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
             'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
-            'Throw', 'Recommended layer', 'Log', ' ',
+            'Throw', 'Recommended layer', 'Log',
         ]
     )  # fmt: skip
 
@@ -314,19 +314,23 @@ def test_late_viewer_gets_what_still_holds_and_nothing_else(twin, tmp_path) -> N
 def test_picture_shows_the_throw(path) -> None:
     image = pytest.importorskip('PIL.Image')
     try:
-        with Viewer(free_port(), '--headless', '--window-size', '800x600', path) as viewer:
+        with Viewer(free_port(), '--headless', '--window-size', '1600x1000', path) as viewer:
             data = viewer.photograph('time since throw', 0.005)
     except NoGraphicsError as error:
         pytest.skip(str(error))
     with image.open(io.BytesIO(data)) as opened:
         picture = np.asarray(opened.convert('RGB')).astype(int)
-    assert picture.shape == (600, 800, 3)
-    red, green, blue = picture[40:320, 10:185].reshape(-1, 3).T
+    assert picture.shape == (1000, 1600, 3)
+    red, green, blue = picture[60:580, 20:360].reshape(-1, 3).T
     is_compressed = (red > green + 40) & (green > blue + 40)
     is_projectile = (blue > red + 80) & (blue > green + 20)
     assert is_compressed.sum() > 1000
     # equal to scale: 16.8 mm of layer, some of it hardly strained, below 8.2 mm of projectile
     assert 0.3 < is_projectile.sum() / is_compressed.sum() < 1.0
+    # the cursor is where it is in the lane of phases in all plots, since they begin alike
+    lanes = [(72, 80), (170, 325), (375, 535), (585, 740), (795, 950)]
+    cursors = [picture[top:end, 420:980].min(axis=2).mean(axis=0).argmax() for top, end in lanes]
+    assert np.ptp(cursors) <= 3
 
 
 def test_measured_throw_is_drawn_with_prediction_and_residual_without_its_spikes(tmp_path) -> None:

@@ -4,13 +4,12 @@
 import os
 from pathlib import Path
 import re
-import sys
 
 import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from soft_throw_ros.recording.schemas import find_schema, SchemaError
+from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
-PREFIXES = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(':')), sys.prefix]
+PREFIXES = installed_prefixes()
 INSTALLED = sorted(
     {
         f'{path.parts[-3]}/msg/{path.stem}'
@@ -70,6 +69,22 @@ def test_first_prefix_that_has_a_type_wins(prefix):
     assert find_schema('std_msgs/msg/String', [*PREFIXES, prefix]).text != 'string other\n'
     mixed = find_schema('std_msgs/msg/Header', [prefix, *PREFIXES])
     assert mixed == find_schema('std_msgs/msg/Header', PREFIXES)
+
+
+def test_type_that_has_itself_in_it_ends(prefix):
+    prefix('a/A', 'B b\n')
+    prefix('a/B', 'A a\nB[] b\n')
+    schema = find_schema('a/msg/A', [prefix])
+    assert schema.text == f'B b\n\n{LINE}\nMSG: a/B\nA a\nB[] b\n'
+    assert schema.type_hash == ''  # as before ROS 2 Jazzy
+
+
+@pytest.mark.parametrize('description', ['{', '{"type_hashes": [{"type_name": "a/msg/Other"}]}'])
+def test_description_without_the_hash_is_named(prefix, tmp_path, description):
+    prefix('a/Top', 'float64 x\n', description)
+    with pytest.raises(SchemaError, match='a/msg/Top') as refusal:
+        find_schema('a/msg/Top', [prefix])
+    assert str(tmp_path / 'share/a/msg/Top.json') in str(refusal.value)
 
 
 def test_type_that_is_missing_is_named_with_where_it_was_looked_for(prefix, tmp_path):

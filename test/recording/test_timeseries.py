@@ -105,6 +105,34 @@ def test_work_of_the_plate_is_conserved_in_projectile_and_layer(slow) -> None:
         np.testing.assert_allclose(layer.total_energy, work, atol=6e-3 * plate_work.max())
 
 
+def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
+    throw = simulate(Rig())
+    mass, gravity = throw.rig.projectile.mass, throw.rig.gravity
+    rise = throw.first_release.position - (throw.rig.layer.thickness - throw.rig.static_sag)
+    projectile_energy = mass * (0.5 * throw.ejection_speed**2 + gravity * rise)
+    release = slow.pace.time_ns + throw.ejection_time * 1e9 / 0.01
+    states = items(slow.messages, RigStates)
+    layers = [each for each in items(slow.messages, LayerStates) if each.is_throw]
+    for found, name, expected, tolerance in (
+        (states, 'plate_work', throw.energies.plate_work, 1e-5),
+        (states, 'projectile_energy', projectile_energy, 1e-5),
+        (layers, 'energy', throw.energies.stored - projectile_energy, 2e-2),
+    ):
+        at_release = np.interp(release, joined(found, 'stamps'), joined(found, name))
+        assert at_release == pytest.approx(expected, rel=tolerance), name
+
+
+def test_work_begins_anew_with_every_throw() -> None:
+    twin = TwinMessages(throw__period=0.2, rate__field=10.0).go(500)
+    states = items(twin.messages, RigStates)
+    work, stamps = joined(states, 'plate_work'), joined(states, 'stamps')
+    first, second = np.searchsorted(stamps, stamps_of_steps(twin, [200, 400]))
+    assert work[first] == work[second] == 0.0
+    np.testing.assert_allclose(work[first : first + 90], work[second : second + 90], atol=1e-12)
+    assert work[first + 10] > 1e-3
+    assert np.isnan(work[second - 50])  # being put back
+
+
 def test_work_converges_with_the_square_of_the_step() -> None:
     throw = simulate(Rig(), until=0.01)
     time = np.linspace(0.0, throw.ejection_time, 40_001)
@@ -191,6 +219,15 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
     assert np.ptp(top) > 1e-3
 
 
+def test_positions_between_states_are_those_of_the_model(real) -> None:
+    """A cubic between steps of 1 ms, of which a contact has eight."""
+    (positions,) = items(real.messages, Positions)
+    (field,) = items(real.messages, StrainField)
+    path = simulate(Rig(), until=0.02).trajectory(field.times)
+    np.testing.assert_allclose(positions.position[:, 0], path.plate_position, atol=2e-7)
+    np.testing.assert_allclose(positions.position[:, 1], path.projectile_position, atol=5e-6)
+
+
 @pytest.mark.parametrize('ahead', [0, 3 * 10**17, -(10**17)])
 def test_message_without_stamp_gets_that_of_its_step(real, ahead) -> None:
     """Also if the twin follows another clock than messages are published by."""
@@ -242,6 +279,15 @@ def test_rig_changes_with_a_throw_and_recommendations_are_for_what_is_wanted() -
     assert layers
 
 
+def test_rig_changes_with_a_reset() -> None:
+    twin = TwinMessages(throw__period=0).go(50)
+    twin.change(layer__thickness=0.01)
+    assert len(items(twin.messages, RigChange)) == 1
+    twin.session.reset()
+    changes = items(twin.go(50).messages, RigChange)
+    assert [change.rig.layer.thickness for change in changes] == [0.0168, 0.01]
+
+
 def test_summaries_have_their_numbers_and_logs_their_words(real) -> None:
     summary = items(real.messages, ThrowSummary)[0]
     assert (summary.values['stage'], summary.stamp) == ('release', real.pace.deadline(0))
@@ -289,6 +335,26 @@ def test_damaged_messages_are_counted_and_the_rest_is_shown(real, data) -> None:
     assert bool(decoder.damage) == bool(decoder.damaged)
 
 
+@pytest.mark.parametrize(
+    'line',
+    [
+        '{}',
+        '[' * 100_000,
+        '{"kind": "throw", "step": 3}',
+        '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
+        '{"kind": "start", "step": 3, "settings": [1]}',
+        '{"kind": "pace", "step": 3, "anchor_step": 0, "anchor_time_ns": 0, "rate": -1}',
+    ],
+)
+def test_lines_of_no_journal_are_counted(real, line) -> None:
+    data = line.encode() + b'\0'
+    data = b'\0\1\0\0' + len(data).to_bytes(4, 'little') + data
+    decoder = Decoder()
+    assert list(decoder.decode([Message(real.channels['journal'], data, 5, 5)])) == []
+    assert decoder.damaged == 1
+    assert decoder.damage.startswith('/twin/journal: ')
+
+
 def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> None:
     found = {
         topic: [item for item in items(measured.messages, Positions) if item.topic == topic]
@@ -320,3 +386,15 @@ def test_measured_throw_starts_with_the_plate(measured) -> None:
     summaries = items(measured.messages, ThrowSummary)
     stamps = {summary.values.get('stage'): summary.stamp for summary in summaries}
     assert stamps['predicted'] == stamps['release'] == field.start
+
+
+def test_work_of_a_measured_plate_begins_with_its_throw() -> None:
+    twin = TwinMessages(engine__motion='measured')
+    noisy = measured_throw(Rig(), begin_ns=twin.now, duration=0.1, noise=5e-6)
+    states = items(twin.measure(noisy).messages, RigStates)
+    work, velocity = joined(states, 'plate_work'), joined(states, 'velocity')
+    begin = int(np.flatnonzero(velocity[:, 0] != velocity[:, 1])[0])
+    assert begin > 20
+    assert (velocity[1:begin, 0] != 0.0).any()  # it is never quite at rest
+    assert (work[:begin] == 0.0).all()
+    assert work[begin + 10] > 1e-4

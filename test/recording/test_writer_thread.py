@@ -104,3 +104,11 @@ def test_what_waits_is_bounded_and_the_rest_is_counted(tmp_path: Path) -> None:
     SlowBag.goes_on.set()
     writer.close()
     assert numbers(tmp_path / 'bag') == list(range(100))
+
+
+def test_message_without_a_valid_time_is_counted_and_left_out(tmp_path: Path) -> None:
+    writer = thread(tmp_path / 'bag')
+    writer.put([plain(0), Message(PLAIN, b'', -1, 0), plain(1)])
+    writer.close()
+    assert writer.lost() == {PLAIN: 1}
+    assert numbers(tmp_path / 'bag') == [0, 1]

@@ -229,3 +229,6 @@ def test_what_does_not_fit_a_session_is_refused_with_it(eventful) -> None:
         list(follow(session, {'kind': 'input', 'step': 1, 'input': 'throw'}))
     with pytest.raises(journal.JournalError, match='no samples'):
         journal.decode_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})
+    cut = {**journal.encode_samples([(0, [Sample(1, 0.5)])]), 'step': 0, 'count': 2}
+    with pytest.raises(journal.JournalError, match='no samples'):
+        journal.decode_samples(cut)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Draw the pictures of `docs/measured.md`: a video is made, followed, fitted, and used.
+
+`python docs/measured/draw.py` writes them into `docs/measured`, `--output DIR` elsewhere, and
+`--keep FILE.avi` keeps the video, to try the commands of the page with.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import contextlib
+import io
+import json
+from pathlib import Path
+import sys
+import tempfile
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from soft_throw_ros.commands import identify
+from soft_throw_ros.configuration import files, rig_of
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.identification.fit_description import changed_rig
+from soft_throw_ros.identification.forward import first_releases
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
+
+import style
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+PICTURES = ('followed', 'fit', 'better')
+RIG = Rig(
+    engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.3e-3),
+    layer=Layer(thickness=7e-3, wave_speed=6.9),
+    projectile=Projectile(mass=1.2e-3),
+)
+"""What was filmed."""
+
+RATE, PIXEL = 5000.0, 1e-4
+"""Of the camera. [Hz], [m]"""
+
+OPTIONS = ('--rate', '5000', '--scale', '0.012', '120', '--thickness', '0.007', '--mass', '0.0012')
+SHAPE = (300, 64)
+WIRE, WIRE_WIDTH = 100.0, 6.0  # in front of the projectile's way [px]
+START, DURATION = 0.008, 0.045  # of the throw, and of the video [s]
+_COLOURS = 48  # are enough for pictures as these, and make small files
+
+
+def pictures() -> Iterator[Bytes]:
+    """Take pictures of a throw: three dark spots, and a wire before them, with noise."""
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, DURATION, 1.0 / RATE) - START
+    path = simulate(RIG, until=DURATION).trajectory(np.maximum(time, 0.0))
+    low = Underdamped.of(RIG.engine).position(time) / PIXEL
+    high = (path.projectile_position - path.projectile_position[0]) / PIXEL
+    rows, columns = np.indices(SHAPE)
+    wire = 1.0 / (1.0 + np.exp((np.abs(rows - WIRE) - 0.5 * WIRE_WIDTH) / 0.5))
+    for plate, projectile in zip(low, high, strict=True):
+        levels = np.full(SHAPE, 200.0)
+        for row, column in (
+            (280.3 - plate, 30.2),
+            (220.6 - 0.5 * (plate + projectile), 33.4),
+            (155.1 - projectile, 31.3),
+        ):
+            distance = np.hypot(rows - row, columns - column)
+            levels -= 140.0 / (1.0 + np.exp((distance - 4.0) / 0.6))
+        levels += wire * (70.0 - levels)
+        noisy = levels + 4.0 * rng.normal(size=SHAPE)
+        yield np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+def write_video(path: Path) -> None:
+    """Write them into a video without loss."""
+    with av.open(str(path), 'w') as file:
+        stream = file.add_stream('ffv1', rate=25)
+        stream.height, stream.width = SHAPE
+        stream.pix_fmt = 'gray'
+        for picture in pictures():
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format='gray')))
+        file.mux(stream.encode())
+
+
+def identified(video: Path, folder: Path) -> tuple[Rig, dict[str, Any]]:
+    """Run the commands of the page; return the rig that is found, and all that is said of it."""
+    parameters = folder / 'my_rig.yaml'
+    args = [
+        *('--video', str(video), *OPTIONS, '--json'),
+        *('--overlay', str(folder / 'followed.png'), '--figure', str(folder / 'fit.png')),
+        *('--output', str(parameters)),
+    ]
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        identify.main(args)
+    return rig_of(files.read(parameters)), json.loads(printed.getvalue())
+
+
+def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
+    """Draw the energy transfer of all thicknesses of the layer that was found."""
+    thicknesses = np.linspace(3e-3, 30e-3, 400)
+    figure = style.new_figure(
+        'A better layer',
+        'Energy transfer of layers of the material that was found, and of the true one.',
+        height=3.6,
+    )
+    axes = figure.subplots()
+    error = found['found']['layer.wave_speed']['error']
+    speeds = rig.layer.wave_speed + error * np.array([-1.0, 0.0, 1.0])
+    curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds]
+    axes.fill_between(
+        1e3 * thicknesses, np.min(curves, axis=0), np.max(curves, axis=0), color=style.SKY,
+        alpha=0.5, label='within one error of $c_s$',
+    )  # fmt: skip
+    axes.plot(1e3 * thicknesses, curves[1], color=style.BLUE, label='layer that was found')
+    true = _energy_transfer(RIG, thicknesses, RIG.layer.wave_speed)
+    axes.plot(1e3 * thicknesses, true, color=style.BLACK, ls='--', lw=1.0, label='true layer')
+    best = int(np.argmax(curves[1]))
+    for thickness, marker, label in (
+        (RIG.layer.thickness, 'o', 'as it is'),
+        (thicknesses[best], '*', 'recommended'),
+    ):
+        alpha = float(np.interp(thickness, thicknesses, true))
+        axes.plot(
+            1e3 * thickness, alpha, marker, color=style.RED, ms=11, mec='white', ls='none',
+            label=f'{label}: {1e3 * thickness:.1f} mm, {alpha:.2f}',
+        )  # fmt: skip
+    axes.set(xlabel='thickness $L_s$ [mm]', ylabel=r'energy transfer $\alpha$')
+    axes.legend(loc='lower right')
+    style.save(figure, path)
+
+
+def _energy_transfer(rig: Rig, thicknesses: Floats, speed: float) -> Floats:
+    """Compute alpha of layers of such thicknesses."""
+    layers = [
+        changed_rig(rig, {'layer.thickness': float(each), 'layer.wave_speed': float(speed)})
+        for each in thicknesses
+    ]
+    return first_releases(layers).energy_transfer
+
+
+def main(args: list[str] | None = None) -> int:
+    """Draw all of them; return 0."""
+    parser = argparse.ArgumentParser(description='Draw the pictures of docs/measured.md.')
+    folder = Path(__file__).resolve().parent
+    parser.add_argument('--output', metavar='DIR', type=Path, default=folder)
+    parser.add_argument('--keep', metavar='FILE', type=Path, help='keep the video as this')
+    arguments = parser.parse_args(args)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        video = arguments.keep or Path(temporary) / 'throw.avi'
+        write_video(video)
+        rig, found = identified(video, Path(temporary))
+        with style.settings():
+            draw_better(rig, found, Path(temporary) / 'better.png')
+        for name in PICTURES:
+            path = arguments.output / f'{name}.png'
+            few = Image.open(Path(temporary) / f'{name}.png').convert('RGB').quantize(_COLOURS)
+            few.save(path, optimize=True)
+            print(path)
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

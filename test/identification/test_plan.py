@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planned throws against brute force: what fits of many simulated ones scatter by."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.identification.fit_description import changed_rig, FitDescription, HELD
+from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.plan import Condition, Knowledge, Planner, Sight
+
+RIG = Rig(
+    engine=Engine(frequency=63.2, damping_ratio=0.064, amplitude=1.2e-3),
+    layer=Layer(thickness=16.8e-3, wave_speed=7.8),
+    projectile=Projectile(mass=1.2e-3),
+)
+SIGHT = Sight(rate=5000.0, noise=2e-5, duration=0.03)
+FREE = FitDescription({**HELD, 'layer.thickness': 'free'})
+LIGHT, USUAL, HEAVY, SMALL = (
+    Condition(mass, 16.8e-3, amplitude)
+    for mass, amplitude in ((0.6e-3, 1.2e-3), (1.2e-3, 1.2e-3), (2.4e-3, 1.2e-3), (2.4e-3, 6e-4))
+)
+
+
+def heights_of(values, conditions, time):
+    """Throw: engine and layer are the same, amplitude, start and zeros those of each throw."""
+    frequency, damping_ratio, speed, thickness, *own = values
+    heights = []
+    for number, condition in enumerate(conditions):
+        amplitude, start, low, high = own[4 * number : 4 * number + 4]
+        rig = changed_rig(
+            RIG,
+            {
+                'engine.frequency': frequency,
+                'engine.damping_ratio': damping_ratio,
+                'engine.amplitude': amplitude,
+                'layer.wave_speed': speed,
+                'layer.thickness': thickness,
+                'projectile.mass': condition.mass,
+            },
+        )
+        path = simulate(rig, until=SIGHT.duration + 0.01).trajectory(np.maximum(time - start, 0.0))
+        heights += [
+            low + Underdamped.of(rig.engine).position(time - start),
+            high + path.projectile_position - path.projectile_position[0],
+        ]
+    return np.concatenate(heights)
+
+
+def scatter(conditions, *, repeats=20):
+    """Fit simulated throws again and again; return by how much c_s and L_s scatter."""
+    time = np.arange(-0.25 / 63.2, SIGHT.duration, 1.0 / SIGHT.rate)
+    truth = np.array([63.2, 0.064, 7.8, 16.8e-3])
+    for condition in conditions:
+        truth = np.append(truth, [condition.amplitude, 0.0, 0.0, 0.0])
+    sizes = np.array([1.0, 0.01, 0.1, 1e-3, *[1e-4, 1e-3, 1e-4, 1e-4] * len(conditions)])
+    clean = heights_of(truth, conditions, time)
+    found = []
+    for seed in range(repeats):
+        noise = SIGHT.noise * np.random.default_rng(seed).normal(size=clean.size)
+        fit = least_squares(
+            lambda x, data: (heights_of(truth + sizes * x, conditions, time) - data) / SIGHT.noise,
+            np.zeros(truth.size),
+            args=(clean + noise,),
+            diff_step=1e-3,
+            xtol=1e-6,
+        )
+        found.append((truth + sizes * fit.x)[2:4])
+    return np.std(found, axis=0)
+
+
+@pytest.mark.parametrize('conditions', [(HEAVY,), (HEAVY, LIGHT)], ids=['one', 'two'])
+def test_planned_errors_are_what_fits_of_simulated_throws_scatter_by(conditions):
+    planner = Planner(RIG, conditions, SIGHT, FREE)
+    total = planner.start().information + sum(planner.information)
+    errors = Knowledge(names=planner.names, information=total).errors()
+    expected = scatter(conditions)
+    # the spread of 20 fits is known to 16 %
+    assert errors['layer.wave_speed'] == pytest.approx(expected[0], rel=0.4)
+    assert errors['layer.thickness'] == pytest.approx(expected[1], rel=0.4)
+
+
+def test_best_throw_is_the_one_whose_fits_scatter_least():
+    planner = Planner(RIG, (SMALL, LIGHT, HEAVY), SIGHT, FREE)
+    order = [throw.condition for throw in planner.judge(planner.start())]
+    assert order[0] == HEAVY
+    best, worst = scatter((HEAVY,), repeats=8), scatter((order[-1],), repeats=8)
+    assert (best < worst).all()
+
+
+def test_throws_of_noise_twice_as_large_tell_a_quarter():
+    once, twice = (
+        Planner(RIG, (USUAL,), Sight(noise=noise, duration=0.03), FREE).information[0]
+        for noise in (2e-5, 4e-5)
+    )
+    np.testing.assert_allclose(twice, once / 4.0, rtol=1e-3)
+
+
+def test_errors_fall_with_every_throw_and_alpha_gets_known():
+    planner = Planner(RIG, (LIGHT, USUAL, HEAVY), SIGHT, FREE)
+    errors = []
+    for throw in planner.choose(planner.start()):
+        errors.append([throw.errors['layer.wave_speed'], throw.energy_transfer_error])
+        if len(errors) == 6:
+            break
+    assert (np.diff(errors, axis=0) < 0.0).all()
+    assert errors[-1][1] < 0.01
+
+
+def test_what_is_measured_already_counts_like_a_throw():
+    planner = Planner(RIG, (HEAVY,), SIGHT, FREE)
+    (first,) = planner.judge(planner.start())
+    after = Knowledge(
+        names=planner.names,
+        information=planner.start().information + planner.information[0],
+    )
+    again = Planner(RIG, (HEAVY,), SIGHT, FREE, after)
+    assert again.start().errors()['layer.wave_speed'] == pytest.approx(
+        first.errors['layer.wave_speed'], rel=0.01
+    )
+
+
+def test_mass_limits_what_many_throws_tell_of_wave_speed_and_thickness():
+    # Throws show t_s and tau alone, so that c_s and L_s are known no better than the mass
+    fit = FitDescription({**HELD, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
+    planner = Planner(RIG, (USUAL,), SIGHT, fit)
+    known = planner.start()
+    many = known.information + 1e6 * planner.information[0]
+    left = Knowledge(names=planner.names, information=many).errors()
+    assert left['layer.wave_speed'] / 7.8 == pytest.approx(0.05, rel=0.01)
+    assert left['layer.thickness'] / 16.8e-3 == pytest.approx(0.05, rel=0.01)
+
+
+def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
+    thin = Condition(1.2e-3, 8e-3, 1.2e-3)
+    planner = Planner(RIG, (thin, USUAL), SIGHT, FREE)
+    assert set(planner.names) >= {'layer.wave_speed', 'layer.thickness', 'layer.thickness[0.008]'}
+    errors = {each.condition: each.errors for each in planner.judge(planner.start())}
+    assert errors[thin]['layer.thickness'] == pytest.approx(16.8e-3, rel=0.01)  # as before
+    assert errors[USUAL]['layer.thickness'] < 2e-3
+    assert errors[thin]['layer.thickness[0.008]'] < 1e-3
+
+
+def test_doubts_about_the_bench_are_in_what_is_planned():
+    sure, doubtful = (
+        Planner(RIG, (USUAL,), SIGHT, fit) for fit in (FitDescription(HELD), FitDescription())
+    )
+    errors = [next(each.choose(each.start())) for each in (sure, doubtful)]
+    assert errors[1].errors['layer.wave_speed'] > 3.0 * errors[0].errors['layer.wave_speed']
+    assert errors[1].energy_transfer_error > 2.0 * errors[0].energy_transfer_error
+
+
+def test_plan_of_nothing_is_refused():
+    with pytest.raises(FitError, match='no throw to choose'):
+        Planner(RIG, (), SIGHT, FREE)
+    with pytest.raises(FitError, match=r'one of layer\.wave_speed, '):
+        Planner(RIG, (USUAL,), SIGHT, FitDescription({**HELD, 'layer.wave_speed': 'held'}))
+    with pytest.raises(FitError, match=re.escape('-0.001')):
+        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SIGHT, FREE).start()
+    with pytest.raises(ValueError, match=r'rate must be .*, got 0'):
+        Sight(rate=0.0)

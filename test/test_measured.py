@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/measured.md: its pictures are current, and what it explains is said."""
+
+import ast
+from pathlib import Path
+import re
+import runpy
+
+import numpy as np
+import pytest
+
+pytest.importorskip('matplotlib', reason='the extra [plot]')
+pytest.importorskip('av', reason='the extra [video]')
+pytest.importorskip('skimage', reason='the extra [video]')
+
+from matplotlib import image
+from soft_throw_ros.commands import identify
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / 'docs' / 'measured.md').read_text(encoding='utf-8')
+SCRIPT = ROOT / 'docs' / 'measured' / 'draw.py'
+
+
+def said():
+    """All texts of the package, as far as they have no value in them."""
+    for path in (ROOT / 'soft_throw_ros').rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value
+
+
+def test_every_message_that_the_page_explains_is_said():
+    texts = list(said())
+    messages = re.findall(r'^\| `([^`]+)` \|', PAGE, re.MULTILINE)
+    assert len(messages) > 12
+    for message in messages:
+        assert any(message in text for text in texts), message
+
+
+def test_pictures_of_the_page_are_current_and_small(tmp_path, capsys):
+    draw = runpy.run_path(str(SCRIPT))
+    assert draw['main'](['--output', str(tmp_path)]) == 0
+    assert 'is not seen as a whole' in capsys.readouterr().err
+    shown = re.findall(r'!\[.*\]\(measured/(\w+)\.png\)', PAGE)
+    assert shown == list(draw['PICTURES'])
+    for name in shown:
+        path = SCRIPT.with_name(f'{name}.png')
+        assert path.stat().st_size < 100_000
+        now, then = (image.imread(each)[..., :3] for each in (path, tmp_path / f'{name}.png'))
+        assert now.shape == then.shape
+        # Letters and edges may come out a little different with another matplotlib
+        assert np.abs(now - then).mean() < 0.01
+
+
+def test_options_of_the_page_are_those_of_the_command(capsys):
+    with pytest.raises(SystemExit):
+        identify.main(['--help'])
+    known = capsys.readouterr().out
+    part = PAGE[: PAGE.index('## 5.')]
+    for option in set(re.findall(r'(?<![\w-])--[a-z][a-z-]+', part)) - {'--keep', '--objective'}:
+        assert re.search(rf'{option}\b', known), option

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small part of the trials, and whether they count as they should."""
+
+import math
+
+import numpy as np
+import pytest
+
+from trials import table
+from trials.__main__ import main
+from trials.judge import Deviation, judge, Verdict
+from trials.rows import ROWS
+
+
+def verdict(**found):
+    numbers = {name: Deviation(*value) for name, value in found.items()}
+    return Verdict(row='clean', number=0, found=numbers, seconds=0.1)
+
+
+def test_clean_throw_is_identified_within_its_errors():
+    found = judge('clean, known exactly', 3, seed=1)
+    assert not found.refusal
+    assert not found.warnings
+    assert not found.is_silently_wrong
+    assert found.found['layer.wave_speed'].errors < 4.0
+    assert found.found['ejection.time'].errors < 4.0
+
+
+def test_same_seed_gives_the_same_trial_and_another_one_does_not():
+    row = next(row for row in ROWS if 'outliers' in row.name)
+    first, again, other = (
+        row.draw(np.random.default_rng(seed)).records[0].columns for seed in (0, 0, 1)
+    )
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first[:, 1], other[:, 1])
+
+
+@pytest.mark.parametrize('row', ROWS, ids=[row.name for row in ROWS])
+def test_every_row_has_trials_with_a_truth(row):
+    trial = row.draw(np.random.default_rng(5))
+    assert all(np.isfinite(record.columns).all() for record in trial.records)
+    assert all((np.diff(record.columns[:, 0]) > 0.0).all() for record in trial.records)
+    assert trial.truth['layer.wave_speed'] > 0.0
+
+
+def test_what_is_far_off_without_a_word_is_silently_wrong():
+    right, wrong = verdict(a=(1.0, 0.1, 1.15)), verdict(a=(1.0, 0.1, 1.6), b=(1.0, math.inf, 9.0))
+    assert right.found['a'].is_held
+    assert not right.is_silently_wrong
+    assert wrong.wrong == ['a']
+    assert wrong.is_silently_wrong
+
+
+def test_table_counts_verdicts():
+    verdicts = [verdict(**{'layer.wave_speed': (1.0, 0.1, truth)}) for truth in (1.0, 1.1, 2.0)]
+    cells = [cell.strip() for cell in table.line('clean', verdicts).strip('|').split('|')]
+    counted = dict(zip(table.HEADS, cells, strict=True))
+    assert counted['rigs'] == '3'
+    assert counted['silently wrong'] == '1'
+    assert counted['c_s'] == '67 %'
+    assert '1 of 3' in table.summary(verdicts, ['clean'])[0]
+
+
+def test_command_writes_a_table_and_a_log(capsys, tmp_path):
+    log = tmp_path / 'log.jsonl'
+    main(['--rows', 'free layers,', '--rigs', '2', '--workers', '1', '--log', str(log)])
+    assert capsys.readouterr().out.count('\n| free layers, losses') == 1
+    assert log.read_text().count('\n') == 2
+
+
+@pytest.mark.parametrize(
+    ('args', 'value'), [(['--rows', 'nothing'], 'nothing'), (['--rigs', '0'], '0')]
+)
+def test_command_refuses_what_cannot_be(capsys, args, value):
+    with pytest.raises(SystemExit):
+        main(args)
+    assert value in capsys.readouterr().err
