@@ -42,7 +42,7 @@ endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install twin throw identify demo loop inspect lint bench trials figures clean
-.PHONY: test test-jazzy test-kilted test-without-vulkan
+.PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
 
@@ -83,7 +83,7 @@ figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/paper/draw.py $(ARGS)
 	$(BIN)/python docs/measured/draw.py
 
-test: test-jazzy test-kilted test-without-vulkan
+test: test-jazzy test-kilted test-apt test-without-vulkan
 
 lint: .venv/jazzy/.testable
 	.venv/jazzy/bin/ruff check
@@ -95,6 +95,20 @@ test-jazzy: lint $(KERNELS)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
 	.venv/kilted/bin/python -m pytest $(PARALLEL) test/nodes test/test_package.py
+
+# With what apt has on Ubuntu 24.04, whose numba knows no Python after 3.12.
+test-apt:
+	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
+		$(MAKE) .venv/apt/.tested; \
+	else \
+		echo 'test-apt is left out: $(PYTHON) is newer than what apt has'; \
+	fi
+
+.PHONY: .venv/apt/.tested
+.venv/apt/.tested: .venv/apt/.installed
+	.venv/apt/bin/pip install --quiet -r requirements/apt.txt -e '.[test]'
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv/apt/kernels \
+		.venv/apt/bin/python -m pytest $(PARALLEL) test/core test/nodes
 
 # As on a machine with nothing to draw with: what takes pictures is skipped, and nothing fails.
 test-without-vulkan: .venv/jazzy/.testable $(KERNELS)
