@@ -71,8 +71,6 @@ class Trial:
         `ejection.time` and so on.
     thicknesses : tuple of float
         Of free layers that ring, one for each record, if it is these. [m]
-    must_warn : bool
-        Whether there is something that only a warning can be right about.
     peak_strain : float
         Largest in the layers. [-]
 
@@ -82,7 +80,6 @@ class Trial:
     arguments: tuple[str, ...] = ()
     truth: Mapping[str, float] = field(default_factory=dict)
     thicknesses: tuple[float, ...] = ()
-    must_warn: bool = False
     peak_strain: float = 0.0
 
 

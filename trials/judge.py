@@ -65,8 +65,6 @@ class Verdict:
         `averages.time` and so on by running averages.
     seconds : float
         That it took. [s]
-    must_warn : bool
-        Whether there is something that only a warning can be right about.
     peak_strain : float
         [-]
 
@@ -78,7 +76,6 @@ class Verdict:
     warnings: tuple[str, ...] = ()
     found: Mapping[str, Deviation]
     seconds: float
-    must_warn: bool = False
     peak_strain: float = 0.0
 
     @property
@@ -89,7 +86,7 @@ class Verdict:
     @property
     def is_silently_wrong(self) -> bool:
         """Whether something is far off without a word."""
-        return not self.refusal and not self.warnings and bool(self.wrong or self.must_warn)
+        return not self.refusal and not self.warnings and bool(self.wrong)
 
 
 def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
@@ -131,7 +128,6 @@ def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
         warnings=tuple(report.get('warnings', ())),
         found=_compare(report, trial.truth),
         seconds=seconds,
-        must_warn=trial.must_warn,
         peak_strain=trial.peak_strain,
     )
 
