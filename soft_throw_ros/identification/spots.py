@@ -15,12 +15,14 @@ are found within 0.003 pixels, and with noise of 4 levels within 0.02 pixels (rm
 
 What covers a part of a spot shifts its centre of mass, and makes it unlike itself turned by half
 a turn, which neither blur by motion nor uneven light does. So a spot counts as seen only if it
-is apart from all else that is dark, as large, dark and round as before, and as symmetric.
-Otherwise the sample is missing, and the spot is looked for where it may have got to: the doubt
-about its place grows by the largest acceleration of all spots. If two are found there, neither
-is taken. The samples beside a gap are left out, too, and so is what is seen for a few pictures
-only. One that moves farther while a picture is taken is longer, and a wider circle is taken around
-it. What covers it in the first picture already cannot be told from its shape.
+is apart from all else that is dark, as large, dark and round as before, and as symmetric; one
+that moves far while a picture is taken is longer. Otherwise the sample is missing, and the spot
+is looked for where it may have got to: the doubt about its place grows by the largest
+acceleration of all spots. If two are found there, neither is taken, and if it may be too far away
+it is given up. What comes after a gap counts if the speeds on both sides explain the way in
+between, and if it is not aside: what hides at first may appear where another spot has hidden.
+The samples beside a gap are left out, too, and so is what is seen for a few pictures only. What
+covers a spot in the first picture already cannot be told from its shape.
 
 trackpy links spots over gaps as well, but within a range that does not grow with the gap, and it
 takes what is partly covered for a spot; that is where the errors are.
@@ -66,6 +68,10 @@ _MAX_ASYMMETRY = 0.03  # of its darkness that turning it changes otherwise than 
 _ASYMMETRY_NOISE = 0.7  # times the noise of a pixel over the darkness that this may be more
 _MASS_NOISE = 4.0  # times its standard error that the mass may be off
 _MIN_ACCELERATION = 0.1  # of spots that is reckoned with [px per picture squared]
+_ACCELERATION_SPAN = 4  # pictures between the places that the acceleration is seen from
+_MAX_DOUBT = 3.0  # diameters; farther away it may be another spot
+_BEND = 0.125  # of what the acceleration does in a gap, that mean speeds may be off
+_ASIDE, _TILT = 0.5, 0.02  # that it may be aside then [px], and for each pixel up or down
 _MIN_RUN = 3  # pictures one after the other that show a spot
 _LEVELS = 63.0  # grey levels to find spots with
 
@@ -312,7 +318,6 @@ class _SpotTracker:
         self._first: _Sighting | None = None
         self._seen: list[tuple[int, _Sighting]] = []
         self._usual_mass = 0.0
-        self._is_steady = False  # whether the last two pictures show it
         self._is_lost = False
 
     @property
@@ -331,12 +336,15 @@ class _SpotTracker:
         least = max(acceleration, _MIN_ACCELERATION)
         if found is None:
             self._velocity_doubt += least
-            self.doubt = min(self.doubt + self._velocity_doubt, float(max(picture.shape)))
+            self.doubt += self._velocity_doubt
             self._expected = self._expected + self._velocity
             edge = 0.5 * self._diameter + _BLUR + 1.0
             beyond = np.maximum(edge - self._expected, self._expected + edge - picture.shape)
-            if beyond.max() > 0.0:
-                self._is_lost, self.doubt = True, 0.0  # it has left the picture
+            if beyond.max() > 0.0 or self.doubt > _MAX_DOUBT * self._diameter:
+                self._is_lost, self.doubt = (
+                    True,
+                    0.0,
+                )  # it has left the picture, or may be anywhere
             if self._velocity_doubt > np.linalg.norm(self._velocity):
                 self._velocity = np.zeros(2)  # it may have turned
             return
@@ -345,10 +353,6 @@ class _SpotTracker:
             before, last = self._seen[-1]
             velocity = (found.place - last.place) / (number - before)
             self._velocity_doubt = (number - before - 1) * least
-            if self._is_steady and number == before + 1:
-                change = float(np.linalg.norm(velocity - self._velocity))
-                self.acceleration = max(self.acceleration, change)
-            self._is_steady = number == before + 1
             self._velocity = velocity
         self.doubt = 0.0
         self._expected = found.place + self._velocity
@@ -357,6 +361,16 @@ class _SpotTracker:
         self._usual_mass += (found.mass - self._usual_mass) / memory
         self._first = self._first or found
         self._seen.append((number, found))
+        self._see_acceleration()
+
+    def _see_acceleration(self) -> None:
+        """Tell the acceleration from three places that are far enough apart not to be noise."""
+        span = _ACCELERATION_SPAN
+        if len(self._seen) > 2 * span:
+            (first, before), (_, middle), (last, after) = self._seen[-1 - 2 * span :: span]
+            if last - first == 2 * span:
+                bend = after.place - 2.0 * middle.place + before.place
+                self.acceleration = max(self.acceleration, float(np.linalg.norm(bend)) / span**2)
 
     def result(self) -> Spot:
         """Return what was seen for long enough, but for the samples beside gaps."""
@@ -367,11 +381,27 @@ class _SpotTracker:
             for place, run in enumerate(runs)
             if run.size >= _MIN_RUN + (place > 0) + (place < len(runs) - 1)
         ]
+        while len(kept) > 1 and not all(map(self._is_one_motion, kept, kept[1:])):
+            kept.pop()
         places = np.concatenate(kept) if kept else np.zeros(0, dtype=np.intp)
         seen = [self._seen[place][1] for place in places]
         row, column = np.array([each.place for each in seen]).reshape(-1, 2).T
         error = float(np.sqrt(np.mean(np.square([each.error for each in seen] or [0.0]))))
         return Spot(picture=numbers[places], row=row, column=column, error=error)
+
+    def _is_one_motion(self, before: Integers, after: Integers) -> bool:
+        """Tell whether the speeds on both sides of a gap explain how far it went in between."""
+        pairs = ((before[-_MIN_RUN], before[-1]), (after[0], after[_MIN_RUN - 1]))
+        (one, end), (start, other) = ((self._seen[i], self._seen[k]) for i, k in pairs)
+        speeds = [
+            (late[1].place - early[1].place) / (late[0] - early[0])
+            for early, late in ((one, end), (start, other))
+        ]
+        pictures = start[0] - end[0]
+        off = start[1].place - end[1].place - 0.5 * pictures * (speeds[0] + speeds[1])
+        most = 0.5 * self._diameter + _BEND * self.acceleration * pictures**2
+        up, aside = np.abs(start[1].place - end[1].place)
+        return bool(np.linalg.norm(off) < most and aside < _ASIDE + _TILT * up)
 
     def _find(self, picture: Picture, others: Sequence[_Circle]) -> _Sighting | None:
         """Look for it; return nothing if it is not there as a whole, or if two may be it."""
@@ -401,6 +431,8 @@ class _SpotTracker:
         if len(whole) > 1 and self.doubt > 0.0:
             return None
         middle = self._expected - corner
+        far = 0.5 * self._diameter + _MARGIN + self.doubt + smear
+        whole = [each for each in whole if math.dist(each.place, middle) < far]
         near = min(whole, key=lambda each: math.dist(each.place, middle), default=None)
         return near and near._replace(place=near.place + corner)
 
