@@ -221,15 +221,17 @@ def ejection_of(found: RigFit) -> Ejection:
     if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
     seen = ~np.isnan(releases.time)
+    later, faster = found.release_shift()
+    speed = releases.speed + faster
 
     def estimate(values: Floats) -> Estimate:
         error = float(np.std(values[seen], ddof=1)) if seen.sum() > 1 else 0.0
         return Estimate(float(values[0]), error)
 
     return Ejection(
-        time=estimate(releases.time + found.sticking()),
-        speed=estimate(releases.speed),
+        time=estimate(releases.time + later),
+        speed=estimate(speed),
         peak_plate_speed=estimate(releases.peak_plate_speed),
-        energy_transfer=estimate(releases.energy_transfer),
+        energy_transfer=estimate((speed / releases.peak_plate_speed) ** 2),
         is_near_jump=bool(np.mean(releases.echoes[seen] != releases.echoes[0]) > _JUMP_SHARE),
     )
