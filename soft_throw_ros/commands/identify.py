@@ -253,7 +253,7 @@ def _identify_throws(
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
-    found = fit_rig(throws, rig, description)
+    found = fit_rig(throws, rig, description, tell=_show_progress)
     warnings = found.fit.warnings()
     lines = [*budget_lines(found), '', *found.remarks, *fit_lines(found.fit)]
     ejection, averages = None, dict[int, Ejection]()
@@ -301,6 +301,12 @@ def _identify_throws(
         },
         warnings=tuple(warnings),
     )
+
+
+def _show_progress(text: str) -> None:
+    """Say what is being done, to somebody who waits at a terminal."""
+    if sys.stderr.isatty():
+        print(f'identify: {text} ...', file=sys.stderr, flush=True)
 
 
 def _running_averages(

@@ -78,8 +78,11 @@ class ThrowSimulator:
             If the model refuses the rig, or would take too long.
 
         """
-        begin = 0.0 if motion is None else motion.start_time
-        moments, places = np.unique(np.maximum(time, begin), return_inverse=True)
+        begin = 0.0  # steppers begin at 0
+        if motion is not None:
+            begin = motion.start_time
+            motion = SampledMotion(motion.times - begin, motion.states, motion.after)
+        moments, places = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
         try:
             stepper = self._make_stepper(rig, motion, float(moments[-1]), moments.size, by_cells)
             states = np.empty((moments.size, stepper.state.size))
@@ -91,7 +94,8 @@ class ThrowSimulator:
         except (ValueError, EventLimitError) as error:
             raise FitError(f'the throw cannot be followed: {error}') from None
         position, velocity = states[places][:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]].T
-        return ProjectilePath(position, velocity, tuple(stepper.events()))
+        events = (each._replace(time=each.time + begin) for each in stepper.events())
+        return ProjectilePath(position, velocity, tuple(events))
 
     def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
         """Find when the projectile falls onto the layer; infinity if not before `until` [s]."""

@@ -39,11 +39,13 @@ Floats = NDArray[np.float64]
 NEAR = 9.0
 """By how much chi squared of another minimum may be larger for it to be named."""
 
-_SCAN = np.linspace(-0.04, 0.04, 33)  # relative changes of the wave speed, to see other minima
+_SCAN = np.linspace(-0.08, 0.08, 65)  # relative changes of the wave speed, to see other minima
 _PROMISING = 60.0  # chi squared above the best from which a fit is still tried
-_MOST_TERMS = 5  # that are added one after the other
+_MOST_STARTS = 4  # of other minima, the most promising ones first, each with ...
+_EVALUATIONS = 20  # of the model
+_MOST_TERMS = 3  # that are added one after the other
 _GAIN = 12.0  # of chi squared by which a term is seen, unless it is one of ...
-_GAINS = {'plate.ringing': 16.0, 'plate.mode': 30.0}
+_GAINS = {'plate.ringing': 16.0, 'plate.mode': 30.0, 'projectile.sticking': 6.0}
 _POSITIVE = ('layer.loss_tangent', 'projectile.sticking')
 _TRIALS = {  # values by which it is tried whether a term is seen
     'layer.loss_tangent': 0.01,
@@ -83,9 +85,9 @@ def find_best_minimum(
         trial = replace(model, rig=changed_rig(model.rig, values_of(rig, LAYER)))
         starts.append(trial.start(plates))
     found = [fit]
-    for start in starts:
+    for start in starts[:_MOST_STARTS]:
         try:
-            other = model.fit(start, noise=noise)
+            other = model.fit(start, noise=noise, max_evaluations=_EVALUATIONS)
         except EffortError:
             break
         except FitError:
@@ -132,11 +134,12 @@ def _find_valleys(model: RigModel, fit: Fit, noise: Floats) -> list[Floats]:
         moved[others] += change / sizes
         values.append(moved)
     limit = min(profile) + _PROMISING
-    return [
-        values[k]
+    valleys = [
+        k
         for k in range(1, len(profile) - 1)
         if profile[k] < min(profile[k - 1], profile[k + 1], limit) and k != _SCAN.size // 2
     ]
+    return [values[k] for k in sorted(valleys, key=lambda k: profile[k])]
 
 
 class _Candidate(NamedTuple):
@@ -172,8 +175,10 @@ def add_terms(
             break
         except FitError:
             break  # what explains so much cannot be followed
+        if found.reduced_chi2 >= fit.reduced_chi2:
+            break  # it led elsewhere
         remarks.append(_remark(best, fit, found))
-        model, fit = best.model, replace(found, alternatives=fit.alternatives)
+        model, fit = best.model, find_best_minimum(best.model, plates, found, [])
     return model, fit, remarks
 
 
@@ -185,10 +190,9 @@ def _try_term(
         return None
     wider = replace(model, description=model.description.see(name))
     if name == 'plate.mode':
-        mode = _mode_of(model, fit)
-        if mode is None:
+        wider = replace(wider, mode=_mode_of(model, fit))
+        if wider.mode is None:
             return None
-        wider = replace(wider, mode=mode)
     start = wider.start_from(fit, plates)
     parts = WAVES.get(name, (name,))
     start[[place for part in parts for place in wider.places_of(part)]] = 0.0

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 _LEAD_IN = 2.0  # periods before a record in which what rings begins to
 _NODES_PER_PERIOD = 40.0  # of the motion that steppers take
-_JUMP = 1e-8  # [s] that the plate takes to get from rest to its first velocity and acceleration
+_JUMP = 3e-5  # before and after the start, between which velocity and acceleration change [s]
 _LOWEST = 1.5  # frequency of a second mode, over that of the first
 _PER_CYCLE = 2.5  # samples at least, of a second mode
 _DAMPING_RATIOS = (0.005, 0.02, 0.06)
@@ -58,12 +58,14 @@ class PlateWithModes(NamedTuple):
         """Sample it from a lead-in before `first` to `last` [s]; None if it is a mere step."""
         if not any(self.waves):
             return None
-        lead = _LEAD_IN / self.step.frequency
         fastest = self.mode.frequency if self.mode else self.step.frequency
-        begin, end = min(first, 0.0) - lead, max(last, 0.0) + 1e-3
-        count = math.ceil((end - begin) * _NODES_PER_PERIOD * fastest)
-        times = np.linspace(begin, end, count)
-        times = np.unique(np.concatenate([times[np.abs(times) > 2.0 * _JUMP], [-_JUMP, 0.0]]))
+        spacing = 1.0 / (_NODES_PER_PERIOD * fastest)
+        lead = _LEAD_IN / self.step.frequency
+        before = math.ceil((lead - min(first, 0.0)) / spacing)
+        after = math.ceil(max(last, 0.0) / spacing) + 1
+        steps = np.delete(np.arange(-before, after + 1), before).astype(np.float64)
+        times = np.sort(np.append(spacing * steps, [-_JUMP, _JUMP]))
+        begin = float(times[0])
         orders = [self._of_waves(times, order) for order in range(3)]
         # What rings begins smoothly, by a polynomial that rises to 1 in the lead-in
         part = np.clip((times - begin) / lead, 0.0, 1.0)

@@ -21,7 +21,7 @@ is so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 import math
@@ -110,9 +110,9 @@ class RigFit:
         """When a throw began, on the clock of its tracks; they count from 0. [s]"""
         return self._model.value(self.fit.values, START, throw)
 
-    def sticking(self) -> float:
-        """For how long the layer holds the projectile when it would leave. [s]"""
-        return self._model.value(self.fit.values, 'projectile.sticking', 0)
+    def release_shift(self) -> tuple[float, float]:
+        """How sticking and waves of the plate change time [s] and speed [m/s] of leaving."""
+        return self._model.release_shift(self.fit.values, 0)
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
@@ -133,7 +133,11 @@ class RigFit:
 
 
 def fit_rig(
-    throws: Sequence[ThrowTracks], rig: Rig, description: FitDescription | None = None
+    throws: Sequence[ThrowTracks],
+    rig: Rig,
+    description: FitDescription | None = None,
+    *,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> RigFit:
     """
     Fit a rig to the tracks of one throw or many.
@@ -147,6 +151,8 @@ def fit_rig(
         be right to a third.
     description : FitDescription, optional
         What is fitted, held, or known with an error; what is usual by default.
+    tell : callable
+        Is told what is being done, in a few words.
 
     Raises
     ------
@@ -167,9 +173,13 @@ def fit_rig(
     model = RigModel(tuple(throws), rig, description, simulator)
     others: list[Rig] = []
     if free:
+        tell('looking at all layers that it may be')
         model, others = _find_layers(model, plates, free)
+    tell('fitting')
     model, fit = _fit_until_landing(model, plates)
+    tell('looking for other minima')
     fit = find_best_minimum(model, plates, fit, others)
+    tell('looking for what a bench may add')
     model, fit, remarks = add_terms(model, plates, fit)
     kept = {
         (channel.throw, channel.body): residual.track

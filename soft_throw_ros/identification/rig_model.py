@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 import math
@@ -23,7 +23,7 @@ from soft_throw_ros.identification.fit_description import (
     TERMS,
     values_of,
 )
-from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.forward import ProjectilePath, ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate, Fit, fit_tracks, FitModel
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
@@ -55,6 +55,7 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
 _ANYTHING = (-math.inf, math.inf)
 _STEP = 3e-4  # relative, for derivatives: large against what steppers leave out ...
 _LEAST_STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # ... and absolute
+_RELEASED = 3.0  # plate periods until it is looked whether the projectile left
 _WAVE_STEP = 1e-3  # for derivatives, of the plate's amplitude
 START_OF_STICKING = 1e-4  # [s]
 _JERK_STEP = 1e-2  # of the ejection time, over which the force is seen to vanish
@@ -333,15 +334,33 @@ class RigModel:
         left = ejections(path.events)
         if not sticking or not left:
             return travel, velocity, np.zeros_like(travel)
-        # While it sticks, the force goes on changing as when it vanished
-        step = _JERK_STEP * left[-1].time
-        before = follow(left[-1].time - step * np.arange(3.0)).velocity
-        jerk = float(before[0] - 2.0 * before[1] + before[2]) / step**2
+        jerk = _jerk(follow, left[-1].time)
         after = np.maximum(since - left[-1].time, 0.0)
         held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
         travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
         velocity = velocity + 0.5 * jerk * held**2
         return travel, velocity, jerk * sticking * free
+
+    def release_shift(self, values: Floats, throw: int) -> tuple[float, float]:
+        """How sticking and waves of the plate change time [s] and speed [m/s] of leaving."""
+        rig, motion = self._rig_and_motion(values, throw, None)
+        sticking = self.value(values, 'projectile.sticking', throw)
+        until = np.array([_RELEASED / rig.engine.frequency])
+        sampled = motion.sampled(
+            self.throws[throw].plate.time[0] - self.value(values, START, throw), until[0]
+        )
+        follow = partial(self.simulator.follow, rig, by_cells=self.by_cells)
+        plain, found = (
+            ejections(follow(until).events),
+            ejections(follow(until, motion=sampled).events),
+        )
+        if not plain or not found or not (sticking or sampled):
+            return 0.0, 0.0
+        pull = 0.0
+        if sticking:
+            pull = 0.5 * sticking**2 * _jerk(partial(follow, motion=sampled), found[0].time)
+        change = found[0].time - plain[0].time, found[0].velocity - plain[0].velocity
+        return change[0] + sticking, change[1] + pull
 
     def _drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record. [m]"""
@@ -536,6 +555,14 @@ class _Slopes:
                 for throw, body, track in model.channels
             ]
         )
+
+
+def _jerk(follow: Callable[[Floats], ProjectilePath], release: float) -> float:
+    """By how much the acceleration changes in a second where the force vanishes. [m/s3]"""
+    # While the layer sticks, the force goes on changing like that
+    step = _JERK_STEP * release
+    velocity = follow(release - step * np.arange(3.0)).velocity
+    return float(velocity[0] - 2.0 * velocity[1] + velocity[2]) / step**2
 
 
 def rest_height(rig: Rig) -> float:

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.forward import first_releases, ThrowSimulator
+from soft_throw_ros.identification.forward import first_releases
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
@@ -35,7 +34,6 @@ _SPEED_OVER_NOISE = 10.0  # that averages leave, at least
 _MAX_TIME_ERROR = 0.125  # plate periods, beyond which the ejection is not determined, ...
 _MAX_SPEED_ERROR = 0.25  # and of the speed
 _JUMP_SHARE = 0.025  # of them with other echoes, from which on an interval of 95 % holds both
-_JERK_STEP = 0.01  # of the ejection time
 _DRAWS = 400  # of rigs that may be as well as the one that was fitted
 
 
@@ -243,40 +241,17 @@ def ejection_of(found: RigFit) -> Ejection:
     if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
     seen = ~np.isnan(releases.time)
+    later, faster = found.release_shift()
+    speed = releases.speed + faster
 
     def estimate(values: Floats) -> Estimate:
         error = float(np.std(values[seen], ddof=1)) if seen.sum() > 1 else 0.0
         return Estimate(float(values[0]), error)
 
-    time, speed = estimate(releases.time), estimate(releases.speed)
-    peak = estimate(releases.peak_plate_speed)
-    alpha = estimate(releases.energy_transfer)
-    if 'projectile.sticking' in found.fit:
-        held = found.fit['projectile.sticking']
-        jerk = _jerk(found.rig, time.value)
-        slower = Estimate(0.5 * jerk * held.value**2, jerk * held.value * held.error)
-        time = _sum(time, held)
-        speed = _sum(speed, slower)
-        factor = 2.0 * speed.value / peak.value**2
-        alpha = Estimate(
-            (speed.value / peak.value) ** 2, math.hypot(alpha.error, factor * slower.error)
-        )
     return Ejection(
-        time=time,
-        speed=speed,
-        peak_plate_speed=peak,
-        energy_transfer=alpha,
+        time=estimate(releases.time + later),
+        speed=estimate(speed),
+        peak_plate_speed=estimate(releases.peak_plate_speed),
+        energy_transfer=estimate((speed / releases.peak_plate_speed) ** 2),
         is_near_jump=bool(np.mean(releases.echoes[seen] != releases.echoes[0]) > _JUMP_SHARE),
     )
-
-
-def _jerk(rig: Rig, time: float) -> float:
-    """Find how fast the projectile's acceleration falls as it leaves. [m/s3]"""
-    step = _JERK_STEP * time
-    velocity = ThrowSimulator().follow(rig, time - step * np.arange(3.0)).velocity
-    return float(velocity[0] - 2.0 * velocity[1] + velocity[2]) / step**2
-
-
-def _sum(one: Estimate, other: Estimate) -> Estimate:
-    """Add numbers with independent errors."""
-    return Estimate(one.value + other.value, math.hypot(one.error, other.error))

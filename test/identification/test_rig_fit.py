@@ -17,7 +17,13 @@ from soft_throw_ros.identification.fit_description import (
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import (
+    Alternative,
+    Fit,
+    FitError,
+    TrackResidual,
+)
+from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -204,6 +210,147 @@ def test_sample_that_jumps_is_left_out(make_throw, body, place):
     assert [each.time for each in listed[body]] == [throw.plate.time[place]]
     assert np.abs((found.fit.values - clean.fit.values) / clean.fit.errors).max() < 1.0
     assert found.fit.warnings() == []
+
+
+def changed(throw, *, plate=None, projectile=None, time=None, kept=slice(None)):
+    """Tracks with other heights or stamps, or of some samples only."""
+
+    def track(old, position):
+        position = old.position if position is None else position
+        return Track(time=(old.time if time is None else time)[kept], position=position[kept])
+
+    return replace(
+        throw, plate=track(throw.plate, plate), projectile=track(throw.projectile, projectile)
+    )
+
+
+def drifting(throw, _):
+    ramp = 0.02 * 2e-3 * throw.plate.time / throw.plate.duration
+    heights = throw.plate.position + ramp, throw.projectile.position - ramp
+    return changed(throw, plate=heights[0], projectile=heights[1])
+
+
+def scaled(throw, _):
+    return changed(throw, projectile=1.005 * throw.projectile.position)
+
+
+def late(throw, _):
+    return replace(throw, projectile=replace(throw.projectile, time=throw.projectile.time + 1e-4))
+
+
+def jittering(throw, rng):
+    time = throw.plate.time
+    return changed(throw, time=time + 4e-5 * rng.uniform(-1.0, 1.0, time.size))
+
+
+def missing(throw, rng):
+    return changed(throw, kept=rng.uniform(size=throw.plate.time.size) > 0.03)
+
+
+def with_outliers(throw, rng):
+    heights = []
+    for track in (throw.plate, throw.projectile):
+        size = track.time.size
+        sizes = rng.uniform(3e-4, 3e-3, size) * rng.choice([-1.0, 1.0], size)
+        heights.append(track.position + sizes * (rng.uniform(size=size) < 0.005))
+    return changed(throw, plate=heights[0], projectile=heights[1])
+
+
+def rounded(throw, _):
+    return changed(
+        throw,
+        plate=2e-5 * np.rint(throw.plate.position / 2e-5),
+        projectile=2e-5 * np.rint(throw.projectile.position / 2e-5),
+    )
+
+
+@pytest.mark.parametrize(
+    'fault', [drifting, scaled, late, jittering, missing, with_outliers, rounded]
+)
+def test_what_sensors_get_wrong_is_within_the_errors(make_throw, fault):
+    rng = np.random.default_rng(1)
+    throw = fault(make_throw(Rig(), zeros=(0.1, -0.2), noise=1.5e-5), rng)
+    found = fit_rig([throw], Rig(layer=Layer(wave_speed=20.0)))
+    names = (*USUAL, 'start_time')
+    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), names).values())) < 3.5
+    assert found.fit['engine.frequency'].error < 0.03
+    assert found.fit.warnings() == []
+
+
+def test_stamps_that_are_off_make_noise_where_bodies_are_fast(make_throw):
+    throw = make_throw(Rig(), noise=1e-5)
+    found = fit_rig([jittering(throw, np.random.default_rng(2))], Rig(), EXACT)
+    residual = found.fit.residuals[1]
+    assert residual.noise.min() == pytest.approx(1e-5, rel=0.2)
+    assert residual.noise.max() == pytest.approx(1.4 * 4e-5 / 3**0.5, rel=0.25)
+
+
+def test_second_mode_of_a_plate_is_seen_and_said():
+    rig = Rig()
+    since = np.arange(0.0, 0.1, 2e-4) - 0.0153
+    plate = PlateWithModes(Underdamped.of(rig.engine), (0.0, 0.0, 0.0, 0.01), Mode(310.0, 0.02))
+    path = ThrowSimulator().follow(rig, since, motion=plate.sampled(since[0], since[-1]))
+    noise = 2e-5 * np.random.default_rng(3).normal(size=(2, since.size))
+    throw = ThrowTracks(
+        name='ringing',
+        plate=Track(time=since + 0.0153, position=plate.position(since) + noise[0]),
+        projectile=Track(time=since + 0.0153, position=path.position + noise[1]),
+    )
+    found = fit_rig([throw], rig)
+    (remark,) = found.remarks
+    assert 'plate.mode at 31' in remark
+    assert found.fit.warnings() == []
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+
+
+def test_other_minimum_is_named_and_spanned():
+    values = np.array([16.9, 1.0])
+    residual = TrackResidual(
+        name='a', track=Track(time=np.arange(20.0), position=np.zeros(20)), fitted=np.zeros(20),
+        noise=np.ones(20),
+    )  # fmt: skip
+    fit = Fit(
+        names=('layer.wave_speed', 'start_time'), values=values, covariance=np.diag([1e-4, 1e-4]),
+        chi2=18.0, dof=18, residuals=(residual,),
+    )  # fmt: skip
+    found = fit.spanning([Alternative(np.array([17.1, 1.0]), 4.0)])
+    assert 1.96 * found['layer.wave_speed'].error > 0.19
+    assert found['start_time'] == fit['start_time']
+    assert any('17.1' in warning for warning in found.warnings())
+
+
+def test_loss_is_seen_without_being_asked_for():
+    rig = Rig(layer=Layer(loss_tangent=0.05))
+    since = np.arange(0.0, 0.07, 4e-4) - 0.0153
+    noise = 2e-5 * np.random.default_rng(4).normal(size=(2, since.size))
+    throw = ThrowTracks(
+        name='lossy',
+        plate=Track(
+            time=since + 0.0153, position=Underdamped.of(rig.engine).position(since) + noise[0]
+        ),
+        projectile=Track(
+            time=since + 0.0153, position=ThrowSimulator().follow(rig, since).position + noise[1]
+        ),
+    )
+    found = fit_rig([throw], Rig())
+    assert any('a layer with loss explains' in remark for remark in found.remarks)
+    loss = found.estimates()['layer.loss_tangent']
+    assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
+
+
+def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
+    light, heavy = (Rig(projectile=Projectile(mass=mass)) for mass in (0.7e-3, 2.4e-3))
+    throws = [
+        replace(make_throw(rig, rate=2500.0, duration=0.07, seed=seed), name=name)
+        for seed, (rig, name) in enumerate(((light, 'light'), (heavy, 'heavy')))
+    ]
+    parameters = {**HELD, 'layer.thickness': 'free'}
+    masses = {'light': '0.7e-3', 'heavy': '2.4e-3'}
+    conditions = {name: {'projectile.mass': mass} for name, mass in masses.items()}
+    both = fit_rig(throws, light, FitDescription(parameters, throws=conditions))
+    one = fit_rig(throws[:1], light, FitDescription(parameters))
+    assert max(map(abs, pulls_of(both.fit, truth_of(light), PARAMETERS).values())) < 4.0
+    assert both.fit['layer.thickness'].error < 0.5 * one.fit['layer.thickness'].error
 
 
 def test_amplitude_of_each_throw_is_its_own(make_throw):
