@@ -181,7 +181,8 @@ class RecorderTopics(NamedTuple):
     """Topics of the recorder, besides those that it records."""
 
     status: Topic = Topic(
-        '~/status', ARRAY, 'Whether the recorder records, and where, on change', is_latched=True)
+        '~/status', ARRAY, 'Whether the recorder records, and where, on change',
+        depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'What is recorded, what was lost, and how the viewer is, at 1 Hz',
         depth=_SEVERAL)

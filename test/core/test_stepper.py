@@ -253,6 +253,7 @@ def test_arrays_that_do_not_fit_are_refused(make):
 def test_advancing_allocates_nothing(make):
     model, layer = make(), np.empty((3, 64))
     times = np.linspace(0.0, 0.3, 200).tolist()
+    model.advance_to(times[0])
     model.read_layer(layer)
     tracemalloc.start()
     try:

@@ -95,7 +95,7 @@ def test_topics_of_the_twin_are_known_in_full(ros, talker, listener, subscribe) 
     subscriptions = subscribe('/rig1')
     (message,) = take(ros, subscriptions, 1)
     assert message.channel.qos[0].history == 'keep_last'
-    assert message.channel.qos[0].depth == 1000
+    assert message.channel.qos[0].depth == TWIN_TOPICS.joint_states.depth
 
 
 def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> None:

@@ -260,10 +260,12 @@ def test_words_have_the_numbers(recording) -> None:
     throw = simulate(Rig())
     assert 'Throw 2' in text
     heads, times_, _, transfers, *_ = table_of(text)
-    assert heads == ['', 'twin', 'elastic', 'glued on', 'spring']
+    assert heads[:2] == ['', 'twin']
+    assert set(heads[2:]) == {'elastic', 'glued on', 'spring'}
+    spring = heads.index('spring')
     assert times_[1] == f'{1e3 * throw.ejection_time:.4g}'
     assert transfers[1] == f'{throw.energy_transfer:.4g}'
-    assert [times_[-1], transfers[-1]] == ['6.412', '3.098']  # of App. A
+    assert [times_[spring], transfers[spring]] == ['6.412', '3.098']  # of App. A
     times, lines = recording.series('/log', 'TextLog:text')
     assert len(lines) == len(times) == 3
     assert 'throw 1' in lines[0][0]
