@@ -264,7 +264,7 @@ def test_advancing_allocates_nothing(make):
         after, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 1000
+    assert after - before < 20 * len(times)  # less than anything kept for each of them
     assert peak - before < 4000  # numbers on their way
 
 
