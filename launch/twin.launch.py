@@ -19,6 +19,15 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('soft_throw_ros'))
+
+
+def _flag(name: str, description: str) -> DeclareLaunchArgument:
+    """Declare an argument that is true or false; false by default."""
+    return DeclareLaunchArgument(
+        name, default_value='false', choices=['true', 'false'], description=description
+    )
+
+
 ARGUMENTS = (
     DeclareLaunchArgument(
         'params_file',
@@ -33,12 +42,7 @@ ARGUMENTS = (
         default_value='',
         description='engine.motion of the twin; as params_file says if empty',
     ),
-    DeclareLaunchArgument(
-        'record',
-        default_value='false',
-        choices=['true', 'false'],
-        description='Whether to record into a bag',
-    ),
+    _flag('record', 'Whether to record into a bag'),
     DeclareLaunchArgument('folder', default_value='.', description='Where bags are put'),
     DeclareLaunchArgument(
         'rerun',
@@ -46,18 +50,8 @@ ARGUMENTS = (
         choices=['none', 'viewer', 'serve', 'file'],
         description='Whether to show it in Rerun: rerun.sink of the recorder',
     ),
-    DeclareLaunchArgument(
-        'rviz',
-        default_value='false',
-        choices=['true', 'false'],
-        description='Whether to show it in RViz',
-    ),
-    DeclareLaunchArgument(
-        'use_sim_time',
-        default_value='false',
-        choices=['true', 'false'],
-        description='Whether to follow /clock',
-    ),
+    _flag('rviz', 'Whether to show it in RViz'),
+    _flag('use_sim_time', 'Whether to follow /clock'),
 )
 
 

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 from pathlib import Path
-import runpy
 import sys
 from typing import Any
 
+import bags
+from bags import BEGIN, channel, text
 import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -24,9 +25,7 @@ from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-bags: Any = runpy.run_path(str(Path(__file__).with_name('bags.py')))
-channel, text, BEGIN = bags['channel'], bags['text'], bags['BEGIN']
-write = partial(bags['write'], compression='none')
+write = partial(bags.write, compression='none')
 SECOND = 1_000_000_000
 PAUSE, RESUME, STEP = REPLAY_SERVICES
 EVERYTHING = QoSProfile(depth=5000)

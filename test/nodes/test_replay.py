@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
-import runpy
 import signal
 import subprocess
 import sys
 import threading
 from typing import Any
 
+from bags import BEGIN, channel, text, write
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -23,9 +23,6 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-
-bags: Any = runpy.run_path(str(Path(__file__).with_name('bags.py')))
-channel, text, write, BEGIN = (bags[name] for name in ('channel', 'text', 'write', 'BEGIN'))
 
 
 def messages_of_a_twin(steps: int) -> list[Message]:

@@ -12,14 +12,13 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
+from bags import channel
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
-from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 
 _ONES = np.ones(2)
 TIMEOUT = 20.0
@@ -64,22 +63,8 @@ class Recording:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.messages: list[Message] = []
-        self.states = self.channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
-        self.texts = self.channel(
-            '/twin/journal', 'std_msgs/msg/String', durability='transient_local'
-        )
-
-    @staticmethod
-    def channel(topic: str, type_name: str, **qos: Any) -> Channel:
-        """Make a channel of a type that is installed."""
-        schema = find_schema(type_name, installed_prefixes())
-        return Channel(
-            topic=topic,
-            type=type_name,
-            schema=schema.text,
-            type_hash=schema.type_hash,
-            qos=(Qos(**qos),),
-        )
+        self.states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
+        self.texts = channel('/twin/journal', 'std_msgs/msg/String', durability='transient_local')
 
     @staticmethod
     def content(messages: Iterable[Message]) -> list[tuple[Any, ...]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags to play and to check."""
+"""Bags that tests write: channels, messages and whole bags."""
 
 from __future__ import annotations
 
