@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 import fcntl
 import os
 from pathlib import Path
+import re
 import subprocess
 import tempfile
 import threading
@@ -46,6 +47,16 @@ TIMEOUT = 20.0
 
 PROCESS_TIMEOUT = 60.0
 """Longest wait for another process, compilation included. [s]"""
+
+OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
+"""
+What Fast DDS writes on its own, whatever the log level of ROS.
+
+It does so when two processes make their transports at the same moment: one cannot lock a port of
+shared memory ("open_and_lock_file failed"), and takes the next.
+"""
+
+COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
 SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
@@ -347,7 +358,7 @@ def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
 
 
 class Process:
-    """A process, and what it has written."""
+    """A process, and what it has written; what Fast DDS wrote is left out."""
 
     def __init__(self, command: list[str], **kwargs: Any) -> None:
         self.process = subprocess.Popen(
@@ -389,6 +400,8 @@ class Process:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
+            if OF_FAST_DDS.match(COLOURS.sub('', line)):
+                continue
             with self._said:
                 self.lines.append(line.rstrip())
                 self._said.notify_all()
