@@ -20,6 +20,8 @@ _CHECKS = {
     'gravity_ratio': checks.require_not_negative_array,
     'loss_tangent': checks.require_not_negative_array,
     'crossing_ratio': checks.require_not_negative_array,
+    'strain_ratio': checks.require_not_negative_array,
+    'constant_loss': checks.require_not_negative_array,
 }
 
 

@@ -49,35 +49,52 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads
 from soft_throw_ros.core.cells import (
-    add_cells,
+    ANCHOR,
+    BODY,
     BURDEN,
+    crossing_time,
+    CURVATURE,
     cut,
-    cut_massless,
     DISPLACEMENT,
     factorise,
+    fastest_waves,
     FORCE,
     INVERSE,
     LARGEST,
+    LEAST,
+    make_grid,
+    make_massless_grid,
     MASS,
     MEAN_VELOCITY,
+    MEMORY,
     POSITION,
     REST,
     ROWS,
+    SHOCK,
     solve,
     SOLVER,
     SPEED,
     STATIC,
     STIFF,
     STIFFNESS,
+    STRENGTH,
     STRESS,
+    STRETCH,
     VELOCITY,
     VISCOSITY,
 )
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, reduction
+from soft_throw_ros.core.material import (
+    Relaxation,
+    relaxation,
+    RELAXATION_RATES,
+    static_stretch,
+    strain_bounds,
+)
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.plate import PlateMotion, SampledMotion
 from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig, Stack
 from soft_throw_ros.core.stepper import (
     BACKWARDS,
     BEYOND_HORIZON,
@@ -144,6 +161,11 @@ _CORE = np.dtype(
         ('joint', 'i8'),
         ('is_lossy', '?'),
         ('is_massless', '?'),
+        ('is_curved', '?'),  # whether a sheet is neo-Hookean
+        ('remembers', '?'),  # whether there are Maxwell elements
+        ('relaxation', 'f8', (3,)),  # their rates,
+        ('keep', 'f8', (3,)),  # and what they keep of their stretch, and take of a new one
+        ('take', 'f8', (3,)),
         ('creep', 'f8'),  # stiffness over viscosity, with which a free end without mass creeps
         ('mass', 'f8'),  # of the projectile
         ('face_mass', 'f8'),  # its part of the mass of its lowest node
@@ -256,7 +278,7 @@ def cells_per_layer(rig: Rig, model: str = 'finite_difference') -> int:
                 f'the cells of the layer, the limit is {_SLOWEST:g}; '
                 f'feasible: projectile.youngs_modulus of {1.001 * stiffer:.4g} Pa or more'
             )
-    rate = MAX_UPDATE_RATE * crossing / per_cell
+    rate = MAX_UPDATE_RATE * crossing_time(rig) / per_cell
     limit = min(MAX_CELLS, math.floor(math.sqrt(rate)))
     if limit < _CELLS:
         longer = _CELLS**2 / rate
@@ -307,18 +329,28 @@ def _choose_system(s):
 
 
 @kernel
-def _prepare(core, nodes):
-    """Complete a record at rest from step, cells, masses, gravity and the cells' properties."""
+def _prepare(core, nodes, bodies, omega):
+    """Complete a record at rest from step, cells, masses and gravity, and cut the bodies."""
     s = core[2]
+    cut(nodes, bodies, s.bottom, s.cells, s.mass, s.step)
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
     s.rate = 2.0 / s.step
     s.event_time = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
-    s.is_lossy = False
     for j in range(last):
         nodes[VISCOSITY + 1, j] = nodes[VISCOSITY, j]
+        s.is_curved = s.is_curved or nodes[CURVATURE, j] > 0.0
+        if nodes[CURVATURE, j] == 0.0:
+            nodes[LEAST, j] = 1.0  # so that nothing is divided by zero
+        for element in range(3):
+            s.remembers = s.remembers or nodes[STRENGTH + element, j] > 0.0
         s.is_lossy = s.is_lossy or nodes[VISCOSITY, j] > 0.0
+    s.is_lossy = s.is_lossy or s.is_curved or s.remembers
+    for element in range(3):
+        s.relaxation[element] = RELAXATION_RATES[element] * omega
+        half = 0.5 * s.step * s.relaxation[element]
+        s.keep[element], s.take[element] = (1.0 - half) / (1.0 + half), 1.0 / (1.0 + half)
     s.creep = math.inf
     if s.is_massless and s.is_lossy:
         s.creep = nodes[STIFFNESS, 0] / nodes[VISCOSITY, 0]
@@ -350,7 +382,11 @@ def _prepare(core, nodes):
             own = nodes[MASS, j + 1] - (s.face_mass if j + 1 == top else 0.0)
             carried += own * s.gravity
         nodes[BURDEN, j] = carried
-        nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
+        if nodes[CURVATURE, j] > 0.0:
+            nodes[ANCHOR, j] = carried
+            nodes[STATIC, j] = 1.0 - static_stretch(carried / nodes[CURVATURE, j])
+        else:
+            nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
     for j in range(s.bottom, top):
         nodes[REST, j + 1] = nodes[REST, j] + (1.0 - nodes[STATIC, j]) / nodes[INVERSE, j]
     s.rest_height = nodes[REST, top]
@@ -359,15 +395,58 @@ def _prepare(core, nodes):
 
 
 @inlined
-def _accelerate(s, nodes):
-    """Compute the stress in all links, and the velocities of all nodes at the whole step."""
-    now = s.index & 1
+def _strain(s, nodes):
+    """Compute the elastic tension of all links, and what Maxwell elements make of it."""
+    stress = STRESS + (s.index & 1)
     for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
-        nodes[STRESS + now, j] = nodes[STIFFNESS, j] * stretch
+        nodes[stress, j] = nodes[STIFFNESS, j] * stretch
+    if s.is_curved:
+        _add_curvature(s, nodes)
+    if s.remembers:
+        _remember(s, nodes)
+
+
+@part
+def _add_curvature(s, nodes):
+    """Add the tension of neo-Hookean cells, and their artificial viscosity."""
+    stress = STRESS + (s.index & 1)
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        ratio = 1.0 + stretch * nodes[INVERSE, j] - nodes[STATIC, j]
+        held = max(ratio, nodes[LEAST, j])
+        inverse = 1.0 / held
+        square = inverse * inverse
+        tension = held - square + (ratio - held) * (1.0 + 2.0 * square * inverse)
+        closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
+        tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j]
+        nodes[stress, j] += tension - nodes[SHOCK, j] * closing * closing
+
+
+@part
+def _remember(s, nodes):
+    """Add the tension of the Maxwell elements, whose rates are integrated by the midpoint."""
+    stress, old, new = STRESS + (s.index & 1), MEMORY + 1 - (s.index & 1), MEMORY + (s.index & 1)
+    keep_0, keep_1, keep_2 = s.keep[0], s.keep[1], s.keep[2]
+    take_0, take_1, take_2 = s.take[0], s.take[1], s.take[2]
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+        change = stretch - nodes[STRETCH, j]
+        nodes[STRETCH, j] = stretch
+        first = keep_0 * nodes[old, j] + take_0 * change
+        second = keep_1 * nodes[old + 2, j] + take_1 * change
+        third = keep_2 * nodes[old + 4, j] + take_2 * change
+        nodes[new, j], nodes[new + 2, j], nodes[new + 4, j] = first, second, third
+        tension = nodes[STRENGTH, j] * first + nodes[STRENGTH + 1, j] * second
+        nodes[stress, j] += tension + nodes[STRENGTH + 2, j] * third
+
+
+@inlined
+def _accelerate(s, nodes):
+    """Compute the velocities of all nodes at the whole step."""
     # In flight both sides of the joint are free of the weight
-    nodes[STRESS + now, s.joint] = 0.0 if s.contact else s.thrown * s.gravity
-    solve(s, nodes, now, 1 if s.contact else 0)
+    nodes[STRESS + (s.index & 1), s.joint] = 0.0 if s.contact else s.thrown * s.gravity
+    solve(s, nodes, s.index & 1, 1 if s.contact else 0)
 
 
 @inlined
@@ -567,6 +646,7 @@ def _march(s, nodes, path, events, goal):
         lands = not s.contact and gap < 0.0
         if lands:
             _land(s, nodes, events)
+        _strain(s, nodes)
         leaves = False
         while True:
             _accelerate(s, nodes)
@@ -583,7 +663,7 @@ def _march(s, nodes, path, events, goal):
         s.work += 0.5 * step * (s.power + power)
         s.power = power
         if s.is_lossy:
-            heating = _heating(nodes, s.index & 1)
+            heating = _heating(s, nodes)
             s.heat += 0.5 * step * (s.heating + heating)
             s.heating = heating
         if s.events == 0:
@@ -594,17 +674,25 @@ def _march(s, nodes, path, events, goal):
 
 
 @reduction
-def _heating(nodes, now):
+def _heating(s, nodes):
     """Compute the power that turns to heat in the layer."""
-    total = 0.0
+    total, now = 0.0, s.index & 1
     for j in range(nodes.shape[1] - 1):
         rate = nodes[MEAN_VELOCITY + now, j + 1] - nodes[MEAN_VELOCITY + now, j]
-        total += nodes[VISCOSITY + 1, j] * rate * rate
+        closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
+        viscous = nodes[VISCOSITY + 1, j] * rate - nodes[SHOCK, j] * closing * closing
+        total += viscous * rate
+    if s.remembers:
+        for element in range(3):
+            part, memory = 0.0, MEMORY + 2 * element + now
+            for j in range(nodes.shape[1] - 1):
+                part += nodes[STRENGTH + element, j] * nodes[memory, j] ** 2
+            total += s.relaxation[element] * part
     return total
 
 
 @part
-def _strain(nodes, row, j):
+def _strain_of(nodes, row, j):
     """Compute the strain of a cell from displacements or positions."""
     stretch = nodes[row, j + 1] - nodes[row, j]
     return stretch * nodes[INVERSE, j] - nodes[STATIC, j]
@@ -619,8 +707,8 @@ def _compare_loads(s, nodes):
         if strain > nodes[LARGEST, j]:  # noqa: PLR1730 - numba makes vectors of this
             nodes[LARGEST, j] = strain
     for end in range(2):
-        strain = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 0])
-        other = _strain(nodes, DISPLACEMENT, s.edge_cells[end, 1])
+        strain = _strain_of(nodes, DISPLACEMENT, s.edge_cells[end, 0])
+        other = _strain_of(nodes, DISPLACEMENT, s.edge_cells[end, 1])
         strain += s.edge_weights[end] * (other - strain)
         s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
     acceleration = s.on_projectile_now / s.mass - s.gravity
@@ -740,8 +828,17 @@ def _read_layer(core, nodes, places, out):
         velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
         force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
         if out.shape[0] > 3:
-            here = _strain(nodes, POSITION, j)
-            out[3, n] = here + weight * (_strain(nodes, POSITION, k) - here)
+            here = _strain_of(nodes, POSITION, j)
+            out[3, n] = here + weight * (_strain_of(nodes, POSITION, k) - here)
+
+
+@part
+def _elastic_energy(ratio, least):
+    """Integrate the tension of `_add_curvature` over the stretch."""
+    held = max(ratio, least)
+    slope = 1.0 + 2.0 / held**3
+    beyond = ratio - held
+    return 0.5 * held**2 + 1.0 / held + beyond * (held - 1.0 / held**2 + 0.5 * beyond * slope)
 
 
 @kernel
@@ -753,8 +850,20 @@ def _stored_energy(core, nodes):
     weight = s.thrown * s.gravity
     total = 0.5 * nodes[MASS, 0] * speed[0] ** 2
     total += weight * (position[0] + position[s.joint + 1] - position[s.joint])
+    now, rest = s.index & 1, 1.0 - s.part if s.index > 0 else 0.0
     for j in range(position.size - 1):
-        total += 0.5 * nodes[STIFFNESS, j] * (position[j + 1] - position[j]) ** 2
+        stretch = position[j + 1] - position[j]
+        total += 0.5 * nodes[STIFFNESS, j] * stretch**2
+        if nodes[CURVATURE, j] > 0.0:
+            start = 1.0 - nodes[STATIC, j]
+            elastic = _elastic_energy(start + stretch * nodes[INVERSE, j], nodes[LEAST, j])
+            elastic -= _elastic_energy(start, nodes[LEAST, j])
+            total += nodes[CURVATURE, j] / nodes[INVERSE, j] * elastic
+            total += nodes[ANCHOR, j] * stretch
+        for element in range(3):
+            memory = nodes[MEMORY + 2 * element + now, j]
+            memory += rest * (nodes[MEMORY + 2 * element + 1 - now, j] - memory)
+            total += 0.5 * nodes[STRENGTH + element, j] * memory**2
         total += 0.5 * nodes[MASS, j + 1] * speed[j + 1] ** 2
     return total
 
@@ -773,7 +882,7 @@ def _reset(core, nodes):
     """Put everything back to rest."""
     s = core[0]
     for j in range(nodes.shape[1]):
-        for row in range(DISPLACEMENT, STRESS + 2):
+        for row in range(DISPLACEMENT, MASS):
             nodes[row, j] = 0.0
         nodes[LARGEST, j] = nodes[STATIC, j]
     s.cosine = 1.0
@@ -788,28 +897,26 @@ def _reset(core, nodes):
 
 
 @kernel
-def _cut_one_layer(core, nodes, path, ratios, cells, bars, is_on_projectile):
-    """Start a record and its cells in units of layer mass, crossing time and amplitude."""
-    mu, kappa, zeta, gravity, loss, crossing = ratios
+def _prepare_without_units(core, nodes, path, bodies, ratios, step, cells, bars, is_on_projectile):
+    """Make a record at rest in units of layer mass, crossing time and amplitude."""
+    mu, kappa, zeta, gravity = ratios
     omega = 2.0 * math.pi / kappa
     s = core[2]
-    s.step, s.cells = 1.0 / cells, cells
+    s.step, s.cells = step, cells
     s.bottom, s.joint = (1, 0) if is_on_projectile else (0, cells)
-    s.mass = s.face_mass = mu
+    s.mass = mu
+    s.face_mass = 0.5 * mu / bars if bars > 0 else mu
     s.gravity = gravity * omega * omega
     s.release_threshold = -_NOISE * omega
-    s.edge_weights[0] = s.edge_weights[1] = -0.5
-    s.edge_cells[0, 0], s.edge_cells[0, 1] = s.bottom, s.bottom + 1
-    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.bottom + cells - 1, s.bottom + cells - 2
     write_underdamped(s, path, omega, omega, zeta, s.step)
-    for j in range(s.bottom, s.bottom + cells):
-        nodes[INVERSE, j] = cells
-    add_cells(nodes, s.bottom, cells, 1.0, 1.0, loss / omega, s.step)
-    if bars > 0:
-        s.face_mass = 0.5 * mu / bars
-        add_cells(nodes, cells + 1, bars, mu, mu / crossing**2, 0.0, s.step)
-    else:
-        nodes[MASS, cells + 1] += mu
+    for end in range(2):
+        first = s.bottom + (cells - 1 if end == 1 else 0)
+        count = bodies[bodies.shape[0] - (2 if bars > 0 else 1), 0] if end == 1 else bodies[0, 0]
+        s.edge_cells[end, 0] = s.edge_cells[end, 1] = first
+        if count > 1:
+            s.edge_cells[end, 1] = first + (1 - 2 * end)
+            s.edge_weights[end] = -0.5
+    _prepare(core, nodes, bodies, omega)
 
 
 def first_throws(
@@ -820,6 +927,9 @@ def first_throws(
     gravity_ratio: ArrayLike = 0.0,
     loss_tangent: ArrayLike = 0.0,
     crossing_ratio: ArrayLike = 0.0,
+    strain_ratio: ArrayLike = 0.0,
+    constant_loss: ArrayLike = False,
+    stack: Stack | None = None,
     glued_to: Literal['plate', 'projectile'] = 'plate',
     cells: int | None = None,
     unresolved: Literal['raise', 'nan'] = 'raise',
@@ -828,7 +938,7 @@ def first_throws(
     r"""
     Throw many times up to the first release.
 
-    The layers are of one material; the plate moves as `plate.Underdamped`.
+    The plate moves as `plate.Underdamped`.
 
     Parameters
     ----------
@@ -840,6 +950,13 @@ def first_throws(
     crossing_ratio : array_like
         What a wave needs through the projectile over what it needs through the layer; 0 is rigid,
         and `MAX_CROSSING_RATIO` is the most. [-]
+    strain_ratio : array_like
+        :math:`A \omega / c_s` of a neo-Hookean layer, 0 is a linear one. [-]
+    constant_loss : array_like of bool
+        Whether the loss tangent is constant, and not in proportion to frequency.
+    stack : Stack, optional
+        Of which the layer is, with sheets scaled alike; of one material if not given. Mass,
+        crossing time and loss tangent are those of the whole.
     glued_to : {'plate', 'projectile'}
         Where the layer is glued. On the projectile it is thrown along, and leaves the plate.
     cells : int, optional
@@ -886,25 +1003,72 @@ def first_throws(
         gravity_ratio=gravity_ratio,
         loss_tangent=loss_tangent,
         crossing_ratio=crossing_ratio,
+        strain_ratio=strain_ratio,
+        constant_loss=constant_loss,
     )
     slowest = ratios[5].max(initial=0.0)
     if slowest > MAX_CROSSING_RATIO:
         raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
-    found = _throw_all(np.ascontiguousarray(ratios.T), cells, glued_to == 'projectile', threads)
+    rows = np.ascontiguousarray(ratios.T)
+    found = _throw_all(rows, stack, cells, glued_to == 'projectile', threads)
     return FirstThrows.collect(found.T, ratios, shape, unresolved, f'{MAX_PERIODS:g} periods')
 
 
+def _sheets(rows: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
+    """Make rows of `cells.BODY` without units for every throw and sheet, and their crossings."""
+    sheets = stack.sheets if stack else (Layer(),)
+    whole = stack or sheets[0]
+    mu, kappa, loss, strain, is_constant = (rows[:, k, None] for k in (0, 1, 4, 6, 7))
+    gravity = rows[:, 3, None] * (2.0 * math.pi / kappa) ** 2
+    mass = np.array([sheet.mass for sheet in sheets]) / whole.mass
+    crossing = np.array([sheet.crossing_time for sheet in sheets]) / whole.crossing_time
+    share = np.ones(len(sheets))
+    if whole.loss_tangent > 0.0:
+        share = np.array([sheet.loss_tangent for sheet in sheets]) / whole.loss_tangent
+    part = np.array([sheet.thickness for sheet in sheets]) / whole.thickness
+    stiffness = mass / crossing**2
+    omega = 2.0 * math.pi / kappa
+    losses = loss * share
+    fits = [
+        relaxation(each) if constant else Relaxation()
+        for each, constant in zip(
+            losses.ravel().tolist(), np.broadcast_to(is_constant, losses.shape).flat, strict=True
+        )
+    ]
+    moduli = np.array([(fit.relaxed, *fit.strengths) for fit in fits])
+    moduli = moduli.reshape(*losses.shape, 4)
+    # In units of the amplitude, so that one over the thickness is the strain of a displacement
+    depth = np.where(strain > 0.0, omega / np.where(strain > 0.0, strain, 1.0), 1.0)
+    softer = (1.0 / stiffness).sum() * stiffness / part  # its modulus over that of the whole
+    static = mu * gravity / (stiffness * part * depth)
+    bound = np.where(strain > 0.0, strain_bounds(strain / softer, mu, static), 0.0)
+    bodies = np.zeros((*losses.shape, len(BODY)))
+    for n, values in enumerate((part * depth, mass, stiffness)):
+        bodies[..., 1 + n] = values
+    bodies[..., 4] = np.where(is_constant > 0.0, 0.0, losses / omega)
+    bodies[..., 5], bodies[..., 6:] = bound, moduli
+    return bodies, crossing / fastest_waves(bodies)
+
+
 def _throw_all(
-    rows: Floats, cells: int | None, is_on_projectile: bool, threads: int | None
+    rows: Floats,
+    stack: Stack | None,
+    cells: int | None,
+    is_on_projectile: bool,
+    threads: int | None,
 ) -> Floats:
     """Compute a row of `FirstThrows` for each row of ratios."""
     found = np.full((rows.shape[0], 6), math.nan)
-    counts = np.full(rows.shape[0], cells or _CELLS)
+    wanted = np.full(rows.shape[0], cells or _CELLS)
     if cells is None:
-        wanted = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
-        while (too_few := (counts < wanted) & (counts < _MOST_FOR_BATCH)).any():
-            counts[too_few] *= 2
-    bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (counts * rows[:, 5]).astype(np.int64)), 0)
+        least = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
+        while (too_few := (wanted < least) & (wanted < _MOST_FOR_BATCH)).any():
+            wanted[too_few] *= 2
+    bodies, crossings = _sheets(rows, stack)
+    steps = crossings.sum(axis=1) / wanted
+    counts = np.maximum(1, (crossings / steps[:, None] * (1.0 + 1e-9)).astype(np.int64))
+    bodies[..., 0] = counts
+    bars = np.where(rows[:, 5] > 0.0, np.maximum(2, (rows[:, 5] / steps).astype(np.int64)), 0)
     mu, kappa = rows[:, 0], rows[:, 1]
     periods = MAX_PERIODS * np.maximum(kappa, 2.0 * math.pi * np.sqrt(mu))
     latest = np.minimum(1.0 + periods, MAX_CROSSINGS)
@@ -914,12 +1078,16 @@ def _throw_all(
         numbers = core.view(np.float64).reshape(3, -1)
         advance = _advance_compiled()
         for n in range(part, rows.shape[0], parts):
-            count, bar = int(counts[n]), int(bars[n])
+            count, bar = int(counts[n].sum()), int(bars[n])
             nodes = np.zeros((ROWS, count + bar + 2))
             numbers[:] = 0.0
-            ratios = tuple(rows[n].tolist())
-            _cut_one_layer(core, nodes, path, ratios, count, bar, is_on_projectile)
-            _prepare(core, nodes)
+            ratios, own = tuple(rows[n].tolist()), bodies[n]
+            if bar:
+                spring = ratios[0] / ratios[5] ** 2
+                own = np.vstack([own, [bar, 0.0, ratios[0], spring, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+            _prepare_without_units(
+                core, nodes, path, own, ratios[:4], steps[n], count, bar, is_on_projectile
+            )
             numbers[:2] = numbers[2]
             _reset(core, nodes)
             advance(core, nodes, path, no_events, latest[n])
@@ -927,6 +1095,8 @@ def _throw_all(
             if grid['events']:
                 omega = 2.0 * math.pi / ratios[1]
                 strain = max(grid['edge_strains'].max(), nodes[LARGEST].max())
+                if ratios[6] > 0.0:
+                    strain *= omega / ratios[6]
                 work = grid['first_work'] / (ratios[0] * omega**2)
                 found[n] = (
                     grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
@@ -999,30 +1169,35 @@ class CellStepper(Stepper):
         if cells is None:
             cells = cells_per_layer(rig, model)
         require_count('cells', cells, low=1, high=MAX_CELLS)
+        scale = rig.engine.speed_scale
+        if isinstance(motion, SampledMotion):
+            scale = max(scale, motion.peak_velocity)
+        elif motion == 'measured':  # it may be more than the engine has
+            scale *= 2.0
         if model == 'spring_mass':
-            grid = cut_massless(rig, step=_spring_step(rig))
+            grid = make_massless_grid(rig, step=_spring_step(rig))
         else:
             is_elastic = model == 'finite_difference_elastic'
-            is_on_projectile = model == 'finite_difference_glued'
-            grid = cut(rig, cells=cells, is_elastic=is_elastic, is_on_projectile=is_on_projectile)
+            grid = make_grid(rig, cells=cells, is_elastic=is_elastic, peak_speed=scale)
         self.model = model
-        self.cells = grid.count
+        self.cells = int(grid.counts.sum())
         self.step = grid.step
-        self._nodes = grid.nodes
-        points = np.linspace(0.0, grid.heights[-1], field_points).tolist()
-        self._places = np.array([grid.place(height) for height in points], _PLACE)
+        self._nodes = np.zeros((ROWS, self.cells + grid.bars + 2))
+        self._places = np.array(grid.places(field_points), _PLACE)
+        bottom = 1 if model == 'finite_difference_glued' else 0
         for name in ('cell', 'beside'):
-            self._places[name] += grid.bottom
+            self._places[name] += bottom
         start = self._make_records(_CORE, motion, grid.step)
-        start['step'], start['cells'] = grid.step, grid.count
-        start['bottom'], start['joint'] = grid.bottom, grid.joint
-        start['mass'], start['face_mass'] = rig.projectile.mass, grid.face_mass
+        start['step'], start['cells'] = grid.step, self.cells
+        start['bottom'], start['joint'] = bottom, 0 if bottom else self.cells
+        mass = rig.projectile.mass
+        start['mass'], start['face_mass'] = mass, 0.5 * mass / grid.bars if grid.bars else mass
         start['gravity'] = rig.gravity
         start['release_threshold'] = -_NOISE * rig.engine.speed_scale * rig.layer.impedance
         edges = self._places[[0, -1]]
         start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
         start['edge_weights'] = edges['weight']
-        _prepare(self._core, self._nodes)
+        _prepare(self._core, self._nodes, grid.bodies, rig.engine.angular_frequency)
         self._bind()
         self.reset()
 

@@ -5,12 +5,12 @@ Masses, springs and dashpots in a row: how a rig is cut into cells, and how they
 Notes
 -----
 Nodes are numbered from the plate up, and link j is between nodes j and j + 1: a cell, which is a
-spring beside a dashpot with half of its mass on each of its nodes; or the joint, which is the
-contact: while it lasts its two nodes move as one.
+spring beside a dashpot and Maxwell elements (see `material`), with half of its mass on each of its
+nodes; or the joint, which is the contact: while it lasts its two nodes move as one.
 
-Each sheet is cut into cells that a wave crosses in one time step, or a little more, which is the
-longest step that is stable. At one step exactly, as in a layer of one material, the scheme has no
-dispersion. Sheets begin and end with a node; a sheet or projectile that is too thin or too stiff
+Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
+which is the longest step that is stable. At one step exactly, as in a linear layer of one
+material, the scheme has no dispersion. Sheets begin and end with a node; a sheet or projectile that is too thin or too stiff
 for one cell (two, of a projectile) and an explicit step gets one that is implicit.
 
 What is implicit couples neighbouring accelerations: with c of each link, the matrix
@@ -23,14 +23,14 @@ of which is eliminated from both its ends, so that four chains go side by side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import inlined, kernel, part
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.kernels import inlined, part
+from soft_throw_ros.core.material import Relaxation, relaxation, strain_bounds
+from soft_throw_ros.core.rig import Layer, Rig
 
 Floats = NDArray[np.float64]
 
@@ -45,8 +45,22 @@ MAX_PROJECTILE_CELLS = 1 << 15
     _MEAN_VELOCITY_ODD,
     STRESS,  # elastic tension of a link; at even steps, and at odd ones
     _STRESS_ODD,
+    STRETCH,  # of a link a step ago
+    MEMORY,  # stretch of the Maxwell elements of a link; at even steps, and at odd ones, each
+    _MEMORY_1,
+    _MEMORY_2,
+    _MEMORY_3,
+    _MEMORY_4,
+    _MEMORY_5,
     MASS,
-    STIFFNESS,
+    STIFFNESS,  # of the linear spring
+    CURVATURE,  # a third of E S of a neo-Hookean one
+    LEAST,  # stretch up to which it is followed
+    ANCHOR,  # its compression at rest, as a force
+    SHOCK,  # what its artificial viscosity takes from the square of a change of velocity
+    STRENGTH,  # of the Maxwell elements
+    _STRENGTH_1,
+    _STRENGTH_2,
     VISCOSITY,
     _VISCOSITY_IN_CONTACT,
     COUPLING,  # what a link adds to the matrix of masses
@@ -71,7 +85,7 @@ MAX_PROJECTILE_CELLS = 1 << 15
     SPEED,
     FORCE,
     ROWS,
-) = range(32)
+) = range(46)
 
 SOLVER = [
     ('systems', 'i8', (2, 4)),  # what follows, in flight and in contact
@@ -84,53 +98,113 @@ SOLVER = [
 ]
 """Fields of a record for `solve`."""
 
+BODY = ('count', 'thickness', 'mass', 'stiffness', 'lag', 'bound', 'relaxed', *'012')
+"""
+What a body is cut from, for `cut`: number of cells; thickness, 0 if its strain does not matter;
+mass; stiffness; viscosity over stiffness [s]; the largest compression of a neo-Hookean one, 0 for
+a linear one; and its parts of the stiffness: of the spring, and of each Maxwell element.
+"""
+
 _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast for the step
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
 _SHORTEST = 16  # row of coupled nodes that is worth four chains
+_DAMPED = 0.3  # of the strain, by which artificial viscosity shortens the step
+_SHOCK = 1.0  # of the density: the artificial viscosity
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """A rig cut into cells."""
+class Grid(NamedTuple):
+    """A rig to be cut into cells."""
 
-    step: float  # of time [s]
-    heights: Floats  # of the layer's nodes, unloaded [m]
-    sheets: NDArray[np.int64]  # to which each cell of the layer belongs
-    bottom: int  # the layer's lowest node: 0, which is the plate, or 1 if it is not glued on
-    joint: int  # the link that is the contact
-    face_mass: float  # of the projectile's lowest node, without a layer glued to it [kg]
-    nodes: Floats  # the table, with mass, stiffness, viscosity and height filled in
+    step: float
+    """Of time. [s]"""
+    bodies: Floats
+    """A row of `BODY` for each sheet from the plate up, and for an elastic projectile."""
+    bars: int
+    """Cells of the projectile, 0 if it is rigid."""
 
     @property
-    def count(self) -> int:
-        """Cells of the layer."""
-        return self.heights.size - 1
+    def counts(self) -> NDArray[np.int64]:
+        """Cells of each sheet."""
+        return self.bodies[: len(self.bodies) - (self.bars > 0), 0].astype(np.int64)
 
-    def place(self, height: float) -> tuple[int, int, float, float]:
+    def places(self, points: int) -> list[tuple[int, int, float, float]]:
         """
-        Find what to interpolate from at a height, or to extrapolate from at the end of a sheet.
+        Find what to interpolate from at heights, or to extrapolate from at the end of a sheet.
 
-        That is the cell at this height and one beside it of the same sheet, the weight of the
+        That is the cell at each height and one beside it of the same sheet, the weight of the
         latter for what is known in the middle of cells (0 if there is none), and which part of the
         cell is below.
         """
-        cell = int(np.searchsorted(self.heights, height, side='right')) - 1
-        cell = min(cell, self.count - 1)
-        low, high = self.heights[cell : cell + 2]
-        part = float((height - low) / (high - low))
-        ahead = 1 if part > 0.5 else -1
-        for beside in (cell + ahead, cell - ahead):
-            if 0 <= beside < self.count and self.sheets[beside] == self.sheets[cell]:
-                return cell, beside, (part - 0.5) * (beside - cell), part
-        return cell, cell, 0.0, part
+        counts = self.counts
+        sheets = np.repeat(np.arange(counts.size), counts)
+        tops = np.cumsum(np.repeat(self.bodies[: counts.size, 1] / counts, counts))
+        heights = np.append(0.0, tops)
+        found = []
+        for height in np.linspace(0.0, tops[-1], points).tolist():
+            cell = min(int(np.searchsorted(heights, height, side='right')), tops.size) - 1
+            low, high = heights[cell : cell + 2]
+            part = float((height - low) / (high - low))
+            ahead = 1 if part > 0.5 else -1
+            beside = [
+                other
+                for other in (cell + ahead, cell - ahead)
+                if 0 <= other < tops.size and sheets[other] == sheets[cell]
+            ]
+            other = beside[0] if beside else cell
+            found.append((cell, other, (part - 0.5) * (other - cell), part))
+        return found
 
 
-def cut(
-    rig: Rig, *, cells: int, is_elastic: bool = False, is_on_projectile: bool = False
-) -> Cells:
+def fastest_waves(bodies: Floats) -> Floats:
+    """Compute largest speeds of waves over those of slow and weak ones, of rows of `BODY`. [-]"""
+    bound, relaxed = bodies[..., 5], bodies[..., 6]
+    tangent = relaxed * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0 + bodies[..., 7:].sum(axis=-1)
+    return np.asarray(np.sqrt(tangent) * (1.0 + _DAMPED * bound))
+
+
+def _sheet(rig: Rig, sheet: Layer, peak_speed: float) -> Floats:
+    """Return a row of `BODY` for a sheet, without the number of its cells."""
+    is_constant, bound = sheet.loss == 'constant', 0.0
+    relaxed = relaxation(sheet.loss_tangent) if is_constant else Relaxation()
+    if sheet.elasticity == 'neo_hookean':
+        # The sheets carry one force, so the soft ones are compressed most
+        ratio = peak_speed / rig.layer.wave_speed
+        ratio *= rig.layer.youngs_modulus / sheet.youngs_modulus
+        static = rig.projectile.mass * rig.gravity / (sheet.youngs_modulus * sheet.section)
+        bound = float(strain_bounds(ratio, rig.mass_ratio, static))
+    lag = 0.0 if is_constant else sheet.loss_tangent / rig.engine.angular_frequency
+    row = (0, sheet.thickness, sheet.mass, sheet.stiffness, lag, bound, relaxed.relaxed)
+    return np.array([*row, *relaxed.strengths])
+
+
+def _sheets(rig: Rig, peak_speed: float | None) -> tuple[Floats, Floats]:
+    """Return a row of `BODY` for each sheet, and what its fastest wave needs through it. [s]"""
+    scale = rig.engine.speed_scale if peak_speed is None else peak_speed
+    rows = np.array([_sheet(rig, sheet, scale) for sheet in rig.layer.sheets])
+    crossings = np.array([sheet.crossing_time for sheet in rig.layer.sheets])
+    return rows, crossings / fastest_waves(rows)
+
+
+def crossing_time(rig: Rig, peak_speed: float | None = None) -> float:
+    """Compute what the fastest wave needs through the layer, see `make_grid`. [s]"""
+    return float(_sheets(rig, peak_speed)[1].sum())
+
+
+def make_grid(
+    rig: Rig, *, cells: int, is_elastic: bool = False, peak_speed: float | None = None
+) -> Grid:
     """
     Cut a rig into about so many cells of the layer; sheets get whole numbers, and at least one.
+
+    Parameters
+    ----------
+    rig, cells
+        The rig, and the cells of the layer.
+    is_elastic : bool
+        Whether the projectile is cut, too.
+    peak_speed : float, optional
+        Of the plate; its engine's if not given. [m/s]
 
     Raises
     ------
@@ -138,55 +212,36 @@ def cut(
         If an elastic projectile takes more than `MAX_PROJECTILE_CELLS`; with the number.
 
     """
-    layer, projectile = rig.layer, rig.projectile
-    step = layer.crossing_time / cells
-    counts = [
-        max(1, int(sheet.crossing_time / step * (1.0 + _ROUNDING))) for sheet in layer.sheets
-    ]
-    count = sum(counts)
-    bar = _projectile_cells(rig, step) if is_elastic else 0
-    nodes = np.zeros((ROWS, count + bar + 2))
-    bottom = 1 if is_on_projectile else 0
-    first = bottom
-    for sheet, own in zip(layer.sheets, counts, strict=True):
-        lag = sheet.loss_tangent / rig.engine.angular_frequency
-        add_cells(nodes, first, own, sheet.mass, sheet.stiffness, lag, step)
-        nodes[INVERSE, first : first + own] = own / sheet.thickness
-        first += own
-    face = count + 1
-    if bar:
-        spring = projectile.youngs_modulus * layer.section / projectile.length
-        add_cells(nodes, face, bar, projectile.mass, spring, 0.0, step)
-    else:
-        nodes[MASS, face] += projectile.mass
-    return Cells(
-        step=step,
-        heights=np.append(0.0, np.cumsum(1.0 / nodes[INVERSE, bottom : bottom + count])),
-        sheets=np.repeat(np.arange(len(counts)), counts),
-        bottom=bottom,
-        joint=0 if is_on_projectile else count,
-        face_mass=0.5 * projectile.mass / bar if bar else projectile.mass,
-        nodes=nodes,
-    )
+    bodies, crossings = _sheets(rig, peak_speed)
+    step = float(crossings.sum()) / cells
+    bodies[:, 0] = np.maximum(1, (crossings / step * (1.0 + _ROUNDING)).astype(np.int64))
+    bars = _projectile_cells(rig, step) if is_elastic else 0
+    if bars:
+        projectile = rig.projectile
+        spring = projectile.youngs_modulus * rig.layer.section / projectile.length
+        bodies = np.vstack([bodies, [bars, 0, projectile.mass, spring, 0, 0, 1, 0, 0, 0]])
+    return Grid(step, bodies, bars)
 
 
-def cut_massless(rig: Rig, *, step: float) -> Cells:
-    """Make one cell without mass, a spring and a dashpot (App. A)."""
-    layer, mass = rig.layer, rig.projectile.mass
-    nodes = np.zeros((ROWS, 3))
-    nodes[MASS, 2] = mass
-    nodes[STIFFNESS, 0] = layer.stiffness
-    nodes[VISCOSITY, 0] = layer.stiffness * layer.loss_tangent / rig.engine.angular_frequency
-    nodes[INVERSE, 0] = 1.0 / layer.thickness
-    return Cells(
-        step=step,
-        heights=np.array([0.0, layer.thickness]),
-        sheets=np.zeros(1, np.int64),
-        bottom=0,
-        joint=1,
-        face_mass=mass,
-        nodes=nodes,
-    )
+def make_massless_grid(rig: Rig, *, step: float) -> Grid:
+    """
+    Make one cell without mass, a spring and a dashpot (App. A).
+
+    Raises
+    ------
+    ValueError
+        If the layer is not linear, or its loss not Kelvin and Voigt's.
+
+    """
+    layer = rig.layer
+    if any(each.elasticity != 'linear' or each.loss == 'constant' for each in layer.sheets):
+        raise ValueError(
+            'the model spring_mass needs layer.elasticity linear and layer.loss kelvin_voigt, '
+            f'got {layer.elasticity} and {layer.loss}'
+        )
+    lag = layer.loss_tangent / rig.engine.angular_frequency
+    row = [1, layer.thickness, 0, layer.stiffness, lag, 0, 1, 0, 0, 0]
+    return Grid(step, np.array([row], dtype=np.float64), 0)
 
 
 def _projectile_cells(rig: Rig, step: float) -> int:
@@ -202,25 +257,40 @@ def _projectile_cells(rig: Rig, step: float) -> int:
     return max(_FEWEST_PROJECTILE_CELLS, int(wanted))
 
 
-@kernel
-def add_cells(
-    nodes: Floats,
-    first: int,
-    count: int,
-    mass: float,
-    stiffness: float,
-    lag: float,
-    step: float,
-) -> None:
-    """Put a body above a node, cut into cells; its loss is viscosity over stiffness. [s]"""
-    cell, spring = mass / count, stiffness * count
-    is_stiff = math.sqrt(cell / spring) * (1.0 + _ROUNDING) < step
-    for j in range(first, first + count):
-        nodes[MASS, j] += 0.5 * cell
-        nodes[MASS, j + 1] += 0.5 * cell
-        nodes[STIFFNESS, j] = spring
-        nodes[VISCOSITY, j] = lag * spring
-        nodes[STIFF, j] = _AVERAGE_ACCELERATION * step * step * spring if is_stiff else 0.0
+@part
+def cut(nodes: Floats, bodies: Floats, bottom: int, cells: int, mass: float, step: float) -> None:
+    """Cut bodies into cells, from the node `bottom` up; without a bar the mass is a point."""
+    first, face = bottom, cells + 1
+    for n in range(bodies.shape[0]):
+        body = bodies[n]
+        if first == bottom + cells:
+            first = face
+        count = int(body[0])
+        cell, spring = body[2] / count, body[3] * count
+        inverse = count / body[1] if body[1] > 0.0 else 0.0
+        stiffest = body[6] + body[7] + body[8] + body[9]
+        bound = body[5]
+        if bound > 0.0:
+            stiffest += body[6] * ((1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0 - 1.0)
+        stiffest *= spring
+        is_stiff = 0.0 < math.sqrt(cell / stiffest) * (1.0 + _ROUNDING) < step
+        for j in range(first, first + count):
+            nodes[MASS, j] += 0.5 * cell
+            nodes[MASS, j + 1] += 0.5 * cell
+            nodes[INVERSE, j] = inverse
+            if bound > 0.0:
+                nodes[CURVATURE, j] = body[6] * spring / inverse / 3.0
+                nodes[LEAST, j] = 1.0 - bound
+                nodes[SHOCK, j] = _SHOCK * cell * inverse
+            else:
+                nodes[STIFFNESS, j] = body[6] * spring
+            for element in range(3):
+                nodes[STRENGTH + element, j] = body[7 + element] * spring
+            nodes[VISCOSITY, j] = body[4] * spring
+            nodes[STIFF, j] = _AVERAGE_ACCELERATION * step * step * stiffest if is_stiff else 0.0
+        first += count
+    if first == bottom + cells:
+        nodes[MASS, face] += mass
 
 
 @part

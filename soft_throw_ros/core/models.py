@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the models of a throw are called; apart, so that to know them compiles nothing."""
+"""What models and materials are called; apart, so that to know them compiles nothing."""
 
 CELL_MODELS = (
     'finite_difference',
@@ -11,3 +11,9 @@ CELL_MODELS = (
 
 MODELS = ('travelling_wave', *CELL_MODELS)
 """All that `throw.simulate` knows, and that the twin can follow in real time."""
+
+ELASTICITIES = ('linear', 'neo_hookean')
+"""How the stress of a layer follows strain."""
+
+LOSSES = ('kelvin_voigt', 'constant')
+"""How its loss tangent depends on frequency: in proportion to it, or not at all."""

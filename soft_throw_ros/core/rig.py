@@ -12,17 +12,27 @@ from dataclasses import dataclass, field, fields
 import math
 
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.models import ELASTICITIES, LOSSES
+
+LARGEST_STRAIN = 0.5
+"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
+
+_CHOICES = {'elasticity': ELASTICITIES, 'loss': LOSSES}
 
 
 def _check(part: object, **kinds: str) -> None:
     """Check every field of a frozen dataclass in place: positive unless `kinds` names another."""
     for item in fields(part):  # type: ignore[arg-type]
         kind = kinds.get(item.name, 'positive')
-        if kind != 'part':
-            name = f'{type(part).__name__.lower()}.{item.name}'
+        name = f'{type(part).__name__.lower()}.{item.name}'
+        if item.name in _CHOICES:
+            if (value := getattr(part, item.name)) not in _CHOICES[item.name]:
+                choices = ', '.join(_CHOICES[item.name])
+                raise ValueError(f'{name} must be one of {choices}, got {value!r}')
+        elif kind != 'part':
             value = getattr(checks, f'require_{kind}')(name, getattr(part, item.name))
             object.__setattr__(part, item.name, value)
 
@@ -83,11 +93,16 @@ class Layer:
         Of the section :math:`S`. [m]
     loss_tangent : float
         Of the material at the engine's frequency; 0 is lossless. [-]
+    elasticity : {'linear', 'neo_hookean'}
+        How stress follows strain, see `material`.
+    loss : {'kelvin_voigt', 'constant'}
+        Whether the loss tangent grows with frequency, or is the same over decades.
 
     Raises
     ------
     ValueError
-        If a value is not finite and positive, or `loss_tangent` is negative.
+        If a value is not finite and positive, `loss_tangent` is negative, or `elasticity` or
+        `loss` is none of those.
 
     """
 
@@ -96,6 +111,8 @@ class Layer:
     density: float = 1000.0
     diameter: float = 12e-3
     loss_tangent: float = 0.0
+    elasticity: str = 'linear'
+    loss: str = 'kelvin_voigt'
 
     def __post_init__(self) -> None:
         _check(self, loss_tangent='not_negative')
@@ -136,6 +153,15 @@ class Layer:
         return True
 
     @property
+    def needs_cells(self) -> bool:
+        """Whether only cells can follow it: a stack, a layer with loss, or one not linear."""
+        return not self.is_uniform or self.loss_tangent > 0.0 or self.elasticity != 'linear'
+
+    def linear_range(self, max_strain: float) -> float:
+        """Return the largest strain to be trusted: `max_strain`, if it is taken to be linear."""
+        return max_strain if self.elasticity == 'linear' else max(max_strain, LARGEST_STRAIN)
+
+    @property
     def sheets(self) -> tuple[Layer, ...]:
         """Of which it is made, each of one material, from the plate up."""
         return (self,)
@@ -166,6 +192,8 @@ class Stack(Layer):
         Of the section :math:`S`. [m]
     loss_tangent : float
         Of the whole when it is squeezed slowly. [-]
+    elasticity, loss : str
+        'linear' if all sheets are, and 'constant' if that of one sheet is.
 
     Raises
     ------
@@ -190,6 +218,8 @@ class Stack(Layer):
     density: float = field(init=False, repr=False)
     diameter: float = field(init=False, repr=False)
     loss_tangent: float = field(init=False, repr=False)
+    elasticity: str = field(init=False, repr=False)
+    loss: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         sheets = tuple(part for sheet in self.sheets for part in sheet.sheets)
@@ -214,6 +244,8 @@ class Stack(Layer):
             ('diameter', sheets[0].diameter),
             ('density', sum(sheet.density * sheet.thickness for sheet in sheets) / thickness),
             ('loss_tangent', lost / sum(compliances)),
+            ('elasticity', max((sheet.elasticity for sheet in sheets), key=ELASTICITIES.index)),
+            ('loss', max((sheet.loss for sheet in sheets), key=LOSSES.index)),
         ):
             object.__setattr__(self, name, value)
 
@@ -345,6 +377,12 @@ class Rig:
         spring = projectile.youngs_modulus * self.layer.section / projectile.length
         return math.sqrt(projectile.mass / spring) / self.crossing_time
 
+    @property
+    def strain_ratio(self) -> float:
+        r""":math:`A \omega / c_s` if the layer is not linear, so that strain counts, else 0. [-]"""
+        is_linear = self.layer.elasticity == 'linear'
+        return 0.0 if is_linear else self.engine.speed_scale / self.layer.wave_speed
+
     def check_for_waves(self) -> None:
         """
         Refuse what the travelling-wave model cannot do.
@@ -352,13 +390,18 @@ class Rig:
         Raises
         ------
         ValueError
-            If the layer is a stack, or has internal loss.
+            If the layer is a stack, is not linear, or has internal loss.
 
         """
         if not self.layer.is_uniform:
             raise ValueError(
                 'the travelling-wave model needs a layer of one material; finite differences '
                 f'take what was given, {self.layer!r}'
+            )
+        if self.layer.elasticity != 'linear':
+            raise ValueError(
+                'layer.elasticity must be linear for the travelling-wave model, '
+                f'got {self.layer.elasticity}; finite differences take it'
             )
         if self.layer.loss_tangent > 0.0:
             raise ValueError(

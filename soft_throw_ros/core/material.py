@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+What a layer is made of: how its stress follows strain, and how it loses energy.
+
+Notes
+-----
+With the stretch :math:`\lambda = 1 + \epsilon` the nominal stress of a rod is :math:`E \epsilon`,
+or that of a neo-Hookean one, :math:`\frac{E}{3} (\lambda - \lambda^{-2})`. Where the stress grows
+faster than strain, compression waves steepen into shocks. They are resolved by an artificial
+viscosity (von Neumann and Richtmyer, [1]_), a stress :math:`2 \rho (\Delta v)^2` in cells that are
+being compressed, which is of second order where waves are smooth; what it takes counts as heat.
+
+A constant loss tangent is that of a spring beside a few Maxwell elements,
+
+.. math::
+
+    \sigma = E_\infty \epsilon + \sum_l E_l q_l, \qquad \dot q_l = \dot \epsilon - \omega_l q_l,
+
+whose strengths are fitted by least squares to the loss tangent over a band around the plate's
+frequency, as seismology does ([2]_), and scaled so that the wave speed is that at the plate's
+frequency. Heat is :math:`\sum E_l \omega_l q_l^2`, which is never negative. Where the layer is
+neo-Hookean, it is the spring that is.
+
+References
+----------
+.. [1] J. VonNeumann and R. D. Richtmyer, J. Appl. Phys. 21, 232 (1950).
+.. [2] H. Emmerich and M. Korn, Geophysics 52, 1252 (1987).
+
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
+from soft_throw_ros.core.kernels import part
+from soft_throw_ros.core.rig import LARGEST_STRAIN
+
+LARGEST_CONSTANT_LOSS = 1.0
+"""Largest constant loss tangent: a material that loses more is almost a liquid."""
+
+BAND = (0.25, 16.0)
+"""Where the loss tangent is fitted, to 5 % up to 0.2 and 12 % up to 0.8; in plate frequencies."""
+
+RELAXATION_RATES = (0.2, 2.0, 20.0)
+"""Of the Maxwell elements, over the plate's angular frequency."""
+
+_MARGIN = 1.5  # of the strain that a neo-Hookean layer is stepped for, over what linear throws have
+
+
+Floats = NDArray[np.float64]
+
+
+class Relaxation(NamedTuple):
+    """Moduli over that at the plate's frequency: of the spring, and of the Maxwell elements."""
+
+    relaxed: float = 1.0
+    strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+
+@lru_cache(maxsize=4096)
+def relaxation(loss_tangent: float) -> Relaxation:
+    """
+    Fit Maxwell elements to a constant loss tangent.
+
+    Raises
+    ------
+    ValueError
+        If it is larger than `LARGEST_CONSTANT_LOSS`.
+
+    Examples
+    --------
+    A gel is softer when it is squeezed slowly, and stiffer when it is hit:
+
+    >>> gel = relaxation(0.1)
+    >>> round(gel.relaxed, 3), round(gel.relaxed + sum(gel.strengths), 3)
+    (0.821, 1.336)
+
+    """
+    if loss_tangent > LARGEST_CONSTANT_LOSS:
+        raise ValueError(
+            f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
+            f'got {loss_tangent:g}'
+        )
+    if loss_tangent == 0.0:
+        return Relaxation()
+    rates = np.array(RELAXATION_RATES)
+    omega = np.geomspace(*BAND, 41)[:, None]
+    matrix = (rates * omega + rates**2 * loss_tangent) / (rates**2 + omega**2)
+    shares, _ = nnls(matrix, np.full(len(matrix), loss_tangent))
+    storage = 1.0 - float((shares * rates**2 / (rates**2 + 1.0)).sum())  # at the plate's frequency
+    first, second, third = (shares / storage).tolist()
+    return Relaxation(float(1.0 - shares.sum()) / storage, (first, second, third))
+
+
+def strain_bounds(
+    strain_ratio: ArrayLike, mass_ratio: ArrayLike, static_strain: ArrayLike
+) -> Floats:
+    r"""
+    Bound the strains of throws, so that the time step can be chosen for their fastest waves.
+
+    Parameters
+    ----------
+    strain_ratio, mass_ratio, static_strain : array_like
+        :math:`A \omega / c_s`, :math:`\mu`, and the compression at rest. [-]
+
+    Returns
+    -------
+    ndarray
+        More than any linear throw up to the first release has, at most `LARGEST_STRAIN`. [-]
+
+    """
+    largest = np.asarray(strain_ratio) * (1.0 + np.sqrt(mass_ratio))
+    return np.minimum(LARGEST_STRAIN, static_strain + _MARGIN * largest)
+
+
+@part
+def static_stretch(load):
+    """Find the stretch under a compressive load, in E S / 3, of a neo-Hookean layer."""
+    stretch = 1.0
+    for _ in range(50):  # Newton, from above: the curve is concave
+        excess = stretch - 1.0 / (stretch * stretch) + load
+        stretch = max(stretch - excess / (1.0 + 2.0 / stretch**3), 0.5 * stretch)
+    return stretch
