@@ -4,7 +4,7 @@
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.recorder import RECORDER
 from soft_throw_ros.configuration.table import Entry, ParameterError, Settings, Table, Value
-from soft_throw_ros.configuration.twin import LAYERS, rig_of, TWIN
+from soft_throw_ros.configuration.twin import LAYERS, rig_of, rig_values, TWIN
 
 __all__ = [
     'CUSTOM',
@@ -17,4 +17,5 @@ __all__ = [
     'Table',
     'Value',
     'rig_of',
+    'rig_values',
 ]

@@ -7,7 +7,7 @@ The library of layers: materials with sourced properties, and the layers that th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
-from soft_throw_ros.configuration.table import ParameterError, row, Table
+from soft_throw_ros.configuration.table import number_of, ParameterError, row, Table
+from soft_throw_ros.core.rig import Layer, Stack
 
 CUSTOM = 'custom'
 """Name of a layer that is in no library."""
@@ -44,11 +45,23 @@ _MATERIAL = Table(
             for name, (unit, low, high) in BOUNDS.items()
             if name != 'thickness'
         ),
+        row('stack', '', 'Its sheets', kind='a text', pattern=r'.*\S.*'),
         row('thicknesses', (0.01,), '', unit='m', low=BOUNDS['thickness'][1],
             high=BOUNDS['thickness'][2]),
     ),
 )  # fmt: skip
-_REQUIRED = ('description', 'source', 'density', 'loss_tangent')
+_SHEET = Table(
+    node='sheet',
+    entries=tuple(
+        row(name, 1.0, '', unit=unit, low=1e-4 if name == 'thickness' else low, high=high)
+        for name, (unit, low, high) in BOUNDS.items()
+    ),
+)
+STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
+"""What the sheets of a stack have each, and the stack as a whole."""
+
+_DESCRIPTION = ('description', 'source')
+_REQUIRED = (*_DESCRIPTION, 'density', 'loss_tangent')
 _STIFFNESS = ('wave_speed', 'youngs_modulus')
 _RANGED = ('density', 'loss_tangent', *_STIFFNESS)
 
@@ -89,9 +102,10 @@ class Material:
     diameter: float | None = None
 
     @property
-    def settings(self) -> dict[str, float]:
+    def settings(self) -> dict[str, float | str]:
         """Parameters of the twin that say that a layer is of this material."""
-        values = {
+        values: dict[str, float | str] = {
+            'layer.stack': '',
             'layer.wave_speed': self.wave_speed.value,
             'layer.density': self.density.value,
             'layer.loss_tangent': self.loss_tangent.value,
@@ -115,7 +129,59 @@ class Library(NamedTuple):
     """Materials by name, and which parameters of the twin choosing a layer's name sets."""
 
     materials: Mapping[str, Material]
-    layers: Mapping[str, Mapping[str, float]]
+    layers: Mapping[str, Mapping[str, float | str]]
+
+    def sheets(self, text: str) -> list[Layer]:
+        """
+        Read the sheets of a stack from the plate up, separated by commas.
+
+        A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
+        tangent, in SI units.
+
+        Raises
+        ------
+        ParameterError
+            If a sheet is none, quoting it.
+
+        Examples
+        --------
+        >>> [sheet.wave_speed for sheet in library().sheets('8e-3 gelatin, 2e-3 20 1100 0.1')]
+        [7.8, 20.0]
+
+        """
+        return [self._sheet(sheet.split()) for sheet in text.split(',')]
+
+    def _sheet(self, words: list[str]) -> Layer:
+        """Read a sheet of a stack."""
+        sheet = ' '.join(words)
+        if len(words) == 2 and number_of(words[1]) is None:
+            if words[1] not in self.materials:
+                raise ParameterError(
+                    f'layer.stack: no material is named {words[1]!r}; there are '
+                    f'{", ".join(self.materials)}',
+                    'layer.stack',
+                )
+            values = {
+                name.removeprefix('layer.'): value
+                for name, value in self.materials[words[1]].settings.items()
+                if name in STACKED
+            }
+        elif len(words) in (3, 4):
+            values = dict(zip(('wave_speed', 'density', 'loss_tangent'), words[1:], strict=False))
+        else:
+            raise ParameterError(
+                'layer.stack: a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY '
+                f'[LOSS_TANGENT], got {sheet!r}',
+                'layer.stack',
+            )
+        try:
+            checked = {
+                name: _SHEET.check_value(name, value)
+                for name, value in {'thickness': words[0], **values}.items()
+            }
+        except ParameterError as error:
+            raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
+        return Layer(**checked)  # type: ignore[arg-type]
 
 
 def default_file() -> Path:
@@ -151,21 +217,51 @@ def library(path: str | Path = '') -> Library:
 
 @lru_cache(maxsize=8)
 def _library(path: str, _changed_ns: int) -> Library:
-    materials = dict(_materials(default_file(), {}))
-    if path:
-        materials.update(_materials(Path(path), materials))
-    layers: dict[str, Mapping[str, float]] = {}
+    materials: dict[str, Material] = {}
+    stacks: dict[str, Located] = {}
+    for file in (default_file(), *([Path(path)] if path else [])):
+        _read_materials(file, materials, stacks)
+    layers: dict[str, Mapping[str, float | str]] = {}
     for material in materials.values():
         for thickness in material.thicknesses:
             name = material.layer_name(thickness)
             layers[name] = {'layer.thickness': thickness, **material.settings}
         if not material.thicknesses:
             layers[material.name] = material.settings
-    return Library(MappingProxyType(materials), MappingProxyType(layers))
+    found = Library(MappingProxyType(materials), MappingProxyType(layers))
+    for name, node in stacks.items():
+        text = _checked('stack', node.value, node.where)
+        try:
+            layers[name] = {'layer.stack': text, **whole(found.sheets(text))}
+        except ParameterError as error:
+            raise ParameterError(f'{node.where}: {error}') from None
+    return found
 
 
-def _materials(path: Path, known: Mapping[str, Material]) -> Iterator[tuple[str, Material]]:
-    """Read the materials of a file one after another."""
+def whole(sheets: Sequence[Layer]) -> dict[str, float]:
+    """
+    Return what a stack has as a whole, by the names of the parameters.
+
+    Raises
+    ------
+    ParameterError
+        If it is too thick.
+
+    """
+    stack = Stack(sheets=tuple(sheets))
+    _, low, high = BOUNDS['thickness']
+    if not low <= stack.thickness <= high:
+        raise ParameterError(
+            f'layer.stack must be from {low:g} to {high:g} m thick, got {stack.thickness:g} m',
+            'layer.stack',
+        )
+    return {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
+
+
+def _read_materials(
+    path: Path, materials: dict[str, Material], stacks: dict[str, Located]
+) -> None:
+    """Add the materials and the stacks of a file."""
     root = located_yaml.read(path)
     if root is None:
         raise ParameterError(f'{path}: no material in it')
@@ -175,17 +271,33 @@ def _materials(path: Path, known: Mapping[str, Material]) -> Iterator[tuple[str,
                 f'{node.where}: the name of a material is letters, digits, points, dashes and '
                 f'underlines, and not {CUSTOM!r}, got {name!r}'
             )
-        if name in known:
+        if name in materials or name in stacks:
             raise ParameterError(f'{node.where}: there is a material named {name} already')
-        yield name, _material(name, node)
+        parts = _parts(node, 'PROPERTY: VALUE')
+        if 'stack' in parts:
+            _require(name, node, parts, (*_DESCRIPTION, 'stack'))
+            for key in _DESCRIPTION:
+                _value(key, parts[key])
+            other = sorted(parts.keys() - {*_DESCRIPTION, 'stack'})
+            if other:
+                raise ParameterError(f'{parts[other[0]].where}: a stack has no {other[0]}')
+            stacks[name] = parts['stack']
+        else:
+            materials[name] = _material(name, node, parts)
 
 
-def _material(name: str, node: Located) -> Material:
-    parts = _parts(node, 'PROPERTY: VALUE')
-    values = {key: _value(key, part) for key, part in parts.items()}
-    missing = [key for key in _REQUIRED if key not in parts]
+def _require(
+    name: str, node: Located, parts: Mapping[str, Located], required: Sequence[str]
+) -> None:
+    """Refuse an entry that lacks something."""
+    missing = [key for key in required if key not in parts]
     if missing:
         raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
+
+
+def _material(name: str, node: Located, parts: Mapping[str, Located]) -> Material:
+    values = {key: _value(key, part) for key, part in parts.items()}
+    _require(name, node, parts, _REQUIRED)
     stiffness = [key for key in _STIFFNESS if key in parts]
     if len(stiffness) != 1:
         raise ParameterError(

@@ -11,7 +11,8 @@ from soft_throw_ros.configuration.twin import TWIN
 _LIKE_THE_TWIN = (
     'engine.frequency', 'engine.amplitude', 'engine.damping_ratio',
     'layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.diameter',
-    'layer.loss_tangent', 'projectile.mass', 'gravity', 'throw.period',
+    'layer.loss_tangent', 'layer.elasticity', 'layer.loss', 'layer.stack', 'layer.library',
+    'projectile.mass', 'gravity', 'throw.period',
 )  # fmt: skip
 
 _CAUGHT = 1  # landing, after which all is put back, and rests until the next throw

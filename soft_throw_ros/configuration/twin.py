@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 import difflib
 import math
 from typing import Any
 
-from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library
+from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library, STACKED, whole
 from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
-from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.models import ELASTICITIES, LOSSES, MODELS
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 
-LAYERS: Mapping[str, Mapping[str, float]] = library().layers
+LAYERS: Mapping[str, Mapping[str, float | str]] = library().layers
 """The layers of the installed library: what choosing `layer.name` sets."""
 
 _RIG = Rig()
@@ -62,6 +62,11 @@ _ENTRIES = (
     row('layer.name', 'gelatin_16.8mm',
          'A layer of the library, which sets what it is known by; `custom` after any other change',
          kind='a name in the library, or `custom`', examples=tuple(LAYERS)),
+    row('layer.stack', '',
+         'Sheets of which the layer is, from the plate up, separated by commas: each is '
+         'thickness, wave speed, density and perhaps loss tangent, or thickness and material; those values '
+         'of the layer are of the whole, then',
+         kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
          **_bounds('thickness')),
     row('layer.wave_speed', _RIG.layer.wave_speed,
@@ -72,6 +77,12 @@ _ENTRIES = (
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
          "Internal loss of the layer, as its loss tangent at the plate's frequency",
          **_bounds('loss_tangent')),
+    row('layer.elasticity', _RIG.layer.elasticity,
+         'How the stress of the layer follows strain: in proportion, or as in a neo-Hookean rod, '
+         'which stiffens where it is compressed', choices=ELASTICITIES),
+    row('layer.loss', _RIG.layer.loss,
+         'Whether the loss tangent grows with frequency (Kelvin and Voigt), or is the same over '
+         'decades, as that of gels and silicones is', choices=LOSSES),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
          unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
@@ -82,8 +93,8 @@ _ENTRIES = (
          unit='Pa', low=1e6, high=1e12),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
     row('model', 'travelling_wave',
-         'What layer and projectile are taken for; where there is internal loss, the travelling '
-         'wave gives way to finite differences', choices=MODELS),
+         'What layer and projectile are taken for; where there is internal loss, large strain '
+         'or a stack, the travelling wave gives way to finite differences', choices=MODELS),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
          unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -174,14 +185,15 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
     Add to `changes` what they imply.
 
     A layer's name implies the layer's values, and a value that is not the named layer's makes it
-    `custom`. Harmonic motion implies no damping, and damping that the motion is underdamped.
+    `custom`. A stack implies the values of the whole, and another value that there is no stack.
+    Harmonic motion implies no damping, and damping that the motion is underdamped.
     Aiming at a speed implies that no height is aimed at, and the other way round. What was asked
     for is never replaced.
 
     Raises
     ------
     ParameterError
-        If the library has no layer of that name, or cannot be read.
+        If the library has no layer of that name, or cannot be read, or a stack cannot.
 
     """
     implied: dict[str, Value] = {}
@@ -200,6 +212,11 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
         settings['layer.name'] not in layers or _departures(layers, settings, changes)
     ):
         implied['layer.name'] = CUSTOM
+    stack = changes.get('layer.stack')
+    if stack:
+        implied.update(_whole({**settings, **changes}))
+    elif stack is None and settings['layer.stack'] and any(name in changes for name in STACKED):
+        implied.setdefault('layer.stack', '')
     motion = changes.get('engine.motion')
     if motion == 'harmonic':
         implied['engine.damping_ratio'] = 0.0
@@ -224,11 +241,25 @@ def contradictions(settings: Settings) -> Iterator[ParameterError]:
     layers, layer = _layers(settings), settings['layer.name']
     for name in _departures(layers, settings, settings):
         yield ParameterError(
-            f'{name} of {layer} is {layers[layer][name]:g}, got {settings[name]:g}; '
+            f'{name} of {layer} is {_shown(layers[layer][name])}, got {_shown(settings[name])}; '
             f'leave one of the two out, or set layer.name to {CUSTOM!r}',
             name,
             'layer.name',
         )
+    if settings['layer.stack']:
+        try:
+            values = _whole(settings)
+        except ParameterError as error:  # the library has changed
+            values = {}
+            yield error
+        for name, value in values.items():
+            if settings[name] != value:
+                yield ParameterError(
+                    f'{name} of the stack is {value:g}, got {settings[name]:g}; '
+                    'leave one of the two out',
+                    name,
+                    'layer.stack',
+                )
     height, speed = (settings[name] for name in _TARGETS)
     if height and speed:
         yield ParameterError(
@@ -284,24 +315,67 @@ def rig_of(settings: Settings) -> Rig:
         group = part.__name__.lower()
         return {item.name: settings[f'{group}.{item.name}'] for item in fields(part)}
 
+    layer = Layer(**values(Layer))
+    if settings['layer.stack']:
+        shared = {name: getattr(layer, name) for name in ('diameter', 'elasticity', 'loss')}
+        sheets = library(settings['layer.library']).sheets(settings['layer.stack'])
+        layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in sheets))
     return Rig(
         engine=Engine(**values(Engine)),
-        layer=Layer(**values(Layer)),
+        layer=layer,
         projectile=Projectile(**values(Projectile)),
         gravity=settings['gravity'],
     )
 
 
+def rig_values(rig: Rig) -> dict[str, Any]:
+    """
+    Return the numbers of a rig, and what its layer is, by the names of their parameters.
+
+    Examples
+    --------
+    >>> values = rig_values(Rig(layer=Stack(sheets=(Layer(), Layer(thickness=0.01)))))
+    >>> values['layer.stack']
+    '0.0168 7.8 1000.0 0.0, 0.01 7.8 1000.0 0.0'
+
+    """
+    stack = ''
+    if isinstance(rig.layer, Stack):
+        stack = ', '.join(
+            ' '.join(str(getattr(sheet, name.removeprefix('layer.'))) for name in STACKED)
+            for sheet in rig.layer.sheets
+        )
+    return {
+        **{f'engine.{item.name}': getattr(rig.engine, item.name) for item in fields(Engine)},
+        **{f'layer.{item.name}': getattr(rig.layer, item.name) for item in fields(Layer)},
+        'layer.stack': stack,
+        **{
+            f'projectile.{item.name}': getattr(rig.projectile, item.name)
+            for item in fields(Projectile)
+        },
+        'gravity': rig.gravity,
+    }
+
+
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 
 
-def _layers(settings: Settings) -> Mapping[str, Mapping[str, float]]:
+def _whole(settings: Settings) -> dict[str, float]:
+    """Return what the stack of the settings has as a whole."""
+    return whole(library(str(settings['layer.library'])).sheets(str(settings['layer.stack'])))
+
+
+def _shown(value: Value) -> str:
+    return f'{value:g}' if isinstance(value, float) else repr(value)
+
+
+def _layers(settings: Settings) -> Mapping[str, Mapping[str, float | str]]:
     """Return the layers of the library, that of the settings included."""
     return library(str(settings['layer.library'])).layers
 
 
 def _departures(
-    layers: Mapping[str, Mapping[str, float]], settings: Settings, values: Settings
+    layers: Mapping[str, Mapping[str, float | str]], settings: Settings, values: Settings
 ) -> list[str]:
     """Name the values that are not those of the named layer."""
     known = layers.get(settings['layer.name'], {})

@@ -114,7 +114,7 @@ class TwinConfig:
         plate = Underdamped.of(rig.engine)
         return cls(
             rig=rig,
-            model=model_of(settings),
+            model=model_of(settings, rig),
             motion=motion,
             measurement=MeasurementConfig(
                 smoothing_window_ns=round(settings['measured.window'] * _SECOND),
@@ -134,17 +134,16 @@ class TwinConfig:
             time_scale=1.0 if motion == 'measured' else settings['time_scale'],
             throw_period=settings['throw.period'],
             max_events=settings['throw.max_events'],
-            max_strain=settings['max_strain'],
+            max_strain=rig.layer.linear_range(settings['max_strain']),
         )
 
 
-def model_of(settings: Settings) -> str:
+def model_of(settings: Settings, rig: Rig) -> str:
     """
     Choose by which model a rig is followed.
 
-    It is the one that is set, unless that is the travelling wave, which is lossless, and the layer
-    has internal loss: then it is finite differences.
+    It is the one that is set, unless that is the travelling wave and the layer is a stack, not
+    linear, or has internal loss: then it is finite differences.
     """
-    if settings['model'] == 'travelling_wave' and settings['layer.loss_tangent'] > 0.0:
-        return 'finite_difference'
-    return str(settings['model'])
+    is_wave = settings['model'] == 'travelling_wave'
+    return 'finite_difference' if is_wave and rig.layer.needs_cells else str(settings['model'])

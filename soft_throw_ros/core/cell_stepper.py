@@ -160,6 +160,7 @@ _CORE = np.dtype(
         ('bottom', 'i8'),  # its lowest node
         ('joint', 'i8'),
         ('is_lossy', '?'),
+        ('is_viscous', '?'),
         ('is_massless', '?'),
         ('is_curved', '?'),  # whether a sheet is neo-Hookean
         ('remembers', '?'),  # whether there are Maxwell elements
@@ -219,6 +220,7 @@ _CORE = np.dtype(
         # energy
         ('power', 'f8'),
         ('heating', 'f8'),
+        ('strain_heating', 'f8'),  # of Maxwell elements and shocks
         ('work_before', 'f8'),  # a step ago
         ('heat_before', 'f8'),
         ('work', 'f8'),
@@ -345,14 +347,14 @@ def _prepare(core, nodes, bodies, omega):
             nodes[LEAST, j] = 1.0  # so that nothing is divided by zero
         for element in range(3):
             s.remembers = s.remembers or nodes[STRENGTH + element, j] > 0.0
-        s.is_lossy = s.is_lossy or nodes[VISCOSITY, j] > 0.0
-    s.is_lossy = s.is_lossy or s.is_curved or s.remembers
+        s.is_viscous = s.is_viscous or nodes[VISCOSITY, j] > 0.0
+    s.is_lossy = s.is_viscous or s.is_curved or s.remembers
     for element in range(3):
         s.relaxation[element] = RELAXATION_RATES[element] * omega
         half = 0.5 * s.step * s.relaxation[element]
         s.keep[element], s.take[element] = (1.0 - half) / (1.0 + half), 1.0 / (1.0 + half)
     s.creep = math.inf
-    if s.is_massless and s.is_lossy:
+    if s.is_massless and s.is_viscous:
         s.creep = nodes[STIFFNESS, 0] / nodes[VISCOSITY, 0]
     # What takes half of the momentum of a free end in half a step ends its alternation at once
     if joint > 0:
@@ -396,21 +398,23 @@ def _prepare(core, nodes, bodies, omega):
 
 @inlined
 def _strain(s, nodes):
-    """Compute the elastic tension of all links, and what Maxwell elements make of it."""
+    """Compute the elastic tension of all links, and what that alone turns to heat."""
     stress = STRESS + (s.index & 1)
-    for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
-        stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
-        nodes[stress, j] = nodes[STIFFNESS, j] * stretch
+    s.strain_heating = 0.0
     if s.is_curved:
-        _add_curvature(s, nodes)
+        s.strain_heating = _strain_curved(s, nodes)
+    else:
+        for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+            stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
+            nodes[stress, j] = nodes[STIFFNESS, j] * stretch
     if s.remembers:
-        _remember(s, nodes)
+        s.strain_heating += _remember(s, nodes)
 
 
-@part
-def _add_curvature(s, nodes):
-    """Add the tension of neo-Hookean cells, and their artificial viscosity."""
-    stress = STRESS + (s.index & 1)
+@reduction
+def _strain_curved(s, nodes):
+    """Compute the tension of linear and neo-Hookean links, and the power of the shocks."""
+    stress, total = STRESS + (s.index & 1), 0.0
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
         ratio = 1.0 + stretch * nodes[INVERSE, j] - nodes[STATIC, j]
@@ -419,26 +423,33 @@ def _add_curvature(s, nodes):
         square = inverse * inverse
         tension = held - square + (ratio - held) * (1.0 + 2.0 * square * inverse)
         closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
-        tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j]
-        nodes[stress, j] += tension - nodes[SHOCK, j] * closing * closing
+        shock = nodes[SHOCK, j] * closing * closing
+        tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j] - shock
+        nodes[stress, j] = nodes[STIFFNESS, j] * stretch + tension
+        total -= shock * closing
+    return total
 
 
-@part
+@reduction
 def _remember(s, nodes):
-    """Add the tension of the Maxwell elements, whose rates are integrated by the midpoint."""
-    stress, old, new = STRESS + (s.index & 1), MEMORY + 1 - (s.index & 1), MEMORY + (s.index & 1)
+    """Add the tension of the Maxwell elements, by the trapezoidal rule; their power of heat."""
+    stress, total = STRESS + (s.index & 1), 0.0
     keep_0, keep_1, keep_2 = s.keep[0], s.keep[1], s.keep[2]
     take_0, take_1, take_2 = s.take[0], s.take[1], s.take[2]
+    rate_0, rate_1, rate_2 = s.relaxation[0], s.relaxation[1], s.relaxation[2]
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
         change = stretch - nodes[STRETCH, j]
         nodes[STRETCH, j] = stretch
-        first = keep_0 * nodes[old, j] + take_0 * change
-        second = keep_1 * nodes[old + 2, j] + take_1 * change
-        third = keep_2 * nodes[old + 4, j] + take_2 * change
-        nodes[new, j], nodes[new + 2, j], nodes[new + 4, j] = first, second, third
-        tension = nodes[STRENGTH, j] * first + nodes[STRENGTH + 1, j] * second
-        nodes[stress, j] += tension + nodes[STRENGTH + 2, j] * third
+        first = keep_0 * nodes[MEMORY, j] + take_0 * change
+        second = keep_1 * nodes[MEMORY + 1, j] + take_1 * change
+        third = keep_2 * nodes[MEMORY + 2, j] + take_2 * change
+        nodes[MEMORY, j], nodes[MEMORY + 1, j], nodes[MEMORY + 2, j] = first, second, third
+        pull_0 = nodes[STRENGTH, j] * first
+        pull_1, pull_2 = nodes[STRENGTH + 1, j] * second, nodes[STRENGTH + 2, j] * third
+        nodes[stress, j] += pull_0 + pull_1 + pull_2
+        total += rate_0 * pull_0 * first + rate_1 * pull_1 * second + rate_2 * pull_2 * third
+    return total
 
 
 @inlined
@@ -663,7 +674,9 @@ def _march(s, nodes, path, events, goal):
         s.work += 0.5 * step * (s.power + power)
         s.power = power
         if s.is_lossy:
-            heating = _heating(s, nodes)
+            heating = s.strain_heating
+            if s.is_viscous:
+                heating += _heating(nodes, s.index & 1)
             s.heat += 0.5 * step * (s.heating + heating)
             s.heating = heating
         if s.events == 0:
@@ -674,20 +687,12 @@ def _march(s, nodes, path, events, goal):
 
 
 @reduction
-def _heating(s, nodes):
-    """Compute the power that turns to heat in the layer."""
-    total, now = 0.0, s.index & 1
+def _heating(nodes, now):
+    """Compute the power that viscosity turns to heat in the layer."""
+    total = 0.0
     for j in range(nodes.shape[1] - 1):
         rate = nodes[MEAN_VELOCITY + now, j + 1] - nodes[MEAN_VELOCITY + now, j]
-        closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
-        viscous = nodes[VISCOSITY + 1, j] * rate - nodes[SHOCK, j] * closing * closing
-        total += viscous * rate
-    if s.remembers:
-        for element in range(3):
-            part, memory = 0.0, MEMORY + 2 * element + now
-            for j in range(nodes.shape[1] - 1):
-                part += nodes[STRENGTH + element, j] * nodes[memory, j] ** 2
-            total += s.relaxation[element] * part
+        total += nodes[VISCOSITY + 1, j] * rate * rate
     return total
 
 
@@ -850,7 +855,7 @@ def _stored_energy(core, nodes):
     weight = s.thrown * s.gravity
     total = 0.5 * nodes[MASS, 0] * speed[0] ** 2
     total += weight * (position[0] + position[s.joint + 1] - position[s.joint])
-    now, rest = s.index & 1, 1.0 - s.part if s.index > 0 else 0.0
+    rest = 1.0 - s.part if s.index > 0 else 0.0
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[STIFFNESS, j] * stretch**2
@@ -860,9 +865,10 @@ def _stored_energy(core, nodes):
             elastic -= _elastic_energy(start, nodes[LEAST, j])
             total += nodes[CURVATURE, j] / nodes[INVERSE, j] * elastic
             total += nodes[ANCHOR, j] * stretch
-        for element in range(3):
-            memory = nodes[MEMORY + 2 * element + now, j]
-            memory += rest * (nodes[MEMORY + 2 * element + 1 - now, j] - memory)
+        for element in range(3):  # which go on by their last rate
+            memory = nodes[MEMORY + element, j]
+            change = nodes[STRETCH, j] - nodes[POSITION, j + 1] + nodes[POSITION, j]
+            memory -= change - rest * s.step * s.relaxation[element] * memory
             total += 0.5 * nodes[STRENGTH + element, j] * memory**2
         total += 0.5 * nodes[MASS, j + 1] * speed[j + 1] ** 2
     return total
@@ -1039,7 +1045,7 @@ def _sheets(rows: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
     moduli = moduli.reshape(*losses.shape, 4)
     # In units of the amplitude, so that one over the thickness is the strain of a displacement
     depth = np.where(strain > 0.0, omega / np.where(strain > 0.0, strain, 1.0), 1.0)
-    softer = (1.0 / stiffness).sum() * stiffness / part  # its modulus over that of the whole
+    softer = (1.0 / stiffness).sum() * stiffness * part  # its modulus over that of the whole
     static = mu * gravity / (stiffness * part * depth)
     bound = np.where(strain > 0.0, strain_bounds(strain / softer, mu, static), 0.0)
     bodies = np.zeros((*losses.shape, len(BODY)))

@@ -10,8 +10,9 @@ nodes; or the joint, which is the contact: while it lasts its two nodes move as 
 
 Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
 which is the longest step that is stable. At one step exactly, as in a linear layer of one
-material, the scheme has no dispersion. Sheets begin and end with a node; a sheet or projectile that is too thin or too stiff
-for one cell (two, of a projectile) and an explicit step gets one that is implicit.
+material, the scheme has no dispersion. Sheets begin and end with a node; a sheet or projectile
+that is too thin or too stiff for one cell (two, of a projectile) and an explicit step gets one
+that is implicit.
 
 What is implicit couples neighbouring accelerations: with c of each link, the matrix
 :math:`M + \sum c\, (1, -1)^T (1, -1)`. It is tridiagonal and constant, so its factors are computed
@@ -46,12 +47,9 @@ MAX_PROJECTILE_CELLS = 1 << 15
     STRESS,  # elastic tension of a link; at even steps, and at odd ones
     _STRESS_ODD,
     STRETCH,  # of a link a step ago
-    MEMORY,  # stretch of the Maxwell elements of a link; at even steps, and at odd ones, each
+    MEMORY,  # stretch of the Maxwell elements of a link
     _MEMORY_1,
     _MEMORY_2,
-    _MEMORY_3,
-    _MEMORY_4,
-    _MEMORY_5,
     MASS,
     STIFFNESS,  # of the linear spring
     CURVATURE,  # a third of E S of a neo-Hookean one
@@ -85,7 +83,7 @@ MAX_PROJECTILE_CELLS = 1 << 15
     SPEED,
     FORCE,
     ROWS,
-) = range(46)
+) = range(43)
 
 SOLVER = [
     ('systems', 'i8', (2, 4)),  # what follows, in flight and in contact
@@ -109,7 +107,7 @@ _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
 _SHORTEST = 16  # row of coupled nodes that is worth four chains
-_DAMPED = 0.3  # of the strain, by which artificial viscosity shortens the step
+_DAMPED = 0.15  # of the strain, by which artificial viscosity shortens the step
 _SHOCK = 1.0  # of the density: the artificial viscosity
 
 

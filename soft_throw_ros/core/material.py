@@ -35,11 +35,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import nnls
 from soft_throw_ros.core.kernels import part
 from soft_throw_ros.core.rig import LARGEST_STRAIN
 
-LARGEST_CONSTANT_LOSS = 1.0
+LARGEST_CONSTANT_LOSS = 0.8
 """Largest constant loss tangent: a material that loses more is almost a liquid."""
 
 BAND = (0.25, 16.0)
@@ -48,7 +47,7 @@ BAND = (0.25, 16.0)
 RELAXATION_RATES = (0.2, 2.0, 20.0)
 """Of the Maxwell elements, over the plate's angular frequency."""
 
-_MARGIN = 1.5  # of the strain that a neo-Hookean layer is stepped for, over what linear throws have
+_MARGIN = 1.15  # of strains for which neo-Hookean layers are stepped, over those of linear ones
 
 
 Floats = NDArray[np.float64]
@@ -59,7 +58,6 @@ class Relaxation(NamedTuple):
 
     relaxed: float = 1.0
     strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
 
 
 @lru_cache(maxsize=4096)
@@ -88,6 +86,8 @@ def relaxation(loss_tangent: float) -> Relaxation:
         )
     if loss_tangent == 0.0:
         return Relaxation()
+    from scipy.optimize import nnls  # which takes long to import, and few layers need
+
     rates = np.array(RELAXATION_RATES)
     omega = np.geomspace(*BAND, 41)[:, None]
     matrix = (rates * omega + rates**2 * loss_tangent) / (rates**2 + omega**2)
@@ -114,12 +114,12 @@ def strain_bounds(
         More than any linear throw up to the first release has, at most `LARGEST_STRAIN`. [-]
 
     """
-    largest = np.asarray(strain_ratio) * (1.0 + np.sqrt(mass_ratio))
-    return np.minimum(LARGEST_STRAIN, static_strain + _MARGIN * largest)
+    largest = np.asarray(strain_ratio) * (1.0 + 0.8 * np.sqrt(mass_ratio))
+    return np.minimum(LARGEST_STRAIN, np.asarray(static_strain) + _MARGIN * largest)
 
 
 @part
-def static_stretch(load):
+def static_stretch(load: float) -> float:
     """Find the stretch under a compressive load, in E S / 3, of a neo-Hookean layer."""
     stretch = 1.0
     for _ in range(50):  # Newton, from above: the curve is concave

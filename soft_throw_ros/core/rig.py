@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 import math
+from typing import Any
 
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES
@@ -379,9 +380,24 @@ class Rig:
 
     @property
     def strain_ratio(self) -> float:
-        r""":math:`A \omega / c_s` if the layer is not linear, so that strain counts, else 0. [-]"""
+        r""":math:`A \omega / c_s` if the layer is not linear, else 0. [-]"""
         is_linear = self.layer.elasticity == 'linear'
         return 0.0 if is_linear else self.engine.speed_scale / self.layer.wave_speed
+
+    @property
+    def cell_ratios(self) -> dict[str, Any]:
+        """What decides a throw by cells: arguments of `cell_stepper.first_throws`."""
+        layer = self.layer
+        return {
+            'mass_ratio': self.mass_ratio,
+            'speed_ratio': self.speed_ratio,
+            'damping_ratio': self.engine.damping_ratio,
+            'gravity_ratio': self.gravity_ratio,
+            'loss_tangent': layer.loss_tangent,
+            'strain_ratio': self.strain_ratio,
+            'constant_loss': layer.loss == 'constant',
+            'stack': layer if isinstance(layer, Stack) else None,
+        }
 
     def check_for_waves(self) -> None:
         """

@@ -312,7 +312,8 @@ def simulate(
         following it so long would take more than about half a second, stop when it is far above
         all that the free top did in eight crossings and two periods of the plate.
     max_strain : float
-        Strain magnitude up to which the layer is taken to be linear. [-]
+        Strain magnitude up to which a linear layer is to be trusted; a neo-Hookean one is up to
+        `rig.LARGEST_STRAIN`. [-]
 
     Returns
     -------
@@ -329,10 +330,10 @@ def simulate(
     Notes
     -----
     `travelling_wave` is for a rigid projectile on a layer of one material without loss.
-    `finite_difference` takes any layer, with loss; `finite_difference_elastic` an elastic
-    projectile, too, whose speed is that of its centre of mass; `finite_difference_glued` has the
-    layer glued to the projectile and thrown along, as in [1]_, and speeds of their common centre
-    of mass. `spring_mass` is a layer without mass (App. A of [2]_), for any plate and with
+    `finite_difference` takes any layer, with loss and large strain; `finite_difference_elastic`
+    an elastic projectile, too, whose speed is that of its centre of mass;
+    `finite_difference_glued` has the layer glued to the projectile and thrown along, as in [1]_,
+    and speeds of their common centre of mass. `spring_mass` is a layer without mass (App. A of [2]_), for any plate and with
     gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper` say how exact they are.
 
     References
@@ -378,7 +379,7 @@ def simulate(
         motion=motion,
         model=model,
         cells=cells,
-        max_strain=max_strain,
+        max_strain=rig.layer.linear_range(max_strain),
         events=events,
         end_time=end_time,
         loads=stepper.loads,

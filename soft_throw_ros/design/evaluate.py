@@ -46,8 +46,9 @@ class Ratios(NamedTuple):
     What decides throws: arrays that broadcast against each other.
 
     They are :math:`\mu`, :math:`\kappa`, :math:`\zeta`, :math:`g / (A \omega^2)`, the layer's loss
-    tangent at the plate's frequency, and, for the elastic model, what a wave needs through the
-    projectile over what it needs through the layer. [-]
+    tangent at the plate's frequency; for the elastic model, what a wave needs through the
+    projectile over what it needs through the layer; :math:`A \omega / c_s` if the layer is not
+    linear, else 0; and 1 if the loss tangent is constant, else 0. [-]
     """
 
     mass_ratio: Floats | float
@@ -56,6 +57,8 @@ class Ratios(NamedTuple):
     gravity_ratio: Floats | float = 0.0
     loss_tangent: Floats | float = 0.0
     crossing_ratio: Floats | float = 0.0
+    strain_ratio: Floats | float = 0.0
+    constant_loss: Floats | float = 0.0
 
     @classmethod
     def of(cls, rig: Rig, **changes: Floats | float) -> Ratios:
@@ -93,6 +96,10 @@ class Ratios(NamedTuple):
             gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
             loss_tangent=values['loss_tangent'],
             crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
+            strain_ratio=0.0
+            if layer.elasticity == 'linear'
+            else values['amplitude'] * omega / values['wave_speed'],
+            constant_loss=float(layer.loss == 'constant'),
         )
 
 
@@ -113,7 +120,7 @@ def first_throws(
     ratios : Ratios
         A throw per element.
     model : str
-        Of the layer; the travelling wave gives way to finite differences where there is loss.
+        Of the layer; the travelling wave gives way to finite differences where it must.
     loads : bool
         Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
     cells : int, optional
@@ -162,12 +169,12 @@ def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, N
     exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
     every = exist & ~_are_held(cases[0], cases[1], cases[3])
     if model == 'travelling_wave':
-        has_loss = cases[4] > 0.0
+        needs_cells = (cases[4] > 0.0) | (cases[6] > 0.0)
         is_strong = cases[3] > _STRONG_GRAVITY
         parts = {
-            'closed_form': every & ~has_loss & ~is_strong,
-            'waves': every & ~has_loss & is_strong,
-            'cells': every & has_loss,
+            'closed_form': every & ~needs_cells & ~is_strong,
+            'waves': every & ~needs_cells & is_strong,
+            'cells': every & needs_cells,
         }
     else:
         parts = {'spring' if model == 'spring_mass' else 'cells': every}
@@ -224,7 +231,8 @@ def highest_transfers(ratios: Ratios) -> Floats:
 def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:
     """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
     ratios = part._asdict()
-    del ratios['loss_tangent'], ratios['crossing_ratio']
+    for name in Ratios._fields[4:]:
+        del ratios[name]
     found = np.full((len(FirstThrows._fields), np.size(part.mass_ratio)), math.nan)
     if loads or method == 'waves':
         found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
@@ -271,7 +279,7 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     rig : Rig
         What throws.
     model : str
-        Of the layer; the travelling wave gives way to finite differences where there is loss.
+        Of the layer; the travelling wave gives way to finite differences where it must.
 
     Raises
     ------
@@ -285,7 +293,7 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     (1.375, 100.51)
 
     """
-    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
+    if model == 'travelling_wave' and rig.layer.needs_cells:
         model = 'finite_difference'
     try:
         last = simulate(rig, model=model).last_release

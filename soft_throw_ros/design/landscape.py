@@ -103,7 +103,7 @@ _RATIO_OF = {
 """Parameters that the ratios leave open and not every model knows, and what they are for."""
 
 _RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
-_LOSSY = (*_RIGID, 'loss_tangent')
+_LOSSY = (*_RIGID, 'loss_tangent', 'strain_ratio', 'constant_loss')
 
 MODELS: Mapping[str, tuple[str, ...]] = {
     'travelling_wave': _RIGID,
@@ -392,10 +392,15 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
     for name, ratio in _RATIO_OF.items():
         if name in axes and ratio not in MODELS[model]:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
-    if require_uniform(rig).layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model]:
+    layer = require_uniform(rig).layer
+    if layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model]:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
-            f'got {rig.layer.loss_tangent:g}'
+            f'got {layer.loss_tangent:g}'
+        )
+    if layer.elasticity != 'linear' and 'strain_ratio' not in MODELS[model]:
+        raise ValueError(
+            f'layer.elasticity must be linear for the model {model}, got {layer.elasticity}'
         )
 
 
@@ -454,8 +459,11 @@ def _compute(model: str, release: Release, threads: int | None, cases: Floats) -
 
 def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent, crossing_ratio = case
-    engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
+    mu, kappa, damping_ratio, gravity_ratio, loss_tangent, crossing, strain, is_constant = case
+    # Lengths in units of the layer, so the amplitude is what makes strains true ones
+    omega = 2.0 * math.pi / kappa
+    amplitude = strain / omega or 1.0
+    engine = Engine(frequency=1.0 / kappa, amplitude=amplitude, damping_ratio=damping_ratio)
     rig = Rig(
         engine=engine,
         layer=Layer(
@@ -464,11 +472,15 @@ def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
             density=1.0,
             diameter=2.0 / math.sqrt(math.pi),
             loss_tangent=loss_tangent,
+            elasticity='neo_hookean' if strain else 'linear',
+            loss='constant' if is_constant else 'kelvin_voigt',
         ),
         projectile=Projectile(
-            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / (crossing_ratio or 1.0) ** 2
+            mass=mu,
+            length=1.0,
+            youngs_modulus=mu / (crossing or 1.0) ** 2,
         ),
-        gravity=gravity_ratio * engine.angular_frequency**2,
+        gravity=gravity_ratio * amplitude * omega**2,
     )
     try:
         last = last_release(rig, model=model)

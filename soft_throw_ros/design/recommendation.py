@@ -364,9 +364,9 @@ class _Search(NamedTuple):
         least: float = 0.0,
         tolerance: float | None = None,
     ) -> Optimum | None:
-        """Find the best layer of a space; with loss by few cells, and not as closely."""
-        has_loss = space.rig.layer.loss_tangent > 0.0
-        score = self.score(space, SEARCH_CELLS if has_loss else None)
+        """Find the best layer of a space; by few cells if it takes cells, and not as closely."""
+        has_cells = space.rig.layer.needs_cells
+        score = self.score(space, SEARCH_CELLS if has_cells else None)
         known = [
             (layer.thickness, layer.wave_speed)
             for layer in (space.rig.layer, *starts)
@@ -377,7 +377,7 @@ class _Search(NamedTuple):
             space.layers,
             step=space.step,
             starts=tuple(Optimum(*layer, float(score(*layer, least=least)[0])) for layer in known),
-            tolerance=tolerance or (5e-4 if has_loss else 1e-5),
+            tolerance=tolerance or (5e-4 if has_cells else 1e-5),
             least=least,
             is_whole=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING,
         )
@@ -385,7 +385,7 @@ class _Search(NamedTuple):
     def finish(self, space: SearchSpace, best: Optimum | None) -> _Found | None:
         """Make sure of a draft, and prefer the layer that there is if it is as good."""
         score, present = self.score(space), space.rig.layer
-        if best is not None and present.loss_tangent > 0.0:
+        if best is not None and present.needs_cells:
             best = _refine(score, best, space.layers)
         if not space.is_single and space.layers.contains(present.thickness, present.wave_speed):
             now = float(score(present.thickness, present.wave_speed)[0])

@@ -40,7 +40,7 @@ class SearchSpace(NamedTuple):
         what others do.
         """
         is_line = any(low == high for low, high in self.layers)
-        if self.rig.layer.loss_tangent > 0.0:
+        if self.rig.layer.needs_cells:
             return 0.04 if is_line else 0.12
         if not is_line:
             return 0.06

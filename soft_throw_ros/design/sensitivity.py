@@ -108,7 +108,7 @@ def sensitivities(
         values: dict[str, Floats | float] = {**layer, name: layer.get(name, 1.0) * np.exp(changes)}
         return score(**values, least=(1.0 - WITHIN) * best) / best
 
-    steps = 12 if rig.layer.loss_tangent > 0.0 else 70
+    steps = 12 if rig.layer.needs_cells else 70
     for name, value in {
         **layer,
         'mass': rig.projectile.mass,

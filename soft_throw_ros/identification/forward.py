@@ -109,7 +109,7 @@ class ThrowSimulator:
         self, rig: Rig, motion: SampledMotion | None, until: float, samples: int, by_cells: bool
     ) -> Stepper:
         """Make a stepper, and charge what it will cost."""
-        has_cells = by_cells or rig.layer.loss_tangent > 0.0
+        has_cells = by_cells or rig.layer.needs_cells
         model = 'finite_difference' if has_cells else 'travelling_wave'
         stepper = make_stepper(rig, motion, model=model, field_points=2)
         cost = stepper.cost * until + _COST_PER_SAMPLE * samples
@@ -144,17 +144,20 @@ class FirstReleases(NamedTuple):
 
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
-    """Compute the first releases of rigs of which either all or none have a loss."""
+    """Compute the first releases of rigs that differ in numbers only."""
     ratios: dict[str, Any] = {  # keyword arguments
         'mass_ratio': np.array([rig.mass_ratio for rig in rigs]),
         'speed_ratio': np.array([rig.speed_ratio for rig in rigs]),
         'damping_ratio': np.array([rig.engine.damping_ratio for rig in rigs]),
         'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
     }
-    loss = np.array([rig.layer.loss_tangent for rig in rigs])
     release: closed_form.FirstRelease | FirstThrows
-    if loss.any():
-        release = cell_stepper.first_throws(**ratios, loss_tangent=loss, unresolved='nan')
+    if any(rig.layer.needs_cells for rig in rigs):
+        for name in ('loss_tangent', 'strain_ratio', 'constant_loss'):
+            ratios[name] = np.array([rig.cell_ratios[name] for rig in rigs])
+        release = cell_stepper.first_throws(
+            **ratios, stack=rigs[0].cell_ratios['stack'], unresolved='nan'
+        )
     else:
         release = closed_form.first_releases(**ratios, unresolved='nan')
     phase = np.asarray(release.ejection_phase)

@@ -357,7 +357,7 @@ class Planner:
         """Say what is known after a throw."""
         condition = self.conditions[number]
         rig = changed_rig(self.rig, condition.values())
-        model = 'finite_difference' if rig.layer.loss_tangent > 0.0 else 'travelling_wave'
+        model = 'finite_difference' if rig.layer.needs_cells else 'travelling_wave'
         throw = simulate(rig, model=model, until=self.sight.duration)
         return PlannedThrow(
             condition=condition,

@@ -124,9 +124,9 @@ class RigModel:
 
     @property
     def by_cells(self) -> bool:
-        """Whether there is internal loss, or may be."""
+        """Whether only cells can follow a layer, or there may be internal loss."""
         return any(
-            rig.layer.loss_tangent > 0.0
+            rig.layer.needs_cells
             or self.description.treatment('layer.loss_tangent', throw.name).is_varied
             for rig, throw in zip(self.rigs, self.throws, strict=True)
         )

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
@@ -19,7 +18,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.time import Time
-from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration import rig_of, rig_values
 from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.qos import Qos
@@ -110,7 +109,7 @@ def throw_result_to_msg(
     It is a warning if the layer left its linear range, the plate was not measured, or too many of
     its samples had jumped.
     """
-    values = {**result.values(), **(uncertainty or {}), **rig_to_values(result.rig)}
+    values = {**result.values(), **(uncertainty or {}), **rig_values(result.rig)}
     is_clean = result.accuracy is None or result.accuracy.is_clean
     is_bad = not (result.is_linear and result.is_valid and is_clean)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
@@ -122,21 +121,17 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
     return ThrowResult.from_values(values, values_to_rig(values))
 
 
-def rig_to_values(rig: Rig) -> dict[str, float]:
-    """Return the numbers of a rig under the names of their parameters."""
-    values: dict[str, float] = {}
-    for part, content in asdict(rig).items():
-        if isinstance(content, dict):
-            values |= {f'{part}.{name}': value for name, value in content.items()}
-        else:
-            values[part] = content
-    return values
+_UNSAID = {
+    'engine.motion': 'underdamped', 'layer.library': '', 'layer.stack': '',
+    'layer.elasticity': 'linear', 'layer.loss': 'kelvin_voigt',
+}  # fmt: skip
+"""What a message says nothing about, or did not in version 0.1."""
 
 
 def values_to_rig(values: Mapping[str, Any]) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
     named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
-    return rig_of({**named, 'engine.motion': 'underdamped'})
+    return rig_of({**_UNSAID, **named})
 
 
 def _text(value: Any) -> str:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import functools
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import rig_of, Settings, TWIN
+from soft_throw_ros.configuration import rig_of, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
-from soft_throw_ros.nodes.conversions import rig_to_values, status_to_msg
+from soft_throw_ros.nodes.conversions import status_to_msg
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """What `recommended.*` shows of an answer."""
@@ -78,7 +78,7 @@ class RecommendationFor:
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Make a status of it, with the rig that it is for."""
-        best, rig = self.best, rig_to_values(self.rig)
+        best, rig = self.best, rig_values(self.rig)
         if best is None:
             return status_to_msg(
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR

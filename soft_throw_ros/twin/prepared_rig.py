@@ -206,10 +206,10 @@ def _other_models(rig: Rig, model: str) -> dict[str, Release | None]:
     ways: dict[str, Callable[[], Any]] = {  # each returns its own type with the same three fields
         'spring_mass': partial(spring_mass.first_release, frequency_ratio=spring_ratio)
     }
-    if not rig.layer.loss_tangent:
+    if not rig.layer.needs_cells:
         ways['travelling_wave'] = partial(first_release, **ratios)
     if rig.speed_ratio <= _STIFFEST:
-        ratios |= {'loss_tangent': rig.layer.loss_tangent, 'cells': _COMPARED_CELLS}
+        ratios = {**rig.cell_ratios, 'cells': _COMPARED_CELLS}
         ways['finite_difference_elastic'] = partial(
             first_throws, **ratios, crossing_ratio=rig.crossing_ratio
         )

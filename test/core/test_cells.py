@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rig cut into cells, and the equations of its nodes."""
 
+from dataclasses import replace
+
 import numba as nb
 import numpy as np
 import pytest
 from soft_throw_ros.core import cells
-from soft_throw_ros.core.cells import cut
+from soft_throw_ros.core.cells import make_grid, make_massless_grid
 from soft_throw_ros.core.rig import Layer, Projectile, Rig, Stack
 
 STACK = Stack(
@@ -15,10 +17,36 @@ STACK = Stack(
         Layer(thickness=9e-3, wave_speed=20.0, loss_tangent=0.2),
     )
 )
+GEL = {'elasticity': 'neo_hookean', 'loss': 'constant'}
+GELS = Stack(sheets=tuple(replace(sheet, **GEL) for sheet in STACK.sheets))
 LAYERS = pytest.mark.parametrize(
     'layer', [Layer(), Layer(loss_tangent=0.1), STACK], ids=['lossless', 'lossy', 'stack']
 )
 FORMS = pytest.mark.parametrize('form', [{}, {'is_elastic': True}, {'is_on_projectile': True}])
+
+
+@nb.njit
+def fill(nodes, bodies, bottom, count, mass, step):
+    """Cut bodies into cells."""
+    cells.cut(nodes, bodies, bottom, count, mass, step)
+
+
+class Cut:
+    """A grid with its nodes."""
+
+    def __init__(self, rig, grid, *, is_on_projectile=False):
+        self.step, self.count = grid.step, int(grid.counts.sum())
+        self.bottom, self.joint = (1, 0) if is_on_projectile else (0, self.count)
+        self.nodes = np.zeros((cells.ROWS, self.count + grid.bars + 2))
+        fill(self.nodes, grid.bodies, self.bottom, self.count, rig.projectile.mass, grid.step)
+        self.sheets = np.repeat(np.arange(grid.counts.size), grid.counts)
+        inverse = self.nodes[cells.INVERSE, self.bottom : self.bottom + self.count]
+        self.heights = np.append(0.0, np.cumsum(1.0 / inverse))
+
+
+def cut(rig, *, is_on_projectile=False, **options):
+    """Cut a rig into cells."""
+    return Cut(rig, make_grid(rig, **options), is_on_projectile=is_on_projectile)
 
 
 def couple(links):
@@ -92,14 +120,20 @@ def test_velocities_solve_the_equations_of_motion(layer, form, count, in_contact
     assert nodes[cells.MEAN_VELOCITY] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-@LAYERS
+@pytest.mark.parametrize(
+    'layer', [Layer(), STACK, GELS, Layer(loss_tangent=0.3, **GEL)],
+    ids=['linear', 'stack', 'gels', 'gel'],
+)  # fmt: skip
 @FORMS
 @pytest.mark.parametrize('count', [1, 7, 60])
 def test_step_is_stable(layer, form, count):
     """The fastest mode must not turn by more than pi in a step: h^2 K <= 4 M."""
     grid = cut(Rig(layer=layer), cells=count, **form)
     mass = np.diag(grid.nodes[cells.MASS]) + couple(grid.nodes[cells.STIFF, :-1])
-    surplus = 4.0 * mass - grid.step**2 * couple(grid.nodes[cells.STIFFNESS, :-1])
+    springs = grid.nodes[cells.STIFFNESS] + grid.nodes[cells.STRENGTH :][:3].sum(axis=0)
+    least = np.where(grid.nodes[cells.CURVATURE] > 0.0, grid.nodes[cells.LEAST], 1.0)
+    springs += grid.nodes[cells.CURVATURE] * (1.0 + 2.0 / least**3) * grid.nodes[cells.INVERSE]
+    surplus = 4.0 * mass - grid.step**2 * couple(springs[:-1])
     assert np.linalg.eigvalsh(surplus).min() > -1e-6 * mass.max()
 
 
@@ -122,7 +156,7 @@ def test_sheets_get_whole_cells_and_thin_stiff_ones_an_implicit_one():
 
 def test_viscosity_gives_the_loss_tangent_at_the_engines_frequency():
     rig = Rig(layer=Layer(loss_tangent=0.07))
-    for grid in (cut(rig, cells=10), cells.cut_massless(rig, step=1e-5)):
+    for grid in (cut(rig, cells=10), Cut(rig, make_massless_grid(rig, step=1e-5))):
         rows = grid.nodes[:, : grid.count]
         ratio = rows[cells.VISCOSITY] / rows[cells.STIFFNESS] * rig.engine.angular_frequency
         assert ratio == pytest.approx(0.07)
@@ -148,8 +182,9 @@ def test_linear_functions_are_read_exactly_within_sheets(layer):
     grid = cut(Rig(layer=layer), cells=40)
     middles = 0.5 * (grid.heights[1:] + grid.heights[:-1])
     values = 3.0 * middles + np.where(grid.sheets == 2, 1.0, 0.0)
-    for height in np.linspace(0.0, layer.thickness, 77).tolist():
-        cell, beside, weight, part = grid.place(height)
+    places = make_grid(Rig(layer=layer), cells=40).places(77)
+    heights = np.linspace(0.0, layer.thickness, 77).tolist()
+    for height, (cell, beside, weight, part) in zip(heights, places, strict=True):
         assert grid.sheets[cell] == grid.sheets[beside]
         below, above = grid.heights[cell : cell + 2]
         assert below + part * (above - below) == pytest.approx(height)

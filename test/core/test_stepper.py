@@ -37,11 +37,13 @@ STACKED = Rig(
         )
     )
 )
+GEL = Rig(layer=Layer(loss_tangent=0.05, elasticity='neo_hookean', loss='constant'))
 SOFT = Rig(projectile=Projectile(youngs_modulus=1e6))
 LAYERS_ON_THE_PLATE = [
     partial(WaveStepper, Rig()),
     partial(CellStepper, Rig()),
     partial(CellStepper, LOSSY),
+    partial(CellStepper, GEL),
 ]
 OTHERS = [
     partial(CellStepper, STACKED),

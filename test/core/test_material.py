@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What layers are made of."""
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.material import BAND, relaxation, RELAXATION_RATES, strain_bounds
+from soft_throw_ros.core.rig import Layer
+from soft_throw_ros.core.wave_stepper import first_throws
+
+
+def modulus(loss_tangent, frequency):
+    """Return the complex modulus over that at the plate's frequency."""
+    fit = relaxation(loss_tangent)
+    ratio = 1j * np.asarray(frequency)[..., None] / np.array(RELAXATION_RATES)
+    return fit.relaxed + (fit.strengths * ratio / (1.0 + ratio)).sum(axis=-1)
+
+
+@pytest.mark.parametrize(
+    ('loss_tangent', 'error'), [(1e-3, 0.06), (0.02, 0.06), (0.2, 0.06), (0.8, 0.13)]
+)
+def test_loss_tangent_is_the_same_over_the_band(loss_tangent, error):
+    found = modulus(loss_tangent, np.geomspace(*BAND, 100))
+    assert found.imag / found.real == pytest.approx(loss_tangent, rel=error)
+
+
+@pytest.mark.parametrize('loss_tangent', [1e-3, 0.1, 0.5, 0.8])
+def test_material_is_passive_causal_and_as_stiff_as_it_was_measured(loss_tangent):
+    fit = relaxation(loss_tangent)
+    assert fit.relaxed > 0.0
+    assert min(fit.strengths) >= 0.0  # then energy is stored and lost, and never made
+    assert modulus(loss_tangent, 1.0).real == pytest.approx(1.0)
+    stiffness = modulus(loss_tangent, np.geomspace(1e-3, 1e3, 50)).real
+    assert (np.diff(stiffness) >= 0.0).all()  # Kramers and Kronig: loss stiffens
+
+
+def test_no_loss_is_a_spring():
+    assert relaxation(0.0) == (1.0, (0.0, 0.0, 0.0))
+
+
+def test_what_is_almost_a_liquid_is_refused():
+    with pytest.raises(ValueError, match=r'at most 0.8 if it is constant, got 1\.5'):
+        relaxation(1.5)
+
+
+def test_bound_of_strains_holds_for_random_throws():
+    random = np.random.default_rng(3)
+    mu, kappa = np.exp(random.uniform(np.log([[0.02], [1.0]]), np.log([[30.0], [60.0]]), (2, 600)))
+    throws = first_throws(mass_ratio=mu, speed_ratio=kappa, unresolved='nan')
+    bound = strain_bounds(np.full(600, 1e-3), mu, 0.0)
+    assert np.nanmax(1e-3 * throws.peak_strain / bound) < 1.0
+
+
+@pytest.mark.parametrize(
+    ('values', 'complaint'),
+    [
+        (
+            {'elasticity': 'rubber'},
+            "layer.elasticity must be one of linear, neo_hookean, got 'rub",
+        ),
+        ({'loss': 'none'}, "layer.loss must be one of kelvin_voigt, constant, got 'none'"),
+    ],
+)
+def test_unknown_materials_are_refused(values, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        Layer(**values)
