@@ -11,7 +11,7 @@
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
 #   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
-#   make figures          draw docs/: the paper's figures, its numbers, README, measured.md
+#   make figures          draw docs/: the paper's figures, its numbers, README, measured.md, design.md
 #   make clean            delete what make made
 #
 # ROS_DISTRO=jazzy or kilted, PYTHON=python3.12 and ARGS='...' may follow.
@@ -82,6 +82,7 @@ trials: $(INSTALLED) $(KERNELS)
 figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/paper/draw.py $(ARGS)
 	$(BIN)/python docs/measured/draw.py
+	$(BIN)/python docs/layers/draw.py
 
 test: test-jazzy test-kilted test-apt test-without-vulkan
 

@@ -64,8 +64,8 @@ _ENTRIES = (
          kind='a name in the library, or `custom`', examples=tuple(LAYERS)),
     row('layer.stack', '',
          'Sheets of which the layer is, from the plate up, separated by commas: each is '
-         'thickness, wave speed, density and perhaps loss tangent, or thickness and material; those values '
-         'of the layer are of the whole, then',
+         'thickness, wave speed, density and perhaps loss tangent, or thickness and material; '
+         'those values of the layer are of the whole, then',
          kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
          **_bounds('thickness')),

@@ -413,7 +413,7 @@ def _strain(s, nodes):
 
 @reduction
 def _strain_curved(s, nodes):
-    """Compute the tension of linear and neo-Hookean links, and the power of the shocks."""
+    """Compute the tension of linear and neo-Hookean links; the power of shocks, to a tenth."""
     stress, total = STRESS + (s.index & 1), 0.0
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]

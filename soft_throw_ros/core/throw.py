@@ -333,8 +333,9 @@ def simulate(
     `finite_difference` takes any layer, with loss and large strain; `finite_difference_elastic`
     an elastic projectile, too, whose speed is that of its centre of mass;
     `finite_difference_glued` has the layer glued to the projectile and thrown along, as in [1]_,
-    and speeds of their common centre of mass. `spring_mass` is a layer without mass (App. A of [2]_), for any plate and with
-    gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper` say how exact they are.
+    and speeds of their common centre of mass. `spring_mass` is a layer without mass (App. A of
+    [2]_), for any plate and with gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper`
+    say how exact they are.
 
     References
     ----------

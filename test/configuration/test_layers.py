@@ -62,6 +62,7 @@ def test_gelatins_of_the_paper_are_there_in_six_thicknesses() -> None:
     gelatins = {name: values for name, values in gelatins.items() if name.startswith('gelatin_')}
     assert gelatins == {
         f'gelatin_{millimetres}mm': {
+            'layer.stack': '',
             'layer.thickness': float(f'{millimetres}e-3'),
             'layer.wave_speed': 7.8,
             'layer.density': 1000.0,
@@ -116,11 +117,33 @@ def test_materials_of_one_s_own_come_besides_the_installed_ones(write: Any) -> N
         loss_tangent=MaterialProperty(value=0.1, low=0.1, high=0.1),
     )
     assert mine.layers['foam'] == {
+        'layer.stack': '',
         'layer.wave_speed': 20.0,
         'layer.density': 120.0,
         'layer.loss_tangent': 0.1,
     }
     assert library() == INSTALLED
+
+
+def test_stack_of_one_s_own_is_a_layer_and_no_material(write: Any) -> None:
+    text = FOAM + 'both:\n  description: d\n  source: s\n  stack: 8e-3 gelatin, 2e-3 foam\n'
+    mine = library(write(text))
+    assert 'both' not in mine.materials
+    assert mine.layers['both']['layer.stack'] == '8e-3 gelatin, 2e-3 foam'
+    assert mine.layers['both']['layer.thickness'] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ('line', 'complaint'),
+    [
+        ('stack: 8e-3 jelly', "no material is named 'jelly'"),
+        ('stack: 8e-3 gelatin\n  density: 1000', 'a stack has no density'),
+        ('stack: 3', 'stack must be a text, got 3'),
+    ],
+)
+def test_bad_stacks_are_refused_by_line(write: Any, line: str, complaint: str) -> None:
+    with pytest.raises(ParameterError, match=rf'\.yaml:\d+: .*{complaint}'):
+        library(write(f'both:\n  description: d\n  source: s\n  {line}\n'))
 
 
 def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:

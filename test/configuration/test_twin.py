@@ -4,7 +4,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, TWIN
+from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, rig_values, TWIN
 from soft_throw_ros.core.rig import Rig
 
 DEFAULTS = TWIN.defaults()
@@ -19,6 +19,8 @@ def one_change() -> st.SearchStrategy:
             continue
         if entry.name == 'layer.name':
             values = st.sampled_from(['custom', *LAYERS])
+        elif entry.name == 'layer.stack':
+            values = st.sampled_from(['', '8e-3 gelatin, 2e-3 20 1100 0.1', '5e-3 dragon_skin_10'])
         elif entry.choices:
             values = st.sampled_from(entry.choices)
         elif isinstance(entry.default, tuple):
@@ -45,7 +47,9 @@ def test_single_changes_are_accepted_and_leave_settings_that_agree(changes: Any)
         settings.update(accepted)
     assert settings.keys() == DEFAULTS.keys()
     rig = rig_of(settings)
-    assert rig.layer.thickness == settings['layer.thickness']
+    for name in ('thickness', 'wave_speed', 'density', 'loss_tangent', 'elasticity', 'loss'):
+        assert getattr(rig.layer, name) == settings[f'layer.{name}']
+    assert rig.layer.is_uniform is (settings['layer.stack'] == '')
     assert rig.engine.damping_ratio == settings['engine.damping_ratio']
     for name, value in LAYERS.get(settings['layer.name'], {}).items():
         assert settings[name] == value
@@ -96,3 +100,45 @@ def test_contradiction_is_refused_at_once_and_accepted_one_by_one(request_) -> N
         assert name in str(refused.value)
         assert str(value) in str(refused.value)
         assert TWIN.change(DEFAULTS, {name: value})[name] == value
+
+
+STACK = '8e-3 gelatin, 2e-3 20 1100 0.05'
+
+
+def test_stack_has_its_sheets_and_the_values_of_the_whole() -> None:
+    settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
+    assert settings['layer.name'] == 'custom'
+    assert settings['layer.thickness'] == pytest.approx(0.01)
+    soft, stiff = rig_of(settings).layer.sheets
+    assert (soft.thickness, soft.wave_speed, soft.density) == (8e-3, 7.8, 1000.0)
+    assert (stiff.wave_speed, stiff.density, stiff.loss_tangent) == (20.0, 1100.0, 0.05)
+    assert stiff.diameter == settings['layer.diameter']
+    # a rig that is told of in numbers is the same
+    assert rig_of({**DEFAULTS, **rig_values(rig_of(settings))}) == rig_of(settings)
+
+
+@pytest.mark.parametrize('change', [{'layer.thickness': 0.02}, {'layer.name': 'gelatin_5.6mm'}])
+def test_another_layer_ends_a_stack(change: Any) -> None:
+    settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
+    assert TWIN.change(settings, change)['layer.stack'] == ''
+
+
+@pytest.mark.parametrize(
+    ('stack', 'complaint'),
+    [
+        ('8e-3 jelly', "no material is named 'jelly'; there are gelatin"),
+        ('8e-3 7.8', r"must be THICKNESS MATERIAL, or .*, got '8e-3 7\.8'"),
+        ('8e-3 7.8 1000, ', r"must be THICKNESS MATERIAL, or .*, got ''"),
+        ('8 gelatin', r"thickness must be a number from 0\.0001 to 0\.1 m, got '8'"),
+        ('8e-3 7.8 10', r"density must be a number from 50 to 5000 kg/m3, got '10'"),
+        ('0.06 gelatin, 0.06 gelatin', r'must be from 0\.0005 to 0\.1 m thick, got 0\.12 m'),
+    ],
+)
+def test_bad_stacks_are_refused_with_the_value(stack: str, complaint: str) -> None:
+    with pytest.raises(ParameterError, match=complaint):
+        TWIN.change(DEFAULTS, {'layer.stack': stack})
+
+
+def test_stack_and_another_thickness_at_once_are_refused() -> None:
+    with pytest.raises(ParameterError, match=r'thickness of the stack is 0\.01, got 0\.02'):
+        TWIN.change(DEFAULTS, {'layer.stack': STACK, 'layer.thickness': 0.02})

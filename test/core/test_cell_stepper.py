@@ -483,14 +483,14 @@ def test_shocks_are_resolved():
     coarse, fine = (CellStepper(rig, cells=count) for count in (256, 1024))
     for stepper in (coarse, fine):
         stepper.advance_to(0.03)
-        energy = stepper.stored_energy() + stepper.heat
-        assert stepper.work_so_far == pytest.approx(energy, rel=2e-3)
+        missing = stepper.work_so_far - stepper.stored_energy() - stepper.heat
+        assert abs(missing) < 0.1 * stepper.heat
     (release,), (better,) = coarse.events(), fine.events()
     assert release.time == pytest.approx(better.time, rel=2e-3)
-    assert release.velocity == pytest.approx(better.velocity, rel=5e-3)
-    assert fine.heat > 0.003 * fine.work_so_far
+    assert release.velocity == pytest.approx(better.velocity, rel=5e-4)
     # what a shock takes does not depend on the cells, unlike what smooth waves lose to them
-    assert coarse.heat == pytest.approx(fine.heat, rel=0.2)
+    assert coarse.heat == pytest.approx(fine.heat, rel=0.05)
+    assert fine.heat > 0.04 * fine.work_so_far
 
 
 @pytest.mark.parametrize('amplitude', [2e-3, 8e-3, 0.05])

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compute the tables of `docs/design.md` on loss, large strain and stacks, and draw the best stacks.
+
+`python docs/layers/draw.py` writes both into `docs`; `--output DIR` only draws, elsewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+import math
+from pathlib import Path
+import re
+import sys
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+from soft_throw_ros.core.cell_stepper import CellStepper, first_throws
+from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
+
+import style
+
+Floats = NDArray[np.float64]
+
+DOCS = Path(__file__).resolve().parents[1]
+PAGE, PICTURE = DOCS / 'design.md', DOCS / 'layers' / 'stacks.png'
+
+LOW, HIGH = (1e-3, 4.0, 950.0), (0.03, 30.0, 1350.0)
+"""What can be cast: thickness [m], wave speed [m/s] and density [kg/m3] of a sheet."""
+
+THICKEST = 0.05
+"""Of a whole stack. [m]"""
+
+LOSSES = (0.0, 0.02, 0.05, 0.1, 0.2)
+STRAINS = (math.inf, 0.2)
+"""Loss tangents, and largest strains, of the tables. [-]"""
+
+_SEARCH_CELLS, _CELLS = 32, 256
+
+
+class Best(NamedTuple):
+    """A layer that throws best, and what it gives."""
+
+    layer: Stack
+    energy_transfer: float
+    strain: float
+    speed: float
+    """Of the ejection. [m/s]"""
+
+
+def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
+    """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
+    rig = Rig(layer=layer)
+    found = first_throws(**rig.cell_ratios, cells=cells, unresolved='nan')
+    scale = rig.engine.speed_scale
+    strain = float(found.peak_strain) * scale / layer.wave_speed
+    return float(found.energy_transfer), strain, float(found.speed) * scale
+
+
+def find_best(
+    low: Sequence[float], high: Sequence[float], *, max_strain: float = math.inf, **material: str
+) -> Best:
+    """
+    Find the stack that throws best; alpha jumps, so the search is global, and by random.
+
+    Parameters
+    ----------
+    low, high : sequence of float
+        Bounds of thickness [m], wave speed [m/s], density [kg/m3] and loss tangent of each sheet.
+    max_strain : float
+        Largest strain of a sheet. [-]
+    **material : str
+        Elasticity and loss of all sheets.
+
+    """
+    ends = np.reshape([low, high], (2, -1, 4))
+    free = (ends[0] < ends[1]).ravel()
+
+    def stack(logs: Floats) -> Stack:
+        values = ends[0].ravel().copy()
+        values[free] = np.exp(logs)
+        return Stack(
+            sheets=tuple(
+                Layer(
+                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=loss,
+                    **material,
+                )
+                for thickness, speed, density, loss in values.reshape(-1, 4).tolist()
+            )
+        )  # fmt: skip
+
+    def lacking(logs: Floats) -> float:
+        layer = stack(logs)
+        if layer.thickness > THICKEST:
+            return 0.0
+        alpha, strain, _ = thrown(layer, _SEARCH_CELLS)
+        if not alpha > 0.0:
+            return 0.0
+        return -alpha * min(1.0, max_strain / strain) ** 4
+
+    bounds = np.log(ends.reshape(2, -1)[:, free]).T
+    found = differential_evolution(
+        lacking, bounds, maxiter=20 * len(bounds), popsize=8, tol=1e-4, rng=1, polish=False
+    )
+    layer = stack(found.x)
+    return Best(layer, *thrown(layer))
+
+
+def best_of_loss(loss: str, loss_tangent: float) -> Best:
+    """Find the best layer of one material, of the density of gelatin, with a loss."""
+    low, high = (1e-3, 1.0, 1000.0, loss_tangent), (0.05, 50.0, 1000.0, loss_tangent)
+    return find_best(low, high, loss=loss)
+
+
+def best_stacks() -> Iterator[tuple[int, float, Best]]:
+    """Find the best stacks of one, two and three sheets without loss, by their largest strain."""
+    for max_strain in STRAINS:
+        for sheets in (1, 2, 3):
+            low, high = (*LOW, 0.0), (*HIGH, 0.0)
+            yield sheets, max_strain, find_best(low * sheets, high * sheets, max_strain=max_strain)
+
+
+def loss_table() -> Iterator[tuple[str, ...]]:
+    """Write what loss costs: the best layer of each loss, and the lossless optimum with it."""
+    lossless = best_of_loss('kelvin_voigt', 0.0).layer.sheets[0]
+    for tangent in LOSSES:
+        row = [f'{tangent:g}']
+        for loss in ('kelvin_voigt', 'constant'):
+            best = best_of_loss(loss, tangent)
+            (sheet,), mass = best.layer.sheets, Rig().projectile.mass
+            kept, _, _ = thrown(replace(lossless, loss=loss, loss_tangent=tangent))
+            kappa = sheet.wave_speed / (sheet.thickness * Rig().engine.frequency)
+            row += [
+                f'{kept:.3f}', f'{best.energy_transfer:.3f}', f'{mass / sheet.mass:.3f}',
+                f'{kappa:.2f}',
+            ]  # fmt: skip
+        yield tuple(row)
+
+
+def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str, ...]]:
+    """Write the best stacks, and what becomes of them in materials as they are."""
+    for count, max_strain, best in stacks:
+        real = [
+            replace(sheet, elasticity='neo_hookean', loss='constant', loss_tangent=0.05)
+            for sheet in best.layer.sheets
+        ]
+        alpha, strain, _ = thrown(Stack(sheets=tuple(real)))
+        yield (
+            str(count),
+            'any' if math.isinf(max_strain) else f'{1e2 * max_strain:g} %',
+            f'`{text_of(best.layer)}`',
+            f'{best.energy_transfer:.2f}', f'{1e2 * best.strain:.0f} %', f'{best.speed:.2f}',
+            f'{alpha:.2f}', f'{1e2 * strain:.0f} %',
+        )  # fmt: skip
+
+
+def text_of(layer: Layer) -> str:
+    """Write the sheets as `layer.stack` takes them."""
+    return ', '.join(
+        f'{each.thickness:.4g} {each.wave_speed:.4g} {each.density:.4g}' for each in layer.sheets
+    )
+
+
+def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
+    """Draw the impedance of the best stacks over height, and how they throw over time."""
+    chosen = [(count, best) for count, most, best in stacks if not math.isinf(most)]
+    colours = (style.BLACK, style.BLUE, style.RED)
+    figure = style.new_figure(
+        'Sheets that hand a wave on',
+        'The best stacks whose sheets are compressed by 20 % at most, on the default rig.',
+        height=3.6,
+    )
+    left, right = figure.subplots(1, 2)
+    for (count, best), colour in zip(chosen, colours, strict=True):
+        edges = 1e3 * np.cumsum([0.0, *(each.thickness for each in best.layer.sheets)])
+        levels = [each.impedance for each in best.layer.sheets]
+        name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
+        left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
+        rig = Rig(layer=best.layer)
+        stepper = CellStepper(rig, cells=_CELLS, field_points=2)
+        times = np.linspace(0.0, 0.012, 600)
+        speeds = np.empty((2, times.size))
+        for k, time in enumerate(times.tolist()):
+            stepper.advance_to(time)
+            speeds[:, k] = stepper.state[[PLATE_VELOCITY, PROJECTILE_VELOCITY]]
+        right.plot(1e3 * times, speeds[1], color=colour)
+        release = stepper.events()[0]
+        right.plot(1e3 * release.time, release.velocity, 'o', color=colour, mec='white')
+    right.plot(1e3 * times, speeds[0], color=style.BLACK, ls='--', lw=1.0, label='plate')
+    left.set(
+        xlabel='height in the layer [mm]', ylabel=r'impedance $\rho_s c_s S$ [kg/s]', ylim=0.0
+    )
+    right.set(xlabel='time [ms]', ylabel='speed [m/s]')
+    left.legend()
+    right.legend()
+    style.save(figure, path)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Write a table."""
+    lines = [head, ['---'] * len(head), *rows]
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
+
+
+def replace_part(text: str, name: str, part: str) -> str:
+    """Replace what stands between two comments of a page."""
+    pattern = rf'(<!-- {name} -->\n).*?(\n<!-- end -->)'
+    found, count = re.subn(
+        pattern, lambda match: match[1] + part + match[2], text, flags=re.DOTALL
+    )
+    if count != 1:
+        raise ValueError(f'{PAGE} must have one part {name!r}, got {count}')
+    return found
+
+
+LOSS_HEAD = (
+    'tan delta', 'Kelvin-Voigt: the lossless optimum', 'the best layer', 'mu', 'kappa',
+    'constant: the lossless optimum', 'the best layer', 'mu', 'kappa',
+)  # fmt: skip
+STACK_HEAD = (
+    'sheets', 'strain allowed', 'from the plate up: m, m/s, kg/m3', 'alpha', 'strain',
+    'V_e (m/s)', 'alpha as a real gel', 'its strain',
+)  # fmt: skip
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run it; return exit code 0."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument(
+        '--output', metavar='DIR', type=Path, help='draw there, and leave the page'
+    )
+    given = parser.parse_args(args)
+    stacks = list(best_stacks())
+    with style.settings():
+        draw(stacks, PICTURE if given.output is None else given.output / PICTURE.name)
+    if given.output is None:
+        page = PAGE.read_text(encoding='utf-8')
+        page = replace_part(page, 'loss', markdown(LOSS_HEAD, list(loss_table())))
+        page = replace_part(page, 'stacks', markdown(STACK_HEAD, list(stack_table(stacks))))
+        PAGE.write_text(page, encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
