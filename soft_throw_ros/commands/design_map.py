@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     axes = dict(map(_read_axis, names))
     for path in arguments.output:
         _check_output(path)
-    has_loss = rig.layer.loss_tangent > 0.0 or 'layer.loss_tangent' in axes
+    has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     total = math.prod(values.size for values in axes.values())
     try:
         if arguments.rerun:
@@ -114,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
             landscape = compute_landscape(
                 rig,
                 axes,
-                model=arguments.model or ('finite_difference' if has_loss else 'travelling_wave'),
+                model=arguments.model or ('finite_difference' if has_cells else 'travelling_wave'),
                 release=arguments.release,
                 density_ratio=arguments.density_ratio,
                 executor=executor,

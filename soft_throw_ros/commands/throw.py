@@ -204,7 +204,8 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
         'models': models,
         'uncertainty': uncertainty,
         'notes': notes,
-        'leaves_linear_range': max(strains, default=0.0) > settings['max_strain'],
+        'leaves_linear_range': max(strains, default=0.0)
+        > rig.layer.linear_range(settings['max_strain']),
     }
 
 
@@ -287,7 +288,8 @@ def table(prediction: Prediction) -> str:
     lines = [numbers, '', *write_columns(_ROWS, prediction['models']), '']
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
     if prediction['leaves_linear_range']:
-        most = float(prediction['parameters']['max_strain'])  # type: ignore[arg-type]
+        settings = prediction['parameters']
+        most = rig_of(settings).layer.linear_range(float(settings['max_strain']))  # type: ignore[arg-type]
         lines.append(strain_warning(most, '--max-strain'))
     return '\n'.join(lines) + '\n'
 

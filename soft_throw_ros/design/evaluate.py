@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratios
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
 from soft_throw_ros.core.throw import apex_height, simulate, ThrowUnfinishedError
 
@@ -61,14 +61,16 @@ class Ratios(NamedTuple):
     constant_loss: Floats | float = 0.0
 
     @classmethod
-    def of(cls, rig: Rig, **changes: Floats | float) -> Ratios:
+    def of(cls, rig: Rig, *, stacks: bool = False, **changes: Floats | float) -> Ratios:
         """
         Return what decides throws of a rig in which some values are others.
 
         Parameters
         ----------
         rig : Rig
-            With a layer of one material.
+            With a layer of one material, unless
+        stacks : bool
+            says that `first_throws` will be told of its stack.
         **changes : ndarray or float
             Fields of the engine and of the layer, `mass` of the projectile, and `gravity`; they
             broadcast against each other. [SI]
@@ -79,7 +81,8 @@ class Ratios(NamedTuple):
             If the layer is not of one material.
 
         """
-        engine, layer, projectile = rig.engine, require_uniform(rig).layer, rig.projectile
+        engine, projectile = rig.engine, rig.projectile
+        layer = rig.layer if stacks else require_uniform(rig).layer
         values = {**vars(engine), **vars(layer), 'mass': projectile.mass, 'gravity': rig.gravity}
         values |= changes
         mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
@@ -109,6 +112,7 @@ def first_throws(
     model: str = 'travelling_wave',
     loads: bool = False,
     cells: int | None = None,
+    stack: Stack | None = None,
     threads: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> FirstThrows:
@@ -125,6 +129,8 @@ def first_throws(
         Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
     cells : int, optional
         Of the layer for finite differences; as many as it takes for 1e-4 if not given.
+    stack : Stack, optional
+        Of which the layers are, if they are no layers of one material.
     threads : int, optional
         All cores if not given. Results do not depend on it.
     cancelled : callable, optional
@@ -147,7 +153,7 @@ def first_throws(
     for row, values in zip(cases, ratios, strict=True):
         row.reshape(shape)[...] = values
     found = np.full((len(FirstThrows._fields), cases.shape[1]), math.nan)
-    for method, batch in _batches(cases, model=model, loads=loads):
+    for method, batch in _batches(cases, model=model, loads=loads, is_stack=stack is not None):
         if cancelled is not None and cancelled():
             raise SearchCancelledError('the search was cancelled')
         part = Ratios(*cases[:, batch])
@@ -157,19 +163,21 @@ def first_throws(
             )
             found[:3, batch] = spring_mass.first_release(frequency_ratio=ratio)
         elif method == 'cells':
-            found[:, batch] = _throw_with_cells(part, model, cells, threads)
+            found[:, batch] = _throw_with_cells(part, model, cells, stack, threads)
         else:
             found[:, batch] = _throw_with_waves(part, method, loads, threads)
     found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without a release
     return FirstThrows(*found.reshape(len(found), *shape))
 
 
-def _batches(cases: Floats, *, model: str, loads: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _batches(
+    cases: Floats, *, model: str, loads: bool, is_stack: bool
+) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Sort throws by the method that they need, and cut them into batches."""
     exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
     every = exist & ~_are_held(cases[0], cases[1], cases[3])
     if model == 'travelling_wave':
-        needs_cells = (cases[4] > 0.0) | (cases[6] > 0.0)
+        needs_cells = is_stack | (cases[4] > 0.0) | (cases[6] > 0.0)
         is_strong = cases[3] > _STRONG_GRAVITY
         parts = {
             'closed_form': every & ~needs_cells & ~is_strong,
@@ -225,7 +233,8 @@ def highest_transfers(ratios: Ratios) -> Floats:
     stiffness = _stiffness(np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio))
     excess = 1.5 / np.maximum(stiffness - 1.0, 1e-9)
     fastest = peak_velocity_ratios(np.asarray(ratios.damping_ratio))
-    return np.where(stiffness > 1.2, (1.0 + excess / fastest) ** 2, math.inf)
+    more = 1.0 + np.asarray(ratios.strain_ratio)  # for what stiffening adds
+    return np.where(stiffness > 1.2, more * (1.0 + excess / fastest) ** 2, math.inf)
 
 
 def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:
@@ -241,7 +250,9 @@ def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | Non
     return found
 
 
-def _throw_with_cells(part: Ratios, model: str, cells: int | None, threads: int | None) -> Floats:
+def _throw_with_cells(
+    part: Ratios, model: str, cells: int | None, stack: Stack | None, threads: int | None
+) -> Floats:
     """Compute the rows of `FirstThrows` by finite differences."""
     ratios = part._asdict()
     if model != 'finite_difference_elastic':
@@ -251,6 +262,7 @@ def _throw_with_cells(part: Ratios, model: str, cells: int | None, threads: int 
             **ratios,
             glued_to='projectile' if model == 'finite_difference_glued' else 'plate',
             cells=cells,
+            stack=stack,
             unresolved='nan',
             threads=threads,
         )
@@ -304,8 +316,14 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     return LastRelease(last.time, last.velocity, last.position - rest, height)
 
 
+def stack_of(layer: Layer) -> Stack | None:
+    """Return the layer if it is a stack."""
+    return layer if isinstance(layer, Stack) else None
+
+
 def require_uniform(rig: Rig) -> Rig:
     """Return the rig if its layer is of one material, or raise ValueError."""
-    if type(rig.layer) is not Layer:
-        raise ValueError(f'only layers of one material are designed, got {rig.layer!r}')
+    if isinstance(rig.layer, Stack):
+        count = len(rig.layer.sheets)
+        raise ValueError(f'only layers of one material are designed, got a stack of {count}')
     return rig

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed, Executor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import functools
 import itertools
 import json
@@ -38,13 +38,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.io import netcdf_file
 import soft_throw_ros
-from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios, require_uniform
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios, stack_of
 
 Floats = NDArray[np.float64]
 
@@ -220,8 +220,6 @@ class Landscape:
     @property
     def attributes(self) -> dict[str, str | float]:
         """All but the arrays, flat: what files and data sets note down."""
-        parts = asdict(self.rig)
-        gravity = parts.pop('gravity')
         return {
             'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
             'source': f'soft_throw_ros {soft_throw_ros.__version__}',
@@ -229,8 +227,7 @@ class Landscape:
             'left_out': ', '.join(self.left_out),
             'release': self.release,
             'density_ratio': self.density_ratio,
-            **{f'{part}_{name}': parts[part][name] for part in parts for name in parts[part]},
-            'gravity': gravity,
+            **{name.replace('.', '_'): value for name, value in rig_values(self.rig).items()},
         }
 
     def save(self, path: Path) -> None:
@@ -360,7 +357,8 @@ def compute_landscape(
     ratios = _ratios(rig, along, density_ratio)._asdict()
     known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
     cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
-    compute = functools.partial(_compute, model, release, None if executor is None else 1)
+    threads = None if executor is None else 1
+    compute = functools.partial(_compute, model, release, stack_of(rig.layer), threads)
     is_fast = model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
@@ -392,7 +390,12 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
     for name, ratio in _RATIO_OF.items():
         if name in axes and ratio not in MODELS[model]:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
-    layer = require_uniform(rig).layer
+    layer = rig.layer
+    if not layer.is_uniform and (release == 'last' or not model.startswith('finite_difference')):
+        raise ValueError(
+            f'layer.stack needs the first release by finite differences, got the {release} one by '
+            f'the model {model}'
+        )
     if layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model]:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
@@ -435,7 +438,7 @@ def _check_axes(first: str, second: str) -> None:
 def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Ratios:
     """Return what decides throws of a rig along axes, the paper's among them."""
     changes = {name.rpartition('.')[2]: along[name] for name in along if name in TWIN.by_name}
-    ratios = Ratios.of(rig, **changes)
+    ratios = Ratios.of(rig, stacks=True, **changes)
     mu, kappa = np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio)
     if 'x' in along:
         mu = density_ratio * (1.0 - along['x']) / along['x']
@@ -448,10 +451,12 @@ def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Rati
     return ratios._replace(mass_ratio=mu, speed_ratio=kappa, crossing_ratio=crossing_ratio)
 
 
-def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:
+def _compute(
+    model: str, release: Release, stack: Stack | None, threads: int | None, cases: Floats
+) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
-        throws = first_throws(Ratios(*cases), model=model, threads=threads)
+        throws = first_throws(Ratios(*cases), model=model, stack=stack, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
     releases = [_last(model, case) for case in cases.T.tolist()]
     return np.array(list(zip(*releases, strict=True)))
