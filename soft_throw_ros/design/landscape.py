@@ -42,9 +42,16 @@ from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratio
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios, require_uniform
+from soft_throw_ros.core.plate import motion_of, SampledMotion
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import (
+    first_throws,
+    last_release,
+    Ratios,
+    require_uniform,
+    unit_motion,
+    unit_rig,
+)
 
 Floats = NDArray[np.float64]
 
@@ -229,7 +236,12 @@ class Landscape:
             'left_out': ', '.join(self.left_out),
             'release': self.release,
             'density_ratio': self.density_ratio,
-            **{f'{part}_{name}': parts[part][name] for part in parts for name in parts[part]},
+            **{
+                f'{part}_{name}': parts[part][name]
+                for part in parts
+                for name in parts[part]
+                if name != 'motion'
+            },
             'gravity': gravity,
         }
 
@@ -360,8 +372,9 @@ def compute_landscape(
     ratios = _ratios(rig, along, density_ratio)._asdict()
     known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
     cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
-    compute = functools.partial(_compute, model, release, None if executor is None else 1)
-    is_fast = model in ('travelling_wave', 'spring_mass')
+    motion, threads = unit_motion(rig.engine), None if executor is None else 1
+    compute = functools.partial(_compute, model, release, motion, threads)
+    is_fast = motion is None and model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
@@ -387,6 +400,10 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
         raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
+    if rig.engine.motion and model == 'spring_mass':
+        raise ValueError(f'the motion of a file takes other models, got model {model!r}')
+    if rig.engine.motion and 'engine.damping_ratio' in axes:
+        raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
     if model == 'spring_mass' and release == 'last':
         raise ValueError(f'the last release is known to all models but one, got model {model!r}')
     for name, ratio in _RATIO_OF.items():
@@ -443,36 +460,28 @@ def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Rati
     return ratios._replace(mass_ratio=mu, speed_ratio=kappa, crossing_ratio=crossing_ratio)
 
 
-def _compute(model: str, release: Release, threads: int | None, cases: Floats) -> Floats:
+def _compute(
+    model: str,
+    release: Release,
+    motion: SampledMotion | None,
+    threads: int | None,
+    cases: Floats,
+) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
-        throws = first_throws(Ratios(*cases), model=model, threads=threads)
+        throws = first_throws(Ratios(*cases), motion=motion, model=model, threads=threads)
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    releases = [_last(model, case) for case in cases.T.tolist()]
+    releases = [_last(model, motion, case) for case in cases.T.tolist()]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
+def _last(model: str, motion: SampledMotion | None, case: Sequence[float]) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent, crossing_ratio = case
-    engine = Engine(frequency=1.0 / speed_ratio, amplitude=1.0, damping_ratio=damping_ratio)
-    rig = Rig(
-        engine=engine,
-        layer=Layer(
-            thickness=1.0,
-            wave_speed=1.0,
-            density=1.0,
-            diameter=2.0 / math.sqrt(math.pi),
-            loss_tangent=loss_tangent,
-        ),
-        projectile=Projectile(
-            mass=mass_ratio, length=1.0, youngs_modulus=mass_ratio / (crossing_ratio or 1.0) ** 2
-        ),
-        gravity=gravity_ratio * engine.angular_frequency**2,
-    )
+    rig = unit_rig(case, motion)
+    engine = rig.engine
     try:
         last = last_release(rig, model=model)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
-    peak = engine.speed_scale * peak_velocity_ratio(engine.damping_ratio)
+    peak = motion_of(engine).peak_velocity
     return last.time * engine.frequency, (last.speed / peak) ** 2

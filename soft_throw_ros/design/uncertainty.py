@@ -27,7 +27,13 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, SEARCH_CELLS
+from soft_throw_ros.design.evaluate import (
+    Cancelled,
+    first_throws,
+    Ratios,
+    SEARCH_CELLS,
+    unit_motion,
+)
 
 Floats = NDArray[np.float64]
 
@@ -254,7 +260,9 @@ def prediction_uncertainty(
     uncertainties = uncertainties or Uncertainties()
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
     ratios = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
-    throws = first_throws(ratios, cells=SEARCH_CELLS, cancelled=cancelled)
+    throws = first_throws(
+        ratios, motion=unit_motion(rig.engine), cells=SEARCH_CELLS, cancelled=cancelled
+    )
     left = throws.speed > 0.0
     if not left.any():
         raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')

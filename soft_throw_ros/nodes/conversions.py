@@ -127,7 +127,7 @@ def rig_to_values(rig: Rig) -> dict[str, float]:
     values: dict[str, float] = {}
     for part, content in asdict(rig).items():
         if isinstance(content, dict):
-            values |= {f'{part}.{name}': value for name, value in content.items()}
+            values |= {f'{part}.{name}': content[name] for name in content if name != 'motion'}
         else:
             values[part] = content
     return values
