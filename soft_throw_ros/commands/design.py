@@ -19,6 +19,7 @@ TASKS = {
         'design_search', 'add_aim_arguments', 'run_aim',
         'find what it takes to reach a height or speed',
     ),
+    'motion': ('design_motion', 'add_arguments', 'run', 'design how the plate moves'),
     'map': ('design_map', 'add_arguments', 'run', 'map ejection time and energy over two axes'),
 }  # fmt: skip
 

@@ -76,13 +76,16 @@ _VARY = replace(
 )
 
 
+_OF_MOTIONS = ('plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel')
+
+
 def add_recommend_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `design recommend`."""
     parser.usage = (
         '%(prog)s [-h] [--objective peak|robust|versatile] '
         '[--vary thickness|wave_speed|both|library] [--json] [--config FILE] [--thickness M ...]'
     )
-    without = ('max_amplitude', 'target_height', 'target_speed')
+    without = ('max_amplitude', 'target_height', 'target_speed', *_OF_MOTIONS)
     _add_arguments(parser, 'what is asked of the layer', without, _OBJECTIVE, _VARY)
 
 
@@ -94,7 +97,7 @@ def add_aim_arguments(parser: argparse.ArgumentParser) -> None:
         '[--thickness M ...]'
     )
     parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
-    without = ('objective', 'quantile', 'masses', 'frequencies')
+    without = ('objective', 'quantile', 'masses', 'frequencies', *_OF_MOTIONS)
     _add_arguments(parser, 'what is aimed at, and with what', without)
 
 

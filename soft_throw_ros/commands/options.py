@@ -46,8 +46,10 @@ UNCERTAINTY_OPTIONS = _group('uncertainty')
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
-    meaning='How the plate moves: a damped step (D2), or A (1 - cos wt) without damping (Eq. 1)',
-    choices=('underdamped', 'harmonic'),
+    meaning='How the plate moves: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), or '
+    'as a file tells, CSV of time and height or a bag',
+    choices=(),
+    kind="'underdamped', 'harmonic' or the path of a file",
 )
 """As an option: nobody measures a plate while a command runs."""
 
@@ -111,6 +113,11 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     """
     given = vars(arguments)
     request = {name: given[name] for name in _ALL_OPTIONS if name in given}
+    motion = request.get('engine.motion', 'harmonic')
+    if motion in TWIN.by_name['engine.motion'].choices[2:]:
+        raise ParameterError(f'argument --motion: must be {_MOTION.kind}, got {motion!r}')
+    if motion not in TWIN.by_name['engine.motion'].choices:
+        request |= {'engine.motion': 'file', 'engine.motion_file': motion}
     settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
     try:
         settings.update(TWIN.change(settings, request))

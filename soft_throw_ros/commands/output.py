@@ -102,7 +102,8 @@ def to_json(data: object) -> str:
 
 def _plain(value: object) -> object:
     if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        names = [field.name for field in fields(value) if not field.name.startswith('_')]
+        return {name: _plain(getattr(value, name)) for name in names}
     if hasattr(value, '_asdict'):
         value = value._asdict()
     if isinstance(value, Mapping):

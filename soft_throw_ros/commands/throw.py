@@ -212,6 +212,8 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
 def _predict_by(model: str, rig: Rig) -> ModelResult:
     """Predict a throw by one model: its first release alone, or all of it."""
     engine = rig.engine
+    if engine.motion and model in ('closed_form', 'spring_mass'):
+        raise ValueError('this formula is for underdamped and harmonic plates, got a file')
     if model == 'closed_form':
         rig.check_for_waves()
         first = first_release(

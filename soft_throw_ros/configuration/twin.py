@@ -9,6 +9,7 @@ import difflib
 import math
 from typing import Any
 
+from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library, STACKED, whole
 from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES, MODELS
@@ -27,8 +28,13 @@ def _bounds(name: str) -> dict[str, Any]:
 
 _ENTRIES = (
     row('engine.motion', 'underdamped',
-         'How the plate moves: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), or as '
-         '`~/measured_joint_states` tells', choices=('underdamped', 'harmonic', 'measured')),
+         'How the plate moves: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), as '
+         '`engine.motion_file` tells, or as `~/measured_joint_states` does',
+         choices=('underdamped', 'harmonic', 'file', 'measured')),
+    row('engine.motion_file', '',
+         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
+         'are then units, and the loss tangent is that at the frequency',
+         kind='the path of a file, or empty'),
     row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
          unit='Hz', low=1.0, high=1000.0),
     row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',
@@ -124,8 +130,19 @@ _ENTRIES = (
          choices=('peak', 'robust', 'versatile', 'aim')),
     row('recommendation.vary', 'both',
          'What of the layer may be changed: thickness, wave speed, both, or all of it by a pick '
-         'from the library; `amplitude` is for aiming alone, which always changes it',
-         choices=('thickness', 'wave_speed', 'both', 'library', 'amplitude')),
+         'from the library; or how the plate moves instead, for the most energy per throw; '
+         '`amplitude` is for aiming alone, which always changes it',
+         choices=('thickness', 'wave_speed', 'both', 'library', 'motion', 'amplitude')),
+    row('recommendation.plate_speed', 0.0,
+         'Largest speed of a plate whose motion is designed; 0 is that of its motion now',
+         unit='m/s', low=1e-3, high=100.0, or_zero=True),
+    row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
+         unit='m/s2', low=0.1, high=1e6, or_zero=True),
+    row('recommendation.plate_jerk', 0.0, 'Its largest jerk; 0 does not limit it',
+         unit='m/s3', low=1.0, high=1e10, or_zero=True),
+    row('recommendation.plate_travel', 0.0,
+         'How far it may go, from the lowest to the highest position; 0 is as far as now',
+         unit='m', low=1e-5, high=1.0, or_zero=True),
     row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider',
          **_bounds('thickness')),
     row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider',
@@ -186,14 +203,14 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
 
     A layer's name implies the layer's values, and a value that is not the named layer's makes it
     `custom`. A stack implies the values of the whole, and another value that there is no stack.
-    Harmonic motion implies no damping, and damping that the motion is underdamped.
-    Aiming at a speed implies that no height is aimed at, and the other way round. What was asked
-    for is never replaced.
+    Harmonic motion implies no damping, and damping that the motion is underdamped. A file implies
+    that the plate moves by it, and none that it does not. Aiming at a speed implies that no height
+    is aimed at, and the other way round. What was asked for is never replaced.
 
     Raises
     ------
     ParameterError
-        If the library has no layer of that name, or cannot be read, or a stack cannot.
+        If the library has no layer of that name, or a file or a stack cannot be read.
 
     """
     implied: dict[str, Value] = {}
@@ -217,7 +234,13 @@ def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
         implied.update(_whole({**settings, **changes}))
     elif stack is None and settings['layer.stack'] and any(name in changes for name in STACKED):
         implied.setdefault('layer.stack', '')
-    motion = changes.get('engine.motion')
+    motions.of_settings({**settings, 'engine.motion': '', **changes})
+    if changes.get(motions.PARAMETER):
+        motions.read(str(changes[motions.PARAMETER]))
+        implied['engine.motion'] = 'file'
+    elif motions.PARAMETER in changes and settings['engine.motion'] == 'file':
+        implied['engine.motion'] = 'underdamped'
+    motion = changes.get('engine.motion', implied.get('engine.motion'))
     if motion == 'harmonic':
         implied['engine.damping_ratio'] = 0.0
     elif settings['engine.motion'] == 'harmonic':
@@ -300,7 +323,7 @@ TWIN = Table(
 
 def rig_of(settings: Settings) -> Rig:
     """
-    Make the rig that the settings describe.
+    Make the rig that the settings describe; ParameterError if a file cannot be read.
 
     Examples
     --------
@@ -313,7 +336,8 @@ def rig_of(settings: Settings) -> Rig:
 
     def values(part: type) -> dict[str, Any]:
         group = part.__name__.lower()
-        return {item.name: settings[f'{group}.{item.name}'] for item in fields(part)}
+        names = (item.name for item in fields(part) if item.name != 'motion')
+        return {name: settings[f'{group}.{name}'] for name in names}
 
     layer = Layer(**values(Layer))
     if settings['layer.stack']:
@@ -321,7 +345,7 @@ def rig_of(settings: Settings) -> Rig:
         sheets = library(settings['layer.library']).sheets(settings['layer.stack'])
         layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in sheets))
     return Rig(
-        engine=Engine(**values(Engine)),
+        engine=Engine(**values(Engine), motion=motions.of_settings(settings)),
         layer=layer,
         projectile=Projectile(**values(Projectile)),
         gravity=settings['gravity'],
@@ -346,7 +370,11 @@ def rig_values(rig: Rig) -> dict[str, Any]:
             for sheet in rig.layer.sheets
         )
     return {
-        **{f'engine.{item.name}': getattr(rig.engine, item.name) for item in fields(Engine)},
+        **{
+            f'engine.{item.name}': getattr(rig.engine, item.name)
+            for item in fields(Engine)
+            if item.name != 'motion'
+        },
         **{f'layer.{item.name}': getattr(rig.layer, item.name) for item in fields(Layer)},
         'layer.stack': stack,
         **{

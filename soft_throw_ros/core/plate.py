@@ -10,17 +10,32 @@ answers position and velocity for any times. `Underdamped` is what the closed fo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 import math
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
+from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, PPoly
+from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_matrix
+from scipy.sparse.linalg import spsolve
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
+
+FEWEST_SAMPLES = 8
+"""Of the height of a plate, from which its motion can be told."""
+
+_CLEAN = 1e-5  # noise over the range of heights below which samples are taken as they are
+_FASTEST_END = 0.25  # speed at the end of a record over the largest, which it must not exceed
+_SEEN = 6.0  # standard deviations of the noise from which on a plate is seen to move
+_FAR = 0.3  # part of the largest height at which a plate has certainly started
+_CAUTION = 1.4  # by which cross-validation counts a coefficient, since it smooths too little
+_KNOT_STRIDES = (2, 3, 4, 6, 8, 12, 16, 24, 32)  # samples from knot to knot that are tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,6 +235,66 @@ class SampledMotion:
         height = PchipInterpolator(times, velocities).antiderivative()
         return cls(times, np.stack([height(times, order) for order in range(3)], axis=1), after)
 
+    @classmethod
+    def from_record(cls, times: ArrayLike, heights: ArrayLike) -> SampledMotion:
+        """
+        Make a motion of what was recorded of a plate: it starts from rest, at time 0, and stays.
+
+        Parameters
+        ----------
+        times, heights : array_like, shape (n,)
+            Times increase; before the start the plate may rest for as long as it likes. [s], [m]
+
+        Raises
+        ------
+        ValueError
+            If fewer than `FEWEST_SAMPLES` are given or left after the start, a value is not
+            finite, times do not increase, or the plate does not move, or moves at the end.
+
+        Notes
+        -----
+        A cubic spline goes through the samples if they are clean, to fourth order in the spacing:
+        its second derivative, the acceleration, is continuous, as a real plate's is. Otherwise
+        fewer knots are fitted by least squares; how many, generalised cross-validation tells [1]_,
+        which knows neither the noise nor the motion. A smoothing filter would round off the start
+        as well, where the acceleration jumps. So the spline begins there, with height and velocity
+        0: at the moment from which it fits best. At the last sample it is at rest again.
+
+        References
+        ----------
+        .. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numer. Math. 31
+           (1979).
+
+        Examples
+        --------
+        >>> plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+        >>> times = np.arange(0.0, 0.1, 2e-4)
+        >>> motion = SampledMotion.from_record(times, plate.position(times - 0.02003))
+        >>> round(motion.peak_velocity, 4)
+        0.721
+
+        """
+        times, heights = _as_samples(times, heights, 'heights')
+        if times.size < FEWEST_SAMPLES:
+            raise ValueError(f'heights must be at least {FEWEST_SAMPLES}, got {times.size}')
+        start, rest = _find_start(times, heights)
+        spline = _fit_record(times - start, heights - rest)
+        knots = np.unique(spline.t)
+        states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
+        states[-1, 1:] = 0.0
+        motion = cls(knots, states, 'hold')
+        last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
+        if last > _FASTEST_END * np.abs(states[:, 1]).max():
+            raise ValueError(
+                f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
+            )
+        return motion
+
+    def scaled(self, *, time: float = 1.0, height: float = 1.0) -> SampledMotion:
+        """Return the motion with all times and all heights multiplied by a factor each."""
+        states = self.states * height / time ** np.arange(3.0)
+        return SampledMotion(self.times * time, states, self.after)
+
     @property
     def start_time(self) -> float:
         """Time of the first state. [s]"""
@@ -230,7 +305,7 @@ class SampledMotion:
         """Time of the last state. [s]"""
         return float(self.times[-1])
 
-    @property
+    @cached_property
     def peak_velocity(self) -> float:
         """Largest upward speed, as far as 16 points between states show it. [m/s]"""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
@@ -258,6 +333,109 @@ class SampledMotion:
 
 PlateMotion: TypeAlias = Underdamped | SampledMotion
 """What a model of a throw asks of the plate."""
+
+
+def motion_of(engine: Engine) -> PlateMotion:
+    """Return how the plate of an engine moves."""
+    return engine.motion or Underdamped.of(engine)
+
+
+def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
+    """Find when a recorded plate starts to move, and its height before that."""
+    noise = _noise(heights)
+    moved = np.abs(heights - np.median(heights[:3]))
+    seen = max(_SEEN * noise, 1e-6 * np.ptp(heights))
+    if not moved.max() > 2.0 * seen:
+        raise ValueError(
+            f'the plate must move, got heights from {heights.min():g} to {heights.max():g} m '
+            f'with a noise of {noise:g} m'
+        )
+    # The last time that it was seen at rest before it was first far away
+    far = int((moved > max(_FAR * moved.max(), seen)).argmax())
+    first = far - int((moved[:far][::-1] <= seen).argmax()) if (moved[:far] <= seen).any() else 0
+    if first < 2:
+        return float(times[0]), float(heights[0])
+    rest = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
+    t, z = times[: far + 1], heights[: far + 1] - rest
+
+    def residual(start: float) -> float:
+        s = np.maximum(t - start, 0.0) / (t[-1] - start)
+        basis = np.stack([s**2, s**3, s**4, s**5], axis=1)
+        return float(np.sum((z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]) ** 2))
+
+    return _lowest(residual, float(times[max(2 * first - far - 2, 0)]), float(times[first])), rest
+
+
+def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
+    """Find where a function of a time is lowest: on a grid, then closely."""
+    trials = np.linspace(low, high, 41)
+    best = int(np.argmin([function(trial) for trial in trials]))
+    bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
+    options = {'xatol': 1e-6 * (high - low)}
+    return float(minimize_scalar(function, bounds=bounds, method='bounded', options=options).x)
+
+
+def _noise(heights: Floats) -> float:
+    """Estimate the standard deviation of white noise from third differences."""
+    third = np.diff(heights, 3)
+    return float(np.median(np.abs(third))) / (0.6745 * math.sqrt(20.0))
+
+
+class _Fit(NamedTuple):
+    """A cubic spline from rest to rest, its sum of squares, and samples less coefficients."""
+
+    spline: BSpline
+    misfit: float
+    spare: float
+
+
+def _fit_record(times: Floats, heights: Floats) -> BSpline:
+    """Fit a spline to heights of a plate that starts near time 0, see `from_record`."""
+
+    def fit(stride: int, start: float = 0.0) -> _Fit:
+        moving = times > start + 1e-3 * step
+        return _fit_spline(times[moving] - start, heights[moving], stride)
+
+    step = float(np.median(np.diff(times)))
+    after = int((times > 0.0).sum())
+    if after < FEWEST_SAMPLES:
+        raise ValueError(f'heights after the start must be at least {FEWEST_SAMPLES}, got {after}')
+    strides = [stride for stride in _KNOT_STRIDES if stride <= after // 4]
+    fits = {stride: fit(stride) for stride in strides}
+    stride = min(fits, key=lambda stride: fits[stride].misfit / fits[stride].spare ** 2)
+    best = fits[stride]
+    if math.sqrt(best.misfit / best.spare) < _CLEAN * np.ptp(heights):
+        return fit(1).spline
+    if times[0] < 0.0:
+        reach = 0.5 * stride * step
+
+        def misfit(start: float) -> float:
+            return fit(stride, start).misfit + float(np.sum(heights[times <= start] ** 2))
+
+        best = fit(stride, _lowest(misfit, max(-reach, float(times[0])), reach))
+    return best.spline
+
+
+def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
+    """Fit by least squares with a knot at every so many samples, from rest at time 0 to rest."""
+    knots = np.concatenate([[0.0] * 4, times[:-1][stride - 1 :: stride], [times[-1]] * 4])
+    count = knots.size - 4
+    everything = BSpline.design_matrix(times, knots, 3)
+    away = heights[(np.abs(heights) > _FAR * np.abs(heights).max()).argmax()]
+    # Height and velocity at the start are 0. Noise must not make it a jump the other way, which
+    # would throw the projectile off at once.
+    for zeros in (2, 3, 4):
+        free = csr_matrix((
+            np.ones(count - zeros),
+            (np.arange(zeros, count), np.minimum(np.arange(count - zeros), count - zeros - 2)),
+        ))  # fmt: skip
+        basis = everything @ free  # the last two coefficients are the same: it ends at rest
+        coefficients = free @ spsolve((basis.T @ basis).tocsc(), basis.T @ heights)
+        if coefficients[zeros] * away >= 0.0:
+            break
+    spline = BSpline(knots, coefficients, 3)
+    misfit = float(np.sum((spline(times) - heights) ** 2))
+    return _Fit(spline, misfit, heights.size - _CAUTION * basis.shape[1])
 
 
 def _as_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:

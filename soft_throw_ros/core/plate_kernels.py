@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel, part
-from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
@@ -57,7 +57,7 @@ def write_motion(
     record = core[2]
     record['horizon'] = math.inf
     if motion is None:
-        motion = Underdamped.of(engine)
+        motion = motion_of(engine)
     if isinstance(motion, Underdamped):
         exponent = motion.exponent
         record['plate_kind'] = DAMPED

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES
 
 LARGEST_STRAIN = 0.5
 """Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
+
+if TYPE_CHECKING:
+    from soft_throw_ros.core.plate import SampledMotion
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
@@ -51,6 +54,9 @@ class Engine:
         Height :math:`A` at which the plate settles. [m]
     damping_ratio : float
         Damping ratio :math:`\zeta`, 0 for the harmonic motion of Eq. (1). [-]
+    motion : SampledMotion, optional
+        What the plate does instead, if it is known; then frequency and amplitude are units, and
+        the loss tangent of a layer is that at the frequency.
 
     Raises
     ------
@@ -62,9 +68,10 @@ class Engine:
     frequency: float = 63.2
     amplitude: float = 2e-3
     damping_ratio: float = 0.064
+    motion: SampledMotion | None = None
 
     def __post_init__(self) -> None:
-        _check(self, damping_ratio='in_unit_interval')
+        _check(self, damping_ratio='in_unit_interval', motion='part')
 
     @property
     def angular_frequency(self) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
@@ -364,7 +364,7 @@ def simulate(
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
     if motion is None:
-        motion = Underdamped.of(rig.engine)
+        motion = motion_of(rig.engine)
     stepper = make_stepper(rig, motion, model=model, cells=cells)
     _run(stepper, motion, until=until, max_events=max_events)
     events = tuple(stepper.events()[:max_events])
@@ -398,6 +398,8 @@ def _run(
         latest = min(latest, motion.end_time)
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
+    if isinstance(motion, SampledMotion):
+        wait += motion.end_time
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position

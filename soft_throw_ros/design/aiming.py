@@ -28,6 +28,7 @@ from soft_throw_ros.design.evaluate import (
     Ratios,
     SEARCH_CELLS,
     SearchCancelledError,
+    unit_motion,
 )
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.optimise import find_best_layer, Optimum
@@ -224,6 +225,10 @@ def aim(
     checks.require_positive('max_amplitude', max_amplitude)
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
+    if rig.engine.motion:
+        raise ValueError(
+            'aiming needs a plate whose amplitude can be set, got a motion from a file'
+        )
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     limits = replace(limits, max_strain=min(limits.max_strain, MAX_STRAIN))
@@ -317,6 +322,7 @@ class _Task(NamedTuple):
         for _ in range(_ITERATIONS if rig.gravity > 0.0 else 1):
             throws = first_throws(
                 Ratios.of(rig, thickness=thickness, wave_speed=wave_speed, amplitude=amplitude),
+                motion=unit_motion(rig.engine),
                 loads=self.limits.of_loads,
                 cells=SEARCH_CELLS,
                 cancelled=self.cancelled,

@@ -9,18 +9,21 @@ was chosen at the edge of a jump would otherwise fall off it when it is looked a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+import contextlib
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
+from soft_throw_ros.core.batch import in_threads
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratios
-from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.plate import peak_velocity_ratios, SampledMotion
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
-from soft_throw_ros.core.throw import apex_height, simulate, ThrowUnfinishedError
+from soft_throw_ros.core.throw import apex_height, make_stepper, simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +37,8 @@ _STRONG_GRAVITY = 0.2  # of the plate's acceleration; the closed form slows down
 
 # Throws per batch: what takes some tenths of a second, so that a search ends soon after it is
 # cancelled.
-_CLOSED_FORM_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 10
+_CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
+_WAIT = 8.0  # periods of plate and projectile, beyond the motion, in which a release is waited for
 
 
 class SearchCancelledError(RuntimeError):
@@ -85,6 +89,7 @@ class Ratios(NamedTuple):
         layer = rig.layer if stacks else require_uniform(rig).layer
         values = {**vars(engine), **vars(layer), 'mass': projectile.mass, 'gravity': rig.gravity}
         values |= changes
+        del values['motion']
         mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
         section = 0.25 * math.pi * values['diameter'] ** 2
         omega = 2.0 * math.pi * frequency
@@ -109,6 +114,7 @@ class Ratios(NamedTuple):
 def first_throws(
     ratios: Ratios,
     *,
+    motion: SampledMotion | None = None,
     model: str = 'travelling_wave',
     loads: bool = False,
     cells: int | None = None,
@@ -123,6 +129,9 @@ def first_throws(
     ----------
     ratios : Ratios
         A throw per element.
+    motion : SampledMotion, optional
+        Of the plate, in units of its period and amplitude, see `unit_motion`; without, the plate
+        is underdamped.
     model : str
         Of the layer; the travelling wave gives way to finite differences where it must.
     loads : bool
@@ -153,11 +162,21 @@ def first_throws(
     for row, values in zip(cases, ratios, strict=True):
         row.reshape(shape)[...] = values
     found = np.full((len(FirstThrows._fields), cases.shape[1]), math.nan)
-    for method, batch in _batches(cases, model=model, loads=loads, is_stack=stack is not None):
+    methods = _batches(
+        cases,
+        model=model,
+        loads=loads,
+        is_stack=stack is not None,
+        is_sampled=motion is not None,
+    )
+    for method, batch in methods:
         if cancelled is not None and cancelled():
             raise SearchCancelledError('the search was cancelled')
         part = Ratios(*cases[:, batch])
-        if method == 'spring':
+        if method == 'steppers':
+            assert motion is not None
+            found[:, batch] = _throw_with_steppers(part, motion, model, cells, stack, threads)
+        elif method == 'spring':
             ratio = spring_mass.frequency_ratio(
                 mass_ratio=part.mass_ratio, speed_ratio=part.speed_ratio
             )
@@ -171,12 +190,14 @@ def first_throws(
 
 
 def _batches(
-    cases: Floats, *, model: str, loads: bool, is_stack: bool
+    cases: Floats, *, model: str, loads: bool, is_stack: bool, is_sampled: bool
 ) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Sort throws by the method that they need, and cut them into batches."""
     exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
     every = exist & ~_are_held(cases[0], cases[1], cases[3])
-    if model == 'travelling_wave':
+    if is_sampled:
+        parts = {'steppers': exist}
+    elif model == 'travelling_wave':
         needs_cells = is_stack | (cases[4] > 0.0) | (cases[6] > 0.0)
         is_strong = cases[3] > _STRONG_GRAVITY
         parts = {
@@ -190,6 +211,7 @@ def _batches(
         indices = np.flatnonzero(chosen)
         is_fast = method in ('closed_form', 'spring') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
+        size = _SAMPLED_BATCH if is_sampled else size
         for start in range(0, indices.size, size):
             yield method, indices[start : start + size]
 
@@ -266,6 +288,112 @@ def _throw_with_cells(
             unresolved='nan',
             threads=threads,
         )
+    )
+
+
+def unit_motion(engine: Engine) -> SampledMotion | None:
+    """Return the motion of an engine, if it has one, in units of its period and amplitude."""
+    if engine.motion is None:
+        return None
+    return engine.motion.scaled(time=engine.frequency, height=1.0 / engine.amplitude)
+
+
+def unit_rig(
+    case: Sequence[float], motion: SampledMotion | None = None, stack: Stack | None = None
+) -> Rig:
+    """Return a rig with these `Ratios`, in units of its layer, or of that of its stack."""
+    ratios = Ratios(*case)
+    mu, kappa, strain = (float(value) for value in (ratios[0], ratios[1], ratios.strain_ratio))
+    omega = 2.0 * math.pi / kappa
+    amplitude = strain / omega or 1.0  # what makes the strains of a layer that stiffens true ones
+    return Rig(
+        engine=Engine(
+            frequency=1.0 / kappa,
+            amplitude=amplitude,
+            damping_ratio=float(ratios.damping_ratio),
+            motion=motion.scaled(time=kappa, height=amplitude) if motion else None,
+        ),
+        layer=_unit_layer(ratios, stack),
+        projectile=Projectile(
+            mass=mu, length=1.0, youngs_modulus=mu / (float(ratios.crossing_ratio) or 1.0) ** 2
+        ),
+        gravity=float(ratios.gravity_ratio) * amplitude * omega**2,
+    )
+
+
+def _unit_layer(ratios: Ratios, stack: Stack | None) -> Layer:
+    """Return a layer with these ratios whose thickness, wave speed and mass are 1."""
+    whole = Layer(
+        thickness=1.0,
+        wave_speed=1.0,
+        density=1.0,
+        diameter=2.0 / math.sqrt(math.pi),
+        loss_tangent=float(ratios.loss_tangent),
+        elasticity='neo_hookean' if ratios.strain_ratio else 'linear',
+        loss='constant' if ratios.constant_loss else 'kelvin_voigt',
+    )
+    if stack is None:
+        return whole
+    return Stack(
+        sheets=tuple(
+            replace(
+                whole,
+                thickness=sheet.thickness / stack.thickness,
+                wave_speed=sheet.wave_speed / stack.wave_speed,
+                density=sheet.density / stack.density,
+                loss_tangent=whole.loss_tangent * sheet.loss_tangent / (stack.loss_tangent or 1.0),
+            )
+            for sheet in stack.sheets
+        )
+    )
+
+
+def _throw_with_steppers(
+    part: Ratios,
+    motion: SampledMotion,
+    model: str,
+    cells: int | None,
+    stack: Stack | None,
+    threads: int | None,
+) -> Floats:
+    """Compute the rows of `FirstThrows` for any motion, throw by throw."""
+    cases = np.column_stack(part).tolist()
+    found = np.full((len(FirstThrows._fields), len(cases)), math.nan)
+
+    def run(first: int, parts: int) -> None:
+        for n in range(first, len(cases), parts):
+            with contextlib.suppress(ValueError, EventLimitError):  # what cannot be followed
+                rig = unit_rig(cases[n], motion, stack)
+                found[:, n] = _throw_with_stepper(rig, model, cells)
+
+    in_threads(run, count=len(cases), per_thread=16, threads=threads)
+    return found
+
+
+def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:
+    """Follow one throw of a sampled motion to its first release; without one it is NaN."""
+    engine, motion = rig.engine, rig.engine.motion
+    assert motion is not None
+    if model == 'travelling_wave' and rig.layer.needs_cells:
+        model = 'finite_difference'
+    elif model == 'travelling_wave':
+        cells = None
+    stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
+    latest = motion.end_time + _WAIT * (1.0 / rig.natural_frequency + rig.crossing_time)
+    time, tick = 0.0, 0.25 * (1.0 / rig.natural_frequency + rig.crossing_time)
+    while not stepper.advance_to(time):
+        if time > latest:
+            return (math.nan,) * len(FirstThrows._fields)
+        time += tick
+    first, loads, scale = stepper.events()[0], stepper.loads, engine.speed_scale
+    return (
+        first.time * engine.frequency,
+        first.velocity / scale,
+        (first.velocity / motion.peak_velocity) ** 2,
+        loads.strain / scale,
+        loads.acceleration / (scale * engine.angular_frequency),
+        loads.plate_force / scale,
+        stepper.plate_work / (rig.projectile.mass * scale**2),
     )
 
 

@@ -42,9 +42,16 @@ from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratio
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
-from soft_throw_ros.design.evaluate import first_throws, last_release, Ratios, stack_of
+from soft_throw_ros.core.plate import motion_of, SampledMotion
+from soft_throw_ros.core.rig import Rig, Stack
+from soft_throw_ros.design.evaluate import (
+    first_throws,
+    last_release,
+    Ratios,
+    stack_of,
+    unit_motion,
+    unit_rig,
+)
 
 Floats = NDArray[np.float64]
 
@@ -357,9 +364,9 @@ def compute_landscape(
     ratios = _ratios(rig, along, density_ratio)._asdict()
     known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
     cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
-    threads = None if executor is None else 1
-    compute = functools.partial(_compute, model, release, stack_of(rig.layer), threads)
-    is_fast = model in ('travelling_wave', 'spring_mass')
+    motion, threads = unit_motion(rig.engine), None if executor is None else 1
+    compute = functools.partial(_compute, model, release, motion, stack_of(rig.layer), threads)
+    is_fast = motion is None and model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
@@ -385,6 +392,10 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
         raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
+    if rig.engine.motion and model == 'spring_mass':
+        raise ValueError(f'the motion of a file takes other models, got model {model!r}')
+    if rig.engine.motion and 'engine.damping_ratio' in axes:
+        raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
     if model == 'spring_mass' and release == 'last':
         raise ValueError(f'the last release is known to all models but one, got model {model!r}')
     for name, ratio in _RATIO_OF.items():
@@ -452,44 +463,30 @@ def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Rati
 
 
 def _compute(
-    model: str, release: Release, stack: Stack | None, threads: int | None, cases: Floats
+    model: str,
+    release: Release,
+    motion: SampledMotion | None,
+    stack: Stack | None,
+    threads: int | None,
+    cases: Floats,
 ) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
-        throws = first_throws(Ratios(*cases), model=model, stack=stack, threads=threads)
+        throws = first_throws(
+            Ratios(*cases), motion=motion, model=model, stack=stack, threads=threads
+        )
         return np.stack([throws.ejection_phase, throws.energy_transfer])
-    releases = [_last(model, case) for case in cases.T.tolist()]
+    releases = [_last(model, motion, case) for case in cases.T.tolist()]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(model: str, case: Sequence[float]) -> tuple[float, float]:
+def _last(model: str, motion: SampledMotion | None, case: Sequence[float]) -> tuple[float, float]:
     """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    mu, kappa, damping_ratio, gravity_ratio, loss_tangent, crossing, strain, is_constant = case
-    # Lengths in units of the layer, so the amplitude is what makes strains true ones
-    omega = 2.0 * math.pi / kappa
-    amplitude = strain / omega or 1.0
-    engine = Engine(frequency=1.0 / kappa, amplitude=amplitude, damping_ratio=damping_ratio)
-    rig = Rig(
-        engine=engine,
-        layer=Layer(
-            thickness=1.0,
-            wave_speed=1.0,
-            density=1.0,
-            diameter=2.0 / math.sqrt(math.pi),
-            loss_tangent=loss_tangent,
-            elasticity='neo_hookean' if strain else 'linear',
-            loss='constant' if is_constant else 'kelvin_voigt',
-        ),
-        projectile=Projectile(
-            mass=mu,
-            length=1.0,
-            youngs_modulus=mu / (crossing or 1.0) ** 2,
-        ),
-        gravity=gravity_ratio * amplitude * omega**2,
-    )
+    rig = unit_rig(case, motion)
+    engine = rig.engine
     try:
         last = last_release(rig, model=model)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
-    peak = engine.speed_scale * peak_velocity_ratio(engine.damping_ratio)
+    peak = motion_of(engine).peak_velocity
     return last.time * engine.frequency, (last.speed / peak) ** 2

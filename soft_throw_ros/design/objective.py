@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import FirstThrows
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, highest_transfers, Ratios
+from soft_throw_ros.design.evaluate import (
+    Cancelled,
+    first_throws,
+    highest_transfers,
+    Ratios,
+    unit_motion,
+)
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
@@ -233,6 +239,7 @@ class LayerScore:
         self._limits = limits or Limits()
         self._cells = cells
         self._cancelled = cancelled
+        self._motion = unit_motion(rig.engine)
         self._variants = objective.variants(rig)
         # The lowest throws first, as far as known: most layers are out after a few of them.
         self._order = np.arange(self._variants.mass.size)
@@ -285,8 +292,10 @@ class LayerScore:
         # A layer is out as soon as more of its throws are too low than the quantile leaves aside.
         spare = math.ceil(self._objective.quantile * (size - 1))
         transfers = np.full((count, size), math.inf)
-        highest = highest_transfers(Ratios(*ratios)).max(axis=1)
-        alive = np.flatnonzero(highest >= least[:, 0])
+        alive = np.arange(count)
+        if self._motion is None:
+            highest = highest_transfers(Ratios(*ratios)).max(axis=1)
+            alive = np.flatnonzero(highest >= least[:, 0])
         stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
         for start, stop in itertools.pairwise(stages):
             columns = self._order[start:stop]
@@ -318,7 +327,9 @@ class LayerScore:
         """Compute some of the throws of some of the layers."""
         chosen = np.ix_(layers, columns)
         some = Ratios(*(ratio[chosen] for ratio in ratios))
-        return first_throws(some, loads=loads, cells=self._cells, cancelled=self._cancelled)
+        return first_throws(
+            some, motion=self._motion, loads=loads, cells=self._cells, cancelled=self._cancelled
+        )
 
     def _keeps_limits(
         self,

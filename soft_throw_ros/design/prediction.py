@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import first_throws, Ratios
+from soft_throw_ros.design.evaluate import first_throws, Ratios, unit_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,8 @@ def predict(rig: Rig) -> PredictedThrow:
 
     """
     engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    found = map(float, first_throws(Ratios.of(rig), loads=True))
+    throws = first_throws(Ratios.of(rig), motion=unit_motion(engine), loads=True)
+    found = map(float, throws)
     phase, speed, transfer, strain, acceleration, force, work = found
     if not speed > 0.0:
         raise ThrowUnresolvedError(

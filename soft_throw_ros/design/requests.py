@@ -10,11 +10,14 @@ from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.design.aiming import Aim, aim, Target
 from soft_throw_ros.design.evaluate import Cancelled
+from soft_throw_ros.design.motion_design import design_motion, MotionDesign
+from soft_throw_ros.design.motion_design import Vary as MotionVary
 from soft_throw_ros.design.objective import Limits, Objective, Peak, Robust, Versatile
+from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 from soft_throw_ros.design.uncertainty import Uncertainties
 
-Answer: TypeAlias = Recommendation | Aim
+Answer: TypeAlias = Recommendation | Aim | MotionDesign
 
 
 def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
@@ -38,6 +41,8 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
 
     """
     rig, asked = rig_of(settings), _group(settings, 'recommendation')
+    if asked['vary'] == 'motion':
+        return motion_answer(settings, cancelled=cancelled)
     search: dict[str, Any] = {
         'vary': asked['vary'],
         'limits': limits_of(settings),
@@ -59,6 +64,27 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
             f'{asked["objective"]!r}'
         )
     return recommend(rig, objective=objective_of(settings), **search)
+
+
+def motion_answer(
+    settings: Settings, *, vary: MotionVary = 'motion', cancelled: Cancelled | None = None
+) -> MotionDesign:
+    """Design the motion of the plate as the settings ask; arguments and errors as of `answer`."""
+    asked = _group(settings, 'recommendation')
+    if asked['objective'] != 'peak':
+        raise ValueError(
+            "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
+            f'{asked["objective"]!r}'
+        )
+    rig = rig_of(settings)
+    now = PlateLimits.of(rig.engine)
+    plate = PlateLimits(
+        speed=asked['plate_speed'] or now.speed,
+        acceleration=asked['plate_acceleration'] or now.acceleration,
+        jerk=asked['plate_jerk'] or now.jerk,
+        travel=asked['plate_travel'] or now.travel,
+    )
+    return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
 
 
 def limits_of(settings: Settings) -> Limits:

@@ -27,7 +27,14 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, SEARCH_CELLS, stack_of
+from soft_throw_ros.design.evaluate import (
+    Cancelled,
+    first_throws,
+    Ratios,
+    SEARCH_CELLS,
+    stack_of,
+    unit_motion,
+)
 
 Floats = NDArray[np.float64]
 
@@ -256,7 +263,11 @@ def prediction_uncertainty(
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
     ratios = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
     throws = first_throws(
-        ratios, cells=SEARCH_CELLS, stack=stack_of(rig.layer), cancelled=cancelled
+        ratios,
+        motion=unit_motion(rig.engine),
+        cells=SEARCH_CELLS,
+        stack=stack_of(rig.layer),
+        cancelled=cancelled,
     )
     left = throws.speed > 0.0
     if not left.any():

@@ -6,13 +6,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import functools
+import os
+from pathlib import Path
+import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import rig_of, rig_values, Settings, TWIN
+from soft_throw_ros.configuration import motions, rig_of, rig_values, Settings, TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.evaluate import SearchCancelledError
+from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
@@ -41,10 +46,12 @@ class RecommendationFor:
         )
 
     def changes(self) -> dict[str, float | str]:
-        """Return the parameters that make the rig what is recommended."""
+        """Return the parameters that make the rig what is recommended; a motion becomes a file."""
         best = self.best
         if best is None:
             return {}
+        if isinstance(best, MotionDesign):
+            return {motions.PARAMETER: str(_save_motion(best))}
         changes: dict[str, float | str] = {}
         if isinstance(best, Aim):
             changes['engine.amplitude'] = best.amplitude
@@ -68,7 +75,7 @@ class RecommendationFor:
         best = self.best
         if best is None:
             return f'there is no recommendation: {self.reason}'
-        if isinstance(best, Aim):
+        if isinstance(best, (Aim, MotionDesign)):
             return best.summary
         name = f'{best.layer}, ' if best.layer else ''
         return (
@@ -86,6 +93,17 @@ class RecommendationFor:
         values = {'g_load': best.peak_acceleration / STANDARD_GRAVITY, **best.values(), **rig}
         is_missed = isinstance(best, Aim) and not best.is_reached
         return status_to_msg(node_name, 'recommendation', best.summary, values, warn=is_missed)
+
+
+def _save_motion(best: MotionDesign) -> Path:
+    """Write a motion to where ROS keeps its files, under a name that no other motion has."""
+    text = '\n'.join(motions.csv_lines(best.motion)) + '\n'
+    folder = Path(os.environ.get('ROS_HOME', '~/.ros')).expanduser() / 'soft_throw'
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f'motion_{zlib.crc32(text.encode()):08x}.csv'
+    with atomic_file(path) as unfinished:
+        unfinished.write_text(text, encoding='utf-8')
+    return path
 
 
 def matters(name: str) -> bool:

@@ -8,11 +8,11 @@ which it happened:
 ============= ================================================================================
 kind          further keys
 ============= ================================================================================
-start         `settings`, `versions`; a session begins, at rest
+start         `settings`, `versions`, `motions` (of files, by their paths); it begins, at rest
 throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`;
               a throw starts, and if the plate is measured, `onset`: how that was seen
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
-input         `input`: 'throw', 'reset', or 'parameters' with their `values`
+input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
 tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
 result        `result`: the values of a `ThrowResult`, where None is infinite; and in the end of
               a throw `states` and `fields` as below, of the steps before from its start on
@@ -42,7 +42,7 @@ from zlib import crc32
 import numba
 import numpy as np
 from soft_throw_ros import __version__
-from soft_throw_ros.configuration import ParameterError, Settings, TWIN
+from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
 from soft_throw_ros.twin.onset import Onset, Rest
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
@@ -109,6 +109,10 @@ def decode(line: str) -> dict[str, Any]:
             raise JournalError(f'{name} of an entry is of another type, got {entry[name]!r}')
     if abs(entry['step']) > _FARTHEST:
         raise JournalError(f'a step is at most {_FARTHEST}, got {entry["step"]!r}')
+    try:
+        motions.remember(entry.get('motions', {}))
+    except (AttributeError, ValueError) as error:
+        raise JournalError(f'an entry of a journal, {error}: {line!r}') from error
     for part in ('settings', 'pending', 'values'):
         if isinstance(entry.get(part), dict):  # JSON knows no tuples
             entry[part] = {
@@ -129,6 +133,12 @@ def checked_settings(entry: Entry, part: str) -> Settings:
     except ParameterError as error:
         raise JournalError(str(error)) from error
     return settings
+
+
+def _motions(*settings: Settings) -> dict[str, dict[str, str]]:
+    """Write down the motions of files that settings name; nothing if there are none."""
+    found = {path: text for each in settings for path, text in motions.encode(each).items()}
+    return {'motions': found} if found else {}
 
 
 def decode_schedule(values: Entry) -> TickSchedule:
@@ -279,7 +289,15 @@ class JournalWriter:
         self._write_checksum(step)
         if kind == 'throw':
             self._throw = _Checksum(step)
-        self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
+        wanted = {**settings, **values.get('pending', {})}
+        self.write(
+            kind, step, settings=dict(settings), versions=dict(VERSIONS), **values,
+            **_motions(settings, wanted),
+        )  # fmt: skip
+
+    def write_change(self, step: int, values: Settings) -> None:
+        """Write that parameters are changed."""
+        self.write('input', step, input='parameters', values=dict(values), **_motions(values))
 
     def keep_samples(self, step: int, samples: list[Sample]) -> None:
         """Keep samples that were taken, for an entry to come."""

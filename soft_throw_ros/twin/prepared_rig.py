@@ -16,7 +16,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, spring_mass, wave_stepper
 from soft_throw_ros.core.cell_stepper import cells_per_layer, first_throws
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import make_stepper
@@ -64,14 +64,15 @@ class PreparedRig:
         rest_layer = np.empty((3, FIELD_POINTS))
         stepper.read_layer(rest_layer)
         is_measured = config.is_measured
+        is_predictable = not is_measured and config.rig.engine.motion is None
         return cls(
             config=config,
             stepper=stepper,
             rest=State._make(stepper.state.tolist()[1:]),
             rest_layer=LayerState(*rest_layer),
-            peak_plate_speed=Underdamped.of(config.rig.engine).peak_velocity,
+            peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
-            models={} if is_measured else _other_models(config.rig, config.model),
+            models=_other_models(config.rig, config.model) if is_predictable else {},
             forks=(stepper.fork(), stepper.fork()) if is_measured else (),
             forecaster=_forecaster(config) if is_measured else None,
         )
@@ -188,6 +189,8 @@ def _ejection_time(stepper: Stepper) -> float:
     """Find when the projectile leaves, or, if it does not soon, how long it was waited for."""
     rig = stepper.rig
     cycle = 1.0 / min(rig.engine.frequency, rig.natural_frequency) + rig.crossing_time
+    if rig.engine.motion:
+        cycle += rig.engine.motion.end_time
     for eighth in range(1, 8 * _LONGEST_CONTACT + 1):
         if stepper.advance_to(0.125 * eighth * cycle):
             return stepper.events()[0].time

@@ -190,7 +190,7 @@ class Session:
         with self._changing:
             prepared = self._staged.prepare(values)
             with self._lock:
-                self._journal.write('input', self.step, input='parameters', values=dict(values))
+                self._journal.write_change(self.step, values)
                 self._staged.stage(values, prepared)
                 if 'throw.period' in values:
                     self._cycle.set_throw_due()

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Design how the plate moves: what that gives, as a table, and the motion for a controller."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from soft_throw_ros.commands.options import (
+    add_options,
+    add_rig_options,
+    OPTIONS,
+    read_settings,
+    RECOMMENDATION_OPTIONS,
+)
+from soft_throw_ros.commands.output import (
+    naming,
+    print_text,
+    require,
+    Row,
+    slow_notice,
+    strain_warning,
+    to_json,
+    write_columns,
+)
+from soft_throw_ros.commands.rerun_output import save_recording
+from soft_throw_ros.configuration import motions, TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.core.plate import PlateMotion, SampledMotion
+from soft_throw_ros.design.motion_design import MotionDesign, Vary
+from soft_throw_ros.design.plate_motion import PlateLimits
+from soft_throw_ros.design.requests import motion_answer
+import yaml
+
+_ROWS = (
+    Row('thickness', 'thickness L_s', 'mm', 1e3),
+    Row('wave_speed', 'wave speed c_s', 'm/s'),
+    Row('plate_speed', 'plate speed', 'm/s'),
+    Row('plate_acceleration', 'plate acceleration', 'm/s2'),
+    Row('plate_travel', 'plate travel', 'mm', 1e3),
+    Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
+    Row('ejection_speed', 'ejection speed V_e', 'm/s'),
+    Row('energy_transfer', 'energy transfer alpha'),
+    Row('peak_strain', 'peak strain', '%', 1e2),
+    Row('peak_acceleration', 'peak acceleration', 'm/s2'),
+    Row('peak_force', 'peak force on plate', 'N'),
+    Row('plate_work', 'work of the plate', 'mJ', 1e3),
+    Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
+)
+_VARY = replace(
+    TWIN.by_name['recommendation.vary'],
+    default='motion',
+    meaning='What of the layer may be changed besides the motion',
+    choices=get_args(Vary),
+)
+_LIMITS = (
+    'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
+    'thickness_max', 'wave_speed_min', 'wave_speed_max', 'max_strain', 'max_acceleration',
+)  # fmt: skip
+_HEADS = {'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer'}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the task."""
+    parser.usage = (
+        '%(prog)s [-h] [--plate-speed M/S] [--plate-acceleration M/S2] [--plate-jerk M/S3] '
+        '[--plate-travel M] [--vary motion|thickness|wave_speed|both] [--output FILE ...] '
+        '[--json] [--config FILE] [--thickness M ...]'
+    )
+    add = parser.add_argument
+    add('--json', action='store_true', help='print one object: SI units, full precision')
+    add(
+        '--output', metavar='FILE', nargs='+', type=Path, default=[],
+        help='.csv (what --motion reads), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
+        'or .rrd (recording of Rerun)',
+    )  # fmt: skip
+    asked = [f'recommendation.{name}' for name in _LIMITS]
+    assert set(asked) <= set(RECOMMENDATION_OPTIONS)
+    add_options(parser, asked, title='what the actuator and the layer may do', entries=[_VARY])
+    add_rig_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Design a motion, print what it gives, and write it; return 0."""
+    settings = read_settings(arguments)
+    for path in arguments.output:
+        if path.suffix not in _WRITERS:
+            raise ValueError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
+        if not path.parent.is_dir():
+            raise ValueError(f'{path}: there is no folder {path.parent}')
+        for suffix, module, extra in (('.png', 'matplotlib', 'plot'), ('.rrd', 'rerun', 'rerun')):
+            if path.suffix == suffix:
+                require(str(path), extra, module)
+    with slow_notice('design'):
+        vary = vars(arguments).get('recommendation.vary', _VARY.default)
+        design = motion_answer(settings, vary=vary)
+        for path in arguments.output:
+            with naming(path), atomic_file(path) as unfinished:
+                _WRITERS[path.suffix](design, unfinished)
+    if arguments.json:
+        asked = {name: settings[name] for name in settings if name in OPTIONS}
+        print_text(to_json({'parameters': asked, 'motion': design}))
+        return 0
+    lines = [design.summary, '', *_table(design, settings['max_strain'])]
+    if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
+        lines.append('The plate may do what it does now: --plate-speed and others change that.')
+    print_text('\n'.join(lines) + '\n')
+    return 0
+
+
+def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
+    """Write all cases side by side."""
+    rigs = {**design.others, 'best': design.rig, 'both': design.rig}
+    columns: dict[str, Mapping[str, float] | None] = {}
+    for name, throw in design.throws.items():
+        rig = rigs[name]
+        if name == 'best' and 'both' in design.throws:
+            columns[_HEADS[name]] = vars(throw)
+            continue
+        does = PlateLimits.of(rig.engine)
+        columns[_HEADS.get(name, name)] = {
+            **vars(throw),
+            'plate_speed': does.speed,
+            'plate_acceleration': does.acceleration,
+            'plate_travel': does.travel,
+        }
+    yield from write_columns(_ROWS, columns)
+    beyond = [head for head, each in columns.items() if each and each['peak_strain'] > max_strain]
+    if beyond:
+        yield strain_warning(max_strain, ', '.join(beyond).replace('_', ' '))
+
+
+def _write_csv(design: MotionDesign, path: Path) -> None:
+    path.write_text('\n'.join(motions.csv_lines(design.motion)) + '\n', encoding='utf-8')
+
+
+def joint_trajectory(motion: SampledMotion) -> dict[str, object]:
+    """Return a motion as a message `trajectory_msgs/JointTrajectory` for the joint `plate`."""
+    points = []
+    for time, (height, velocity, acceleration) in zip(
+        motion.times.tolist(), motion.states.tolist(), strict=True
+    ):
+        nanoseconds = round(1e9 * time)
+        points.append({
+            'positions': [height],
+            'velocities': [velocity],
+            'accelerations': [acceleration],
+            'time_from_start': {
+                'sec': nanoseconds // 1_000_000_000, 'nanosec': nanoseconds % 1_000_000_000
+            },
+        })  # fmt: skip
+    return {'joint_names': ['plate'], 'points': points}
+
+
+def _write_trajectory(design: MotionDesign, path: Path) -> None:
+    text = yaml.safe_dump(
+        joint_trajectory(design.motion), sort_keys=False, default_flow_style=None
+    )
+    path.write_text(text, encoding='utf-8')
+
+
+def _curves(design: MotionDesign) -> Iterator[tuple[str, np.ndarray, PlateMotion]]:
+    """Give a title, the times, and the motion of each case; all end at one time."""
+    end = max(design.motion.end_time, 1.2 * design.ejection_time)
+    for name, motion in design.motions.items():
+        throw = design.throws['both' if name == 'best' and 'both' in design.throws else name]
+        yield f'{name}: {throw.ejection_speed:.3g} m/s', np.linspace(0.0, end, 1001), motion
+
+
+def draw(design: MotionDesign, path: Path) -> None:
+    """Draw how the plate moves in each case, height and velocity, into a PNG file."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.6, 4.2), layout='constrained')
+    above, below = figure.subplots(1, 2, sharex=True)
+    for title, times, motion in _curves(design):
+        is_best = title.startswith('best')
+        style = {'lw': 2.4 if is_best else 1.2, 'color': 'black' if is_best else None}
+        above.plot(1e3 * times, 1e3 * motion.position(times), label=title, **style)
+        below.plot(1e3 * times, motion.velocity(times), **style)
+    release = 1e3 * design.ejection_time
+    for panel, name in ((above, 'height of the plate (mm)'), (below, 'velocity (m/s)')):
+        panel.axvline(release, color='0.6', ls=':')
+        panel.set(xlabel='time (ms)', ylabel=name)
+        panel.spines[['top', 'right']].set_visible(False)
+    below.annotate(
+        'release', (release, 0.02), xycoords=('data', 'axes fraction'), color='0.4',
+        textcoords='offset points', xytext=(-4, 0), ha='right',
+    )  # fmt: skip
+    above.legend(frameon=False, title='motion: ejection speed')
+    figure.suptitle(design.summary, fontsize='medium')
+    figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
+
+
+def _record(design: MotionDesign, path: Path) -> None:
+    """Write the motions side by side as a recording of Rerun."""
+    from soft_throw_ros.recording import motion_canvas, rerun_canvas
+
+    stream = rerun_canvas.new_stream()
+    curves = {
+        title: (times, motion.position(times), motion.velocity(times))
+        for title, times, motion in _curves(design)
+    }
+    save_recording(stream, path, partial(motion_canvas.draw_motions, stream, curves))
+
+
+_WRITERS: Mapping[str, Callable[[MotionDesign, Path], None]] = {
+    '.csv': _write_csv, '.yaml': _write_trajectory, '.png': draw, '.rrd': _record,
+}  # fmt: skip

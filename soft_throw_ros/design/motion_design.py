@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the best motion of the plate gives, beside what else the same actuator could do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import contextlib
+from dataclasses import dataclass, replace
+import math
+from typing import get_args, Literal, TypeAlias
+
+import numpy as np
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, require_uniform
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.plate_motion import (
+    find_best_layer,
+    find_best_motion,
+    PlateLimits,
+    rest_to_rest,
+    with_motion,
+)
+from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.recommendation import recommend
+
+Vary: TypeAlias = Literal['motion', 'thickness', 'wave_speed', 'both']
+
+_FREQUENCIES = np.geomspace(0.05, 20.0, 1200)  # of harmonic motions that are tried, over the rig's
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionDesign(PredictedThrow):
+    """
+    The best motion of the plate, and what it gives.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig whose plate moves so, with the layer that was found if one was looked for.
+    vary : {'motion', 'thickness', 'wave_speed', 'both'}
+        What of the layer was allowed to change; nothing if it is 'motion'.
+    limits : PlateLimits
+        Of the actuator.
+    others : mapping of str to Rig
+        What it is to be compared with: the rig `now`, and with the `harmonic` motion and the
+        `step` of the same limits that throw best, and the `layer` that is best as the plate moves
+        now, as far as they throw.
+    throws : mapping of str to PredictedThrow
+        What they give, and the `best`; `both` if the layer was looked for, and then `best` is with
+        the layer that there is.
+    layer : str
+        Empty: it is of no library.
+    summary : str
+        What is gained, in a sentence.
+
+    """
+
+    rig: Rig
+    vary: Vary
+    limits: PlateLimits
+    others: Mapping[str, Rig]
+    throws: Mapping[str, PredictedThrow]
+    layer: str = ''
+    summary: str = ''
+
+    @property
+    def motion(self) -> SampledMotion:
+        """How the plate is to move."""
+        assert self.rig.engine.motion is not None
+        return self.rig.engine.motion
+
+    @property
+    def motions(self) -> dict[str, PlateMotion]:
+        """How the plate moves in each case; the best one last."""
+        names = {'now': 'now', 'harmonic': 'harmonic', 'step': 'step'}
+        found = {
+            names[key]: motion_of(rig.engine) for key, rig in self.others.items() if key in names
+        }
+        return {**found, 'best': self.motion}
+
+    def values(self) -> dict[str, float | str | bool]:
+        """Return everything by name, with a dot between the name of a part and of its value."""
+        parts = {f'{name}.': vars(throw) for name, throw in self.throws.items() if name != 'best'}
+        return super().values() | {
+            f'{prefix}{key}': value
+            for prefix, part in parts.items()
+            for key, value in part.items()
+        }
+
+
+def design_motion(
+    rig: Rig,
+    plate: PlateLimits | None = None,
+    *,
+    vary: Vary = 'motion',
+    limits: Limits | None = None,
+    cancelled: Cancelled | None = None,
+) -> MotionDesign:
+    """
+    Find the motion of the plate that throws best, alone or together with the layer.
+
+    Parameters
+    ----------
+    rig : Rig
+        As it is now.
+    plate : PlateLimits, optional
+        What the actuator can do; if not given, what it does now.
+    vary : {'motion', 'thickness', 'wave_speed', 'both'}
+        What of the layer may change besides.
+    limits : Limits, optional
+        Of the layer, its strain, and the projectile's acceleration.
+    cancelled : callable, optional
+        Asked every few tenths of a second whether to give up.
+
+    Raises
+    ------
+    ValueError
+        If a choice is unknown, or the layer is not of one material.
+    ThrowUnresolvedError
+        If nothing is thrown within the limits.
+    SearchCancelledError
+        If `cancelled` says so.
+
+    Examples
+    --------
+    >>> design_motion(Rig(gravity=0.0)).summary
+    'with the same motor, 15 % more energy by moving the plate so, 14 % by a layer of ...'
+
+    """
+    if vary not in get_args(Vary):
+        raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
+    require_uniform(rig)
+    plate, limits = plate or PlateLimits.of(rig.engine), limits or Limits()
+    own = find_best_motion(rig, plate, loads=limits, cancelled=cancelled).motion
+    assert isinstance(own, SampledMotion)
+    best = with_motion(rig, own)
+    rigs = {'now': rig, 'harmonic': _harmonic(rig, plate, cancelled), 'step': _step(rig, plate)}
+    with contextlib.suppress(ThrowUnresolvedError):
+        varied = 'both' if vary == 'motion' else vary
+        rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
+    found = {'best': best}
+    if vary != 'motion':
+        better = find_best_layer(rig, plate, vary, loads=limits, cancelled=cancelled)
+        throw = find_best_motion(better, plate, loads=limits, cancelled=cancelled)
+        assert isinstance(throw.motion, SampledMotion)
+        best = found['both'] = with_motion(better, throw.motion)
+    throws = {}
+    for name, each in (rigs | found).items():
+        with contextlib.suppress(ThrowUnresolvedError):
+            throws[name] = predict(each)
+    answer = MotionDesign(
+        **vars(throws['both' if vary != 'motion' else 'best']),
+        rig=best,
+        vary=vary,
+        limits=plate,
+        others={name: each for name, each in rigs.items() if name in throws},
+        throws=throws,
+    )
+    return replace(answer, summary=_summary(answer))
+
+
+def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
+    """Return the rig with the harmonic motion within the limits that throws best."""
+    frequency = rig.engine.frequency * _FREQUENCIES
+    omega = 2.0 * math.pi * frequency
+    amplitude = np.min(
+        [
+            plate.speed / omega,
+            plate.acceleration / omega**2,
+            plate.jerk / omega**3,
+            np.full(omega.shape, 0.5 * plate.travel),
+        ],
+        axis=0,
+    )
+    loss_tangent = rig.layer.loss_tangent * _FREQUENCIES  # of the same viscosity
+    ratios = Ratios.of(
+        rig, frequency=frequency, amplitude=amplitude, damping_ratio=0.0, loss_tangent=loss_tangent
+    )
+    speeds = np.nan_to_num(first_throws(ratios, cancelled=cancelled).speed) * amplitude * omega
+    best = int(speeds.argmax())
+    engine = replace(
+        rig.engine,
+        frequency=float(frequency[best]),
+        amplitude=float(amplitude[best]),
+        damping_ratio=0.0,
+        motion=None,
+    )
+    layer = replace(rig.layer, loss_tangent=float(loss_tangent[best]))
+    return replace(rig, engine=engine, layer=layer)
+
+
+def _step(rig: Rig, plate: PlateLimits) -> Rig:
+    """Return the rig with a plate that goes up as fast as the limits allow, all the way."""
+    wait = 3.0 * rig.crossing_time + 1.0 / rig.natural_frequency
+    travel = min(plate.travel, plate.speed * (2.0 * plate.rise_time + wait))
+    return with_motion(rig, rest_to_rest(plate, travel=travel))
+
+
+def _summary(answer: MotionDesign) -> str:
+    """Say what is gained, and by what."""
+    throws = answer.throws
+    if 'now' not in throws:
+        speed = throws['best'].ejection_speed
+        return f'as it is, the rig throws nothing; this motion gives {speed:.3g} m/s'
+    now = throws['now'].kinetic_energy
+
+    def gain(name: str) -> str:
+        part = throws[name].kinetic_energy / now - 1.0
+        return f'{100.0 * part:.2g} % more' if part < 0.995 else f'{1.0 + part:.3g} times the'
+
+    parts = [f'{gain("best")} energy by moving the plate so']
+    if 'layer' in throws:
+        layer = throws['layer']
+        parts.append(
+            f'{gain("layer").removesuffix(" more")} by a layer of {1e3 * layer.thickness:.4g} mm '
+            f'and {layer.wave_speed:.4g} m/s'
+        )
+    if 'both' in throws:
+        both = throws['both']
+        parts.append(
+            f'{gain("both").removesuffix(" more")} by both, with '
+            f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
+        )
+    text = f'with the same motor, {", ".join(parts)}'
+    motion = answer.motion
+    lowest = int(motion.states[:, 0].argmin())
+    depth, time = -motion.states[lowest, 0], motion.times[lowest]
+    if depth > 0.01 * answer.limits.travel:
+        text += f'; the plate goes down first, by {1e3 * depth:.2g} mm in {1e3 * time:.2g} ms'
+    return text

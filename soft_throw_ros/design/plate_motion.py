@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""
+Find the motion of the plate that throws best within what an actuator can do.
+
+Notes
+-----
+As long as the projectile lies on the layer, all that happens is linear in the plate's motion and
+does not depend on when it starts. So one answer of the stepper to one short pulse of the plate's
+velocity tells what any motion does: a motion is a row of such pulses, and velocities and forces
+add up. To be as fast as possible at some time T, with the layer pushing all the while, and within
+limits of speed, acceleration, jerk and travel, is then a linear programme in the heights of the
+pulses, whose optimum is global [1]_. A plate may always wait before it starts, so the speed grows
+with T; the shortest T is taken that gives nearly as much as the longest.
+
+Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times,
+not only on the grid, and what they add up to is a cubic spline in height, which a file of times
+and heights holds without loss. What a motion gives is then followed by the exact stepper to its
+end: motions that meet the projectile again, or throw it off too early, are left out.
+
+Nothing after T less a crossing of the wave can be felt by the projectile; there the plate brakes.
+
+References
+----------
+.. [1] Q. Huangfu, J. A. J. Hall, "Parallelizing the dual revised simplex method", Math. Prog.
+   Comp. 10 (2018): HiGHS, by `scipy.optimize.linprog`.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog, minimize
+from scipy.sparse import csr_matrix, diags, vstack
+from soft_throw_ros.core import checks
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.plate import motion_of, SampledMotion
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
+from soft_throw_ros.design.evaluate import Cancelled, SEARCH_CELLS, SearchCancelledError
+from soft_throw_ros.design.objective import Limits
+
+Floats = NDArray[np.float64]
+
+_COARSE, _FINE = (12, 120), (64, 300)  # pulses in a crossing of the wave, and at most until T
+_WORTH = 2e-3  # part of the speed for which it is not worth to wait longer
+_FINER = 2  # times as often as there are pulses the layer has to push
+_PRESSED = 0.2  # part of the weight with which a plate must push, whatever it does, ...
+_PUSH = 1e-3  # and of speed times impedance while the wave is in the layer
+_AS_PROMISED = 0.01  # part of the speed by which a motion may miss what the programme promised
+_FLOORS = (1.0, 3.0, 0.0)  # times these, to be tried in turn if a motion fails, ...
+_LONGER = (1.0, 1.1, 0.7, 0.4)  # and times of release
+_FASTEST_RISE = 1e-3  # of a crossing, which a plate without limit of acceleration takes
+_LAYERS = 7  # along an axis of the grid on which the search for a layer begins
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateLimits:
+    """
+    What an actuator can do.
+
+    Parameters
+    ----------
+    speed, acceleration, jerk, travel : float
+        Largest magnitudes; travel is from the lowest to the highest position; all but the speed
+        may be infinite. [m/s], [m/s2], [m/s3], [m]
+
+    Raises
+    ------
+    ValueError
+        If a value is not positive, or the speed not finite.
+
+    """
+
+    speed: float
+    acceleration: float = math.inf
+    jerk: float = math.inf
+    travel: float = math.inf
+
+    def __post_init__(self) -> None:
+        checks.require_positive('speed', self.speed)
+        for name in ('acceleration', 'jerk', 'travel'):
+            if getattr(self, name) != math.inf:
+                checks.require_positive(name, getattr(self, name))
+
+    @classmethod
+    def of(cls, engine: Engine) -> PlateLimits:
+        """Return what the plate of an engine does by itself; its jerk is not limited."""
+        motion = motion_of(engine)
+        end = motion.end_time if isinstance(motion, SampledMotion) else 2.0 / engine.frequency
+        times = np.linspace(0.0, end, 20001)
+        velocity = motion.velocity(times)
+        return cls(
+            speed=float(np.abs(velocity).max()),
+            acceleration=float(np.abs(np.diff(velocity)).max() / (times[1] - times[0])),
+            travel=float(np.ptp(motion.position(times))),
+        )
+
+    @property
+    def rise_time(self) -> float:
+        """How long it takes to reach the largest speed. [s]"""
+        return self.speed / self.acceleration + self.acceleration_time
+
+    @property
+    def acceleration_time(self) -> float:
+        """How long it takes to reach the largest acceleration. [s]"""
+        if self.jerk == math.inf:
+            return 0.0
+        return min(self.acceleration / self.jerk, math.sqrt(self.speed / self.jerk))
+
+
+class Pulses(NamedTuple):
+    """A motion of the plate: quadratic B-splines in its velocity, one after another."""
+
+    step: float  # from one to the next [s]
+    heights: Floats  # [m/s]
+
+    def motion(self) -> SampledMotion:
+        """Return it as a motion, without the rest before and after it."""
+        moving = np.flatnonzero(np.abs(self.heights) > 1e-6 * np.abs(self.heights).max())
+        c = np.pad(self.heights[moving[0] : moving[-1] + 1], 3)
+        velocity, acceleration = 0.5 * (c[1:-1] + c[2:]), np.diff(c)[1:] / self.step
+        rise = self.step * velocity[:-1]
+        rise = rise + self.step**2 * (2.0 * acceleration[:-1] + acceleration[1:]) / 6.0
+        heights = np.append(0.0, np.cumsum(rise))
+        states: Floats = np.column_stack([heights, velocity, acceleration])
+        return SampledMotion(self.step * np.arange(float(len(states))), states, 'hold')
+
+
+def with_motion(rig: Rig, motion: SampledMotion) -> Rig:
+    """Return the rig with a plate that moves so."""
+    return replace(rig, engine=replace(rig.engine, motion=motion))
+
+
+def find_best_motion(
+    rig: Rig,
+    limits: PlateLimits,
+    *,
+    loads: Limits | None = None,
+    model: str = 'travelling_wave',
+    cancelled: Cancelled | None = None,
+) -> Throw:
+    """
+    Find the motion that throws a rig's projectile fastest, at its first release.
+
+    Parameters
+    ----------
+    rig : Rig
+        How its own plate moves does not matter.
+    limits : PlateLimits
+        Of the plate.
+    loads : Limits, optional
+        Of them count strain and acceleration.
+    model : str
+        Of the layer; the travelling wave gives way to finite differences where there is loss.
+    cancelled : callable, optional
+        Asked between programmes, some tenths of a second each.
+
+    Returns
+    -------
+    Throw
+        With `motion`, to its end. The plate comes to rest, and does not meet the projectile again
+        before that has come down.
+
+    Raises
+    ------
+    ThrowUnresolvedError
+        If no motion within the limits throws, or none keeps clear of the projectile.
+    SearchCancelledError
+        If `cancelled` says so.
+
+    Notes
+    -----
+    See the module. The speed is within 0.5 % of the best, as seen beside the known optima of a
+    plate that goes up as fast as it can.
+
+    """
+    loads = loads or Limits()
+    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
+        model = 'finite_difference'
+    time, _ = _shortest_time(rig, limits, loads, model, cancelled)
+    found: list[Throw] = []
+    for longer in _LONGER:
+        programme = _Programme(rig, limits, loads, model, longer * time, _FINE)
+        for floor in _FLOORS:
+            _check(cancelled)
+            pulses, speed = programme.solve(longer * time, floor)
+            if pulses is None:
+                continue
+            throw = _follow(rig, pulses.motion(), model, loads)
+            if throw is not None:
+                found.append(throw)
+                if throw.ejection_speed > (1.0 - _AS_PROMISED) * speed:
+                    return throw
+    if not found:
+        raise ThrowUnresolvedError(
+            f'no motion of the plate throws within {limits} and strain {loads.max_strain:g}, '
+            f'acceleration {loads.max_acceleration:g} m/s2'
+        )
+    return max(found, key=lambda throw: throw.ejection_speed)
+
+
+def find_best_layer(
+    rig: Rig,
+    limits: PlateLimits,
+    vary: str,
+    *,
+    loads: Limits | None = None,
+    model: str = 'travelling_wave',
+    cancelled: Cancelled | None = None,
+) -> Rig:
+    """
+    Find the layer from which the best motion throws fastest.
+
+    Parameters
+    ----------
+    vary : {'thickness', 'wave_speed', 'both'}
+        What of the layer may change, within `loads`.
+    rig, limits, loads, model, cancelled
+        As for `find_best_motion`.
+
+    Raises
+    ------
+    ThrowUnresolvedError
+        If nothing is thrown.
+
+    Notes
+    -----
+    The largest speed at a given time does not jump from layer to layer, as releases of a given
+    motion do. So the best point of a coarse grid is improved by Nelder's and Mead's method.
+
+    """
+    loads = loads or Limits()
+    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
+        model = 'finite_difference'
+    names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
+    box = np.log([getattr(loads, name) for name in names])
+
+    def layer(place: Floats) -> Rig:
+        values = np.exp(np.clip(place, *box.T)).tolist()
+        return replace(rig, layer=replace(rig.layer, **dict(zip(names, values, strict=True))))
+
+    def slowness(place: Floats) -> float:
+        try:
+            return -_shortest_time(layer(place), limits, loads, model, cancelled, is_rough=True)[1]
+        except ThrowUnresolvedError:
+            return 0.0
+
+    axes = [np.linspace(low, high, _LAYERS * (3 - len(names))) for low, high in box]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(names))
+    values = [slowness(place) for place in grid]
+    best = grid[int(np.argmin(values))]
+    if min(values) == 0.0:
+        raise ThrowUnresolvedError(f'no motion of the plate throws within {limits} and {loads}')
+    spacing = np.array([axis[1] - axis[0] for axis in axes])
+    simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
+    options = {'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed}
+    found = minimize(slowness, best, method='Nelder-Mead', options={**options, 'maxfev': 60})
+    return layer(found.x)
+
+
+def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
+    """
+    Make the shortest motion up by `travel`: what a controller does that is given a height.
+
+    Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
+    """
+    acceleration_time = max(limits.acceleration_time, 1e-9)
+    ramp = max(limits.rise_time - limits.acceleration_time, 1e-6 * travel / limits.speed)
+    speed = limits.speed
+    if speed * (ramp + limits.acceleration_time) > travel:  # it has to brake before
+        low, high = 0.0, speed
+        for _ in range(60):
+            speed = 0.5 * (low + high)
+            slower = replace(limits, speed=speed)
+            is_long = speed * slower.rise_time > travel
+            low, high = (low, speed) if is_long else (speed, high)
+        acceleration_time = max(slower.acceleration_time, 1e-9)
+        ramp = max(slower.rise_time - slower.acceleration_time, 1e-9)
+    cruise = max(travel / speed - ramp - limits.acceleration_time, 0.0)
+    step = min(ramp, max(cruise, ramp)) / 200.0
+    step = max(step, (2.0 * ramp + cruise + acceleration_time) / 20000.0)
+    times = np.arange(0.0, 2.0 * ramp + cruise + acceleration_time + 2.0 * step, step)
+
+    def path(t: Floats) -> Floats:
+        """Integrate the trapezoid of velocities twice."""
+        up = np.clip(t, 0.0, ramp)
+        down = np.clip(t - ramp - cruise, 0.0, ramp)
+        return speed * (
+            up**3 / (6.0 * ramp)
+            + np.maximum(t - ramp, 0.0) * 0.5 * ramp
+            + 0.5 * np.maximum(t - ramp, 0.0) ** 2
+            - down**3 / (6.0 * ramp)
+            - np.maximum(t - 2.0 * ramp - cruise, 0.0) * 0.5 * ramp
+            - 0.5 * np.maximum(t - 2.0 * ramp - cruise, 0.0) ** 2
+        )
+
+    rounded = max(acceleration_time, 6.0 * step)  # a moving average limits the jerk
+    heights = (path(times) - path(times - rounded)) / rounded
+    return SampledMotion.from_positions(times, heights, after='hold')
+
+
+def _check(cancelled: Cancelled | None) -> None:
+    if cancelled is not None and cancelled():
+        raise SearchCancelledError('the search was cancelled')
+
+
+def _follow(rig: Rig, motion: SampledMotion, model: str, loads: Limits) -> Throw | None:
+    """Follow a throw to its end; None if it meets the projectile again or exceeds a load."""
+    try:
+        throw = simulate(with_motion(rig, motion), model=model)
+    except (ValueError, EventLimitError, ThrowUnfinishedError):
+        return None
+    is_within = throw.peak_strain <= loads.max_strain * (
+        1.0 + 1e-3
+    ) and throw.peak_acceleration <= loads.max_acceleration * (1.0 + 1e-3)
+    return throw if is_within and not throw.recontacts and throw.ejection_speed > 0.0 else None
+
+
+def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
+    """List times of release that may be worth it, the longest first. [s]"""
+    contact = rig.crossing_time * (1.5 + math.pi * math.sqrt(rig.mass_ratio + 0.4))
+    longest = contact + limits.rise_time
+    if rig.gravity > 0.0:
+        # A plate that goes down first, no faster than the projectile falls, has a longer way up
+        fall = min(limits.speed / rig.gravity, 1.5 * math.sqrt(limits.travel / rig.gravity))
+        longest += fall + limits.rise_time
+    yield longest
+    count = max(4, math.ceil(math.log(longest / (0.6 * contact)) / 0.12))
+    yield from np.geomspace(0.6 * contact, longest, count)[:-1].tolist()
+
+
+def _shortest_time(
+    rig: Rig,
+    limits: PlateLimits,
+    loads: Limits,
+    model: str,
+    cancelled: Cancelled | None,
+    *,
+    is_rough: bool = False,
+) -> tuple[float, float]:
+    """Find the shortest time that gives nearly the largest speed, and that."""
+    longest, *shorter = _times(rig, limits)
+    programme = _Programme(rig, limits, loads, model, longest, _COARSE)
+    _check(cancelled)
+    _, speed = programme.solve(longest)
+    if not speed > 0.0:
+        raise ThrowUnresolvedError(f'no motion of the plate throws within {limits}')
+    if is_rough:
+        return longest, speed
+    low, high = 0, len(shorter)
+    while low < high:
+        middle = (low + high) // 2
+        _check(cancelled)
+        if programme.solve(shorter[middle])[1] >= (1.0 - _WORTH) * speed:
+            high = middle
+        else:
+            low = middle + 1
+    return (shorter[low] if low < len(shorter) else longest), speed
+
+
+class _Programme:
+    """The linear programmes for a rig, up to some time of release."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        limits: PlateLimits,
+        loads: Limits,
+        model: str,
+        longest: float,
+        resolution: tuple[int, int],
+    ) -> None:
+        self._rig, self._limits, self._loads = rig, limits, loads
+        per_crossing, most = resolution
+        self._step = max(rig.crossing_time / per_crossing, longest / most)
+        self._count = math.ceil(longest / self._step) + 1
+        cells = None if model == 'travelling_wave' or resolution is _FINE else SEARCH_CELLS
+        # Under a heavy weight nothing leaves; it changes nothing else. Units: [m/s], [N] per m/s
+        heavy = replace(rig, gravity=1e3 / self._step)
+        pulse = Pulses(self._step, np.ones(1)).motion()
+        stepper = make_stepper(heavy, pulse, model=model, cells=cells, field_points=2)
+        rows = np.empty((_FINER * self._count, 7))
+        for row, time in zip(rows, self._step / _FINER * np.arange(len(rows)), strict=True):
+            stepper.advance_to(float(time))
+            row[:] = stepper.state
+        self._velocity = rows[::_FINER, PROJECTILE_VELOCITY]
+        self._force = rows[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
+
+    def solve(self, time: float, floor: float = 1.0) -> tuple[Pulses | None, float]:
+        """
+        Find the pulses that are fastest at a time, and that speed.
+
+        The layer has to push by a little, times `floor`; at 0 it may just not pull.
+        """
+        rig, limits, step = self._rig, self._limits, self._step
+        release = min(round(time / step), self._count - 1)
+        felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
+        size = felt + math.ceil(1.1 * limits.rise_time / step) + 4
+        # Unknown are the control points of the height, from before the start; pulses are their
+        # differences, and steps and bends of the pulses the next ones.
+        rise, steps, bends = (_differences(order, size) for order in (1, 2, 3))
+        force, floor_force = self._pushing(release, size, floor)
+        force = force @ rise[:size] / step
+        most = min(
+            self._loads.max_acceleration * rig.projectile.mass,
+            self._loads.max_strain * rig.layer.youngs_modulus * rig.layer.section,
+        )
+        speed = np.full(size, limits.speed * step)
+        slowest = np.where(np.arange(size) < felt, -speed, 0.0)
+        between = [
+            (force, floor_force, np.full(floor_force.shape, most)),
+            (rise[:size], slowest, speed),
+        ]
+        for matrix, limit in ((steps, limits.acceleration), (bends, limits.jerk * step)):
+            bound = np.full(matrix.shape[0], limit * step * step)
+            between.append((matrix, -bound, bound))
+        rows = [sign * matrix for matrix, low, high in between for sign in (1.0, -1.0)]
+        bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
+        matrix = vstack(rows).tocsr()
+        goal = np.zeros(size)
+        goal[:felt] = -self._velocity[release - np.arange(felt)]
+        goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
+        is_limit = bounds < math.inf
+        found = linprog(
+            goal @ rise[:size] / step,
+            A_ub=matrix[is_limit],
+            b_ub=bounds[is_limit],
+            bounds=(0.0, limits.travel),
+            method='highs',
+        )
+        if found.x is None or found.status != 0:
+            return None, 0.0
+        pulses = rise[:size] @ found.x / step
+        return Pulses(step, pulses), float(-goal[:felt] @ pulses[:felt])
+
+    def _pushing(self, release: int, size: int, floor: float) -> tuple[csr_matrix, Floats]:
+        """Return the force on the projectile over time, and how small it may be, against rest."""
+        rig, step = self._rig, self._step / _FINER
+        index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
+        rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0)
+        rows[np.abs(rows) < 1e-9 * np.abs(self._force).max()] = 0.0
+        weight = rig.projectile.mass * rig.gravity
+        bound = np.full(len(rows), (floor * _PRESSED - 1.0) * weight)
+        times = step * np.arange(1, len(rows) + 1)
+        crossing = rig.crossing_time
+        inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
+        bound[inside] += floor * _PUSH * self._limits.speed * rig.layer.impedance
+        return csr_matrix(rows), bound
+
+
+def _differences(order: int, size: int) -> csr_matrix:
+    """Return what takes differences of a row that does not change before and after it."""
+    matrix = csr_matrix(diags([-1.0, 1.0], [0, 1], shape=(size, size + 1)))
+    for n in range(1, order):
+        shape = (size + n, size + n - 1)
+        matrix = csr_matrix(diags([1.0, -1.0], [0, -1], shape=shape)) @ matrix
+    return matrix
