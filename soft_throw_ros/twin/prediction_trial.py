@@ -47,7 +47,7 @@ class PredictionTrial:
 
     @property
     def predictions(self) -> list[ThrowResult]:
-        """What was said beforehand: first well enough known, and then for certain."""
+        """Return what was said beforehand: first well enough known, and then for certain."""
         return [result for result in self.results if result.stage == 'predicted']
 
     def deviations(self, result: ThrowResult) -> tuple[float, float, float]:
@@ -59,7 +59,7 @@ class PredictionTrial:
         transfer = first.energy_transfer - truth.energy_transfer
         return (
             late / accuracy.release_time_error,
-            (first.speed - truth.speed) / accuracy.ejection_speed_error,
+            (first.ejection_speed - truth.ejection_speed) / accuracy.ejection_speed_error,
             transfer / accuracy.energy_transfer_error,
         )
 
