@@ -356,3 +356,8 @@ def _march(
             pull_time, force_before = math.inf, 0.0
     path[-1] = height if (plate.size - 1) % every == 0 else path[-1]
     return count, peak
+
+
+def warm_up() -> None:
+    """Compile or load the kernel."""
+    throw(Rig(), until=1e-3, cells=8)

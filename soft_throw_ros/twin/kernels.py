@@ -23,16 +23,17 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.requests import answer
-from soft_throw_ros.twin import engine_fit, jump_filter
-from soft_throw_ros.twin.imperfect_rig import Deviations, Imperfections
+from soft_throw_ros.twin import engine_fit, imperfect_rig, jump_filter
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 Say = Callable[[str], object]
 
 _INTERVAL = 2.0  # from one line of progress to the next [s]
-_FOLDER = Path(__file__).parents[1]
-_ROOMS = ('configuration', 'core', 'design', 'twin')  # which have kernels, or what they read
+_SOURCES = (  # of kernels
+    *Path(smoothing.__file__).parent.glob('*.py'),
+    *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, jump_filter)),
+)
 
 
 def _prepare(stepper: ModuleType, model: str) -> None:
@@ -54,7 +55,7 @@ PARTS: dict[str, Callable[[], object]] = {
     'measured': _measure,
     'cells': lambda: _prepare(cell_stepper, 'finite_difference'),
     'other_models': lambda: predict_by_other_models(Rig(), ''),
-    'imperfect_rig': lambda: Deviations(Rig(), Imperfections(stiffening=0.1)),
+    'imperfect_rig': imperfect_rig.warm_up,
 }
 """What there is to compile, in order, and what is done once so that it is."""
 
@@ -68,8 +69,7 @@ def needed_parts(settings: Settings) -> list[str]:
 
 def missing_parts() -> list[str]:
     """Name the parts that have not been compiled, or not since the sources have changed."""
-    files = (path for room in _ROOMS for path in (_FOLDER / room).glob('*.py'))
-    newest = max(path.stat().st_mtime for path in files)
+    newest = max(path.stat().st_mtime for path in _SOURCES)
     return [part for part in PARTS if not _is_newer(_mark(part), newest)]
 
 
