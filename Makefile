@@ -2,6 +2,7 @@
 #
 #   make                  install
 #   make twin             run the twin;         ARGS='-p layer.thickness:=0.02' follow --ros-args
+#   make warm_up          compile all kernels, so that all else starts quickly
 #   make throw            predict one throw;    ARGS='--json' and the like
 #   make identify         find out what rig it is; ARGS='my_throw.csv --output my_rig.yaml'
 #   make demo             run the twin in slow motion, record it, and show it in Rerun
@@ -41,13 +42,16 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw identify demo loop inspect lint bench trials figures clean
+.PHONY: install warm_up twin throw identify demo loop inspect lint bench trials figures clean
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
 
 twin: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw twin --ros-args $(ARGS)
+
+warm_up: $(INSTALLED) $(KERNELS)
+	$(BIN)/soft-throw warm_up $(ARGS)
 
 throw: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw throw $(ARGS)
@@ -135,12 +139,13 @@ clean:
 	.venv/$*/bin/pip install --quiet -e '.[test]'
 	touch $@
 
-# numba compiles a kernel anew when its own file changes, not when one it calls does.
+# numba compiles a kernel anew when its own file changes, not when one it calls does. The lock and the
+# second look keep one make from deleting what another, started at the same time, has compiled.
 $(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py \
 	soft_throw_ros/twin/imperfect_rig.py bench/*.py)
 	@mkdir -p $(@D)
-	find soft_throw_ros bench -name '*.nb[ic]' -delete
-	touch $@
+	@flock $@.lock sh -c 'test -e $@ && test -z "$$(find $? -newer $@)" || \
+		{ find soft_throw_ros bench -name "*.nb[ic]" -delete; touch $@; }'
 
 requirements/%.txt:
 	$(error ROS_DISTRO is '$*', and the wheels are for jazzy or kilted)

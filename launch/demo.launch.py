@@ -4,10 +4,9 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.substitutions import LaunchConfiguration
-
-from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('soft_throw_ros'))
 

@@ -27,6 +27,10 @@ EXECUTABLES = {
     'rig': ('soft_throw_ros.nodes.rig', 'ROS 2 node: play a rig that is measured'),
     'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
+    'warm_up': (
+        'soft_throw_ros.commands.warm_up',
+        'compile all kernels beforehand',
+    ),
 }
 
 

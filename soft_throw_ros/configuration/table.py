@@ -88,7 +88,7 @@ class Entry:
 
     @property
     def group(self) -> str:
-        """What comes before the first dot."""
+        """Return what comes before the first dot."""
         return self.name.partition('.')[0]
 
     @property
@@ -103,7 +103,7 @@ class Entry:
 
     @property
     def rule(self) -> str:
-        """What is allowed, to stand after 'must be'."""
+        """Return what is allowed, to stand after 'must be'."""
         if self.is_result:
             return 'set by the twin'
         if self.choices:

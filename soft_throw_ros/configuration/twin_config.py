@@ -55,7 +55,7 @@ class MeasurementConfig:
 
     @property
     def smoothing_window(self) -> float:
-        """Over which the plate is smoothed. [s]"""
+        """Over which the plate is smoothed [s]."""
         return self.smoothing_window_ns / _SECOND
 
 

@@ -118,7 +118,7 @@ class Calibrator(RunnableNode):
         for status in msg.status:
             result = msg_to_throw_result(status)
             if result.stage == 'release' and result.first is not None:
-                self._released = {result.throw: (stamp_ns, result.first.time)}
+                self._released = {result.throw: (stamp_ns, result.first.ejection_time)}
             elif result.stage == 'final':
                 self._on_final(result)
 

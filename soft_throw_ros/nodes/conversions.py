@@ -36,7 +36,7 @@ _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
 
 def msg_to_time(msg: TimeMessage) -> int:
-    """Join seconds and nanoseconds. [ns]"""
+    """Join seconds and nanoseconds [ns]."""
     return int(Time.from_msg(msg).nanoseconds)
 
 
@@ -101,15 +101,15 @@ def statuses_to_msg(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> Diag
 
 
 def throw_result_to_msg(
-    result: ThrowResult, node_name: str, uncertainty: Mapping[str, float] | None = None
+    result: ThrowResult, node_name: str, beside: Mapping[str, float] = MappingProxyType({})
 ) -> DiagnosticStatus:
     """
-    Make a status of what a throw gave, with the rig that threw.
+    Make a status of what a throw gave, with the rig that threw, and other values beside.
 
     It is a warning if the layer left its linear range, the plate was not measured, or too many of
     its samples had jumped.
     """
-    values = {**result.values(), **(uncertainty or {}), **rig_values(result.rig)}
+    values = {**result.values(), **beside, **rig_values(result.rig)}
     is_clean = result.accuracy is None or result.accuracy.is_clean
     is_bad = not (result.is_linear and result.is_valid and is_clean)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)

@@ -18,10 +18,10 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 MAX_LATE_SHARE = 0.01
-"""What share of the ticks may be late before it is a warning. [-]"""
+"""What share of the ticks may be late before it is a warning [-]."""
 
 MAX_COMPUTE_SHARE = 0.5
-"""What share of the time may go into ticks before it is a warning. [-]"""
+"""What share of the time may go into ticks before it is a warning [-]."""
 
 
 class Diagnostics:
@@ -33,17 +33,29 @@ class Diagnostics:
         self._session = session
         self._ticker = ticker
         self._measurement = measurement
+        self._node_name = node_name
         self._status = partial(status_to_msg, node_name)
         self._compared: ThrowResult | None = None
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
         self._measured: Counter[str] = Counter()
 
-    def statuses(self, result: ThrowResult | None) -> list[DiagnosticStatus]:
-        """Return the statuses for the time since the last call; `result` is the last throw's."""
+    def statuses(
+        self, result: ThrowResult | None, *, namesakes: int = 0
+    ) -> list[DiagnosticStatus]:
+        """
+        Return the statuses for the time since the last call.
+
+        `result` is the last throw's, and `namesakes` are nodes that publish under the same name.
+        """
         if result is not None and result.stage == 'final' and result.comparison is not None:
             self._compared = result
-        statuses = [*self._timing_and_load(), self._parameters(), self._layer(result)]
+        statuses = [
+            *self._timing_and_load(),
+            self._parameters(),
+            self._layer(result),
+            self._name(namesakes),
+        ]
         if self._session.is_measured:
             statuses += [self._measurements(), self._model()]
         return statuses
@@ -58,6 +70,9 @@ class Diagnostics:
         news, self._ticks = ticks - self._ticks, ticks
         late, skipped = news['ticks_late'], news['ticks_skipped']
         is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
+        text = f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time'
+        if not news['ticks']:
+            is_bad, text = True, f'no tick since the last status: {ticker.describe_standstill()}'
         share = sum(compute) / SECOND / passed
         load = {
             **_percentiles('compute', compute),
@@ -69,7 +84,7 @@ class Diagnostics:
         return [
             self._status(
                 'timing',
-                f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time',
+                text,
                 {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler},
                 warn=is_bad,
             ),
@@ -103,6 +118,11 @@ class Diagnostics:
             {name: getattr(result, name) for name in ('throw', 'peak_strain', 'max_strain')},
             warn=not result.is_linear,
         )
+
+    def _name(self, namesakes: int) -> DiagnosticStatus:
+        """Tell whether others publish under the same name, as if it were this one."""
+        text = describe_namesakes(self._node_name) if namesakes else 'no other node has this name'
+        return self._status('name', text, {'namesakes': namesakes}, warn=namesakes > 0)
 
     def _measurements(self) -> DiagnosticStatus:
         """Tell how many measurements came, and how far ahead the projectile was known."""
@@ -148,6 +168,14 @@ class Diagnostics:
             {'throw': result.throw, **known_values(result.comparison)},
             warn=not result.comparison.is_within_threshold,
         )
+
+
+def describe_namesakes(node_name: str) -> str:
+    """Say that there are two nodes of a name, and what to do."""
+    return (
+        f'another node is named {node_name}, and both publish on the same topics: '
+        'start one of them with -r __ns:=/NAMESPACE or -r __node:=NAME'
+    )
 
 
 def _percentiles(name: str, values: list[int]) -> dict[str, float]:

@@ -18,7 +18,7 @@ from soft_throw_ros.configuration import Entry, files, ParameterError, Settings,
 from soft_throw_ros.nodes.process import RunnableNode
 
 LOG_PERIOD = 0.5
-"""How often changes are logged at most. [s]"""
+"""How often changes are logged at most [s]."""
 
 
 class _Refusal(Parameter):
@@ -180,6 +180,11 @@ class NodeParameters:
             self._log.add(changes)
 
 
+def shown(value: Any) -> str:
+    """Write the value of a parameter for people, who need no 17 digits of 6.789000000000001."""
+    return f'{value:.9g}' if isinstance(value, float) else str(value)
+
+
 class _ChangeLog:
     """Says in the log what has changed, at once, but of a storm only every half a second."""
 
@@ -199,7 +204,7 @@ class _ChangeLog:
 
     def _flush(self) -> None:
         for name, value in self._waiting.items():
-            self._logger.info(f'{name} is now {value}{self._describe(name)}')
+            self._logger.info(f'{name} is now {shown(value)}{self._describe(name)}')
         if not self._waiting:
             self._timer.cancel()
         self._waiting.clear()

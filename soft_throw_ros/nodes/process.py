@@ -23,13 +23,10 @@ from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
 
 POLL = 0.1
-"""Longest wait, after which it is looked whether to stop. [s]"""
+"""Longest wait, after which it is looked whether to stop [s]."""
 
 EXIT_TIME = 0.6
-"""After this the process ends, whatever the middleware still waits for. [s]"""
-
-NOTICE_TIME = 2.0
-"""Preparations that take longer than this are announced. [s]"""
+"""After this the process ends, whatever the middleware still waits for [s]."""
 
 
 class RunnableNode(Node):
@@ -66,7 +63,7 @@ class RunnableNode(Node):
 
     @property
     def exit_code(self) -> int | None:
-        """What to end with, None to go on."""
+        """Return what to end with, None to go on."""
         return None
 
     def prepare(self) -> None:
@@ -85,7 +82,6 @@ def run(
     args: Sequence[str] | None = None,
     *,
     usage: str = '',
-    notice: str = '',
 ) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
@@ -101,8 +97,6 @@ def run(
     usage : str
         What to say if there is something else among them, or if help is asked for; by default
         how ROS arguments are given.
-    notice : str
-        What to say if making and preparing the node takes long.
 
     Returns
     -------
@@ -121,15 +115,10 @@ def run(
     _on_signals(signal.default_int_handler)  # until the node runs
     node = None
     code = 0
-    noticing = threading.Timer(NOTICE_TIME, print, (f'{name}: {notice}',), {'flush': True})
-    noticing.daemon = True
     try:
         _init(name, arguments, usage)
-        if notice:
-            noticing.start()
         node = make(arguments=arguments)
         node.prepare()
-        noticing.cancel()
         code = _spin(node)
     except KeyboardInterrupt:
         pass
@@ -137,7 +126,6 @@ def run(
         print(f'{name}: {error}', file=sys.stderr)
         code = 2
     finally:
-        noticing.cancel()
         _on_signals(signal.SIG_IGN)
         code = _shut_down(node, code)
     return code

@@ -18,10 +18,10 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 SPIN = 60_000
-"""How long before a deadline sleep ends and polling begins; about what a wake-up takes. [ns]"""
+"""How long before a deadline sleep ends and polling begins; about what a wake-up takes [ns]."""
 
 POLL = 0.1
-"""Longest wait, after which a thread looks whether it is to stop. [s]"""
+"""Longest wait, after which a thread looks whether it is to stop [s]."""
 
 PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
@@ -90,7 +90,7 @@ class NodeClock:
         )
 
     def now(self) -> int:
-        """Return the time that `/clock` has told last, 0 before the first message. [ns]"""
+        """Return the time that `/clock` has told last, 0 before the first message [ns]."""
         return int(self._clock.now().nanoseconds)
 
     def wait_until(self, deadline: int) -> None:
@@ -165,18 +165,24 @@ class Ticker:
         """Whether the thread runs."""
         return self._thread.is_alive()
 
+    def describe_standstill(self) -> str:
+        """Say why there are no ticks."""
+        if isinstance(self._clock(), NodeClock):
+            return 'the twin follows /clock (use_sim_time), which stands still'
+        return 'the thread that ticks gets no time'
+
     def start(self) -> None:
         """Tick in a thread of its own."""
         self._thread.start()
 
     def stop(self, timeout: float) -> None:
-        """Ask the thread to end, and wait for it at most `timeout`. [s]"""
+        """Ask the thread to end, and wait for it at most `timeout` [s]."""
         self._is_stopping.set()
         if self._thread.is_alive():
             self._thread.join(timeout)
 
     def run_due(self) -> int:
-        """Do every step that is due now; return when the next one is, by the same clock. [ns]"""
+        """Do every step that is due now; return when the next one is, by the same clock [ns]."""
         clock = self._clock()
         now = clock.now()
         schedule = self._schedule_of(clock, now)

@@ -9,26 +9,30 @@ then.
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
 import sys
 from typing import Any
 
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
-from soft_throw_ros.twin.prepared_rig import warm_up
+from soft_throw_ros.twin import kernels
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
-COMPILING = 'compiling, once; takes half a minute'
+_NICE = 10  # of the process that compiles what can wait
 
 STOP_TIMEOUT = 0.3
-"""Longest wait for a thread to end. [s]"""
+"""Longest wait for a thread to end [s]."""
 
 
 class RealTimeNode(RunnableNode):
     """
     A node that steps a session as steps are due; to be derived from.
 
-    Whoever derives from it declares parameters and makes publishers, and calls `drive` last.
+    Whoever derives from it declares parameters, calls `load_kernels`, makes publishers, and calls
+    `drive` last.
 
     Parameters
     ----------
@@ -56,6 +60,35 @@ class RealTimeNode(RunnableNode):
     ) -> None:
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
+        self._compiling: subprocess.Popen[bytes] | None = None
+
+    def load_kernels(self, settings: Settings) -> None:
+        """
+        Load the kernels that a rig with these settings of a twin needs; compile them if need be.
+
+        What can wait is compiled in a process of its own then, since compiling would hold up the
+        ticks, and loaded from the disk when it is needed.
+        """
+        say = self.get_logger().info
+        kernels.load_kernels(kernels.needed_parts(settings), say=say)
+        missing = kernels.missing_parts()
+        if missing:
+            say(f'compiling beside, once: {", ".join(missing)}')
+            command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *missing]
+            self._compiling = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the node, which ends it
+            )
+            os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
+            self.at_end(self._compiling.wait)
+            self.at_end(self._compiling.kill)  # what is on the disk is whole at any time
+
+    @property
+    def is_compiling(self) -> bool:
+        """Whether kernels that could wait are still being compiled."""
+        return self._compiling is not None and self._compiling.poll() is None
 
     def drive(self, session: Session) -> None:
         """Have steps of a session done as soon as the node starts."""
@@ -68,11 +101,11 @@ class RealTimeNode(RunnableNode):
         self.call_every(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
-        """Go a step on, in the thread that ticks; `due` is its time. [ns]"""
+        """Go a step on, in the thread that ticks; `due` is its time [ns]."""
         self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish what a step gives, in the thread that ticks; `due` is its time. [ns]"""
+        """Publish what a step gives, in the thread that ticks; `due` is its time [ns]."""
         raise NotImplementedError
 
     def on_second(self) -> None:
@@ -85,8 +118,9 @@ class RealTimeNode(RunnableNode):
         return None if self.ticker.is_alive else 1
 
     def prepare(self) -> None:
-        """Compile or load all kernels, and let nothing hold up the ticks."""
-        warm_up()
+        """Load all kernels that are there, and let nothing hold up the ticks."""
+        if not self.is_compiling:
+            kernels.load_kernels(say=self.get_logger().info)
         sys.setswitchinterval(1e-4)
         gc.collect()
         gc.freeze()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import functools
 import os
 from pathlib import Path
@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.configuration import motions, rig_of, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.configuration.twin_config import model_of
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.evaluate import SearchCancelledError
@@ -21,6 +22,7 @@ from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
+from soft_throw_ros.twin.other_models import predict_by_other_models
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """What `recommended.*` shows of an answer."""
@@ -36,7 +38,7 @@ class RecommendationFor:
 
     @property
     def rig(self) -> Rig:
-        """What it is for."""
+        """Return what it is for."""
         return rig_of(self.settings)
 
     def is_for(self, settings: Settings) -> bool:
@@ -130,6 +132,19 @@ def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     if settings['model'] not in _RELEASED:
         return {}
     return _uncertainty_values(rig, uncertainties_of(settings))
+
+
+def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
+    """Return the first release as other models predict it, as values of a status."""
+    if rig.engine.motion is not None:
+        return {}  # they know the motion of the engine alone
+    found = predict_by_other_models(rig, model_of(settings))
+    return {
+        f'{model}.{name}': value
+        for model, release in found.items()
+        if release is not None
+        for name, value in asdict(release).items()
+    }
 
 
 _RELEASED = ('travelling_wave', 'finite_difference', 'finite_difference_elastic')

@@ -13,7 +13,7 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import imperfections_of, RIG, sensor_faults_of, to_twin
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
-from soft_throw_ros.nodes.realtime_node import COMPILING, RealTimeNode
+from soft_throw_ros.nodes.realtime_node import RealTimeNode
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.twin.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.twin.prepared_rig import check_settings
@@ -55,6 +55,7 @@ class SimulatedRig(RealTimeNode):
         self.send = Publishers(self, RIG_TOPICS).sender(RIG_TOPICS.measured_joint_states)
         settings = self.parameters.settings
         self._played = to_twin(settings)
+        self.load_kernels(self._played)
         self._faults = SensorFaults(**sensor_faults_of(settings))
         self._deviations = self._next_deviations = self._find_deviations()
         self.drive(Session(self._played))
@@ -121,4 +122,4 @@ class SimulatedRig(RealTimeNode):
         return Deviations(rig_of(self._played), imperfections)
 
 
-main = partial(run, 'rig', SimulatedRig, notice=COMPILING)
+main = partial(run, 'rig', SimulatedRig)

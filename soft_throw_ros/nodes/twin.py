@@ -11,30 +11,35 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+import time
 from typing import Any
 
-from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import Diagnostics
+from soft_throw_ros.nodes.diagnostics import describe_namesakes, Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
-from soft_throw_ros.nodes.parameters import NodeParameters
+from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run
-from soft_throw_ros.nodes.realtime_node import COMPILING, RealTimeNode, STOP_TIMEOUT
+from soft_throw_ros.nodes.realtime_node import RealTimeNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.recommendations import (
     matters,
+    other_models_values,
     recommend_for,
     RecommendationFor,
     uncertainty_values,
 )
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.twin.kernels import missing_parts
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
+_COMPILING_POLL = 0.3  # looks whether kernels have been compiled [s]
+
 RECOMMENDATION_INTERVAL = 0.3
-"""Least time from one search for a better layer to the next, so that ticks do not feel it. [s]"""
+"""Least time from one search for a better layer to the next, so that ticks do not feel it [s]."""
 
 
 class Twin(RealTimeNode):
@@ -65,6 +70,7 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
+        self._namesakes = 0
         self.parameters = NodeParameters(
             self,
             TWIN,
@@ -73,6 +79,7 @@ class Twin(RealTimeNode):
             check=check_settings,
             arguments=arguments,
         )
+        self.load_kernels(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
@@ -92,18 +99,13 @@ class Twin(RealTimeNode):
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
         self._worker = LatestOnlyWorker(
-            recommend_for, self._on_recommendation, interval=RECOMMENDATION_INTERVAL
+            self._recommend, self._on_recommendation, interval=RECOMMENDATION_INTERVAL
         )
         self.at_end(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.settings)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
-
-    def prepare(self) -> None:
-        """Compile or load all kernels, those of the recommendation included."""
-        recommend_for(TWIN.defaults())
-        super().prepare()
 
     # in the thread of the ticks
 
@@ -140,6 +142,14 @@ class Twin(RealTimeNode):
     def _on_recommendation(self, found: RecommendationFor) -> None:
         self._run_in_executor(lambda: self._publish_recommendation(found))
 
+    # in the worker's thread
+
+    def _recommend(self, settings: Settings, cancelled: Callable[[], bool]) -> RecommendationFor:
+        """Recommend a layer once nothing has to be compiled for it any more."""
+        while self.is_compiling and 'design' in missing_parts() and not cancelled():
+            time.sleep(_COMPILING_POLL)
+        return recommend_for(settings, cancelled)
+
     # in the executor's thread
 
     def _run_jobs(self) -> None:
@@ -162,12 +172,15 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and what is plotted as numbers."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
-        uncertainty = uncertainty_values(result.rig, self.parameters.settings)
-        status = throw_result_to_msg(result, self.get_fully_qualified_name(), uncertainty)
+        settings = self.parameters.settings
+        beside = uncertainty_values(result.rig, settings)
+        if not (self.session.is_measured or self.is_compiling):
+            beside |= other_models_values(result.rig, settings)
+        status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, due, [status])
         if result.stage == 'release' and result.first is not None:
-            send(TWIN_TOPICS.ejection_time, result.first.time)
-            send(TWIN_TOPICS.ejection_speed, result.first.speed)
+            send(TWIN_TOPICS.ejection_time, result.first.ejection_time)
+            send(TWIN_TOPICS.ejection_speed, result.first.ejection_speed)
             send(TWIN_TOPICS.energy_transfer, result.first.energy_transfer)
             send(TWIN_TOPICS.peak_strain, result.peak_strain)
         if result.stage != 'predicted' or last is None or last.throw != result.throw:
@@ -232,16 +245,26 @@ class Twin(RealTimeNode):
             raise RequestRejected(found.describe())
         changes = found.changes()
         self.parameters.apply(changes)
-        values = ', '.join(f'{name} {value}' for name, value in changes.items())
+        values = ', '.join(f'{name} {shown(value)}' for name, value in changes.items())
         return f'{values}, from the next throw or ~/reset on'
 
     def on_second(self) -> None:
         """Publish how well time is kept, and what is pending."""
         super().on_second()
         self._run_jobs()  # in case that a wake-up went astray
-        statuses = self._diagnostics.statuses(self._last_result)
+        self._look_for_namesakes()
+        statuses = self._diagnostics.statuses(self._last_result, namesakes=self._namesakes)
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
 
+    def _look_for_namesakes(self) -> None:
+        """Say it when other nodes publish under the name of this one, or do no more."""
+        topic = TWIN_TOPICS.journal.at(self.get_fully_qualified_name()).name
+        before, self._namesakes = self._namesakes, max(self.count_publishers(topic) - 1, 0)
+        if self._namesakes > before:
+            self.get_logger().error(describe_namesakes(self.get_fully_qualified_name()))
+        elif before and not self._namesakes:
+            self.get_logger().info('no other node has this name any more')
 
-main = partial(run, 'twin', Twin, notice=COMPILING)
+
+main = partial(run, 'twin', Twin)

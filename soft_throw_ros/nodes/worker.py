@@ -51,7 +51,7 @@ class LatestOnlyWorker(Generic[Request, Answer]):
         self._is_waiting.set()
 
     def close(self, timeout: float) -> None:
-        """Cancel everything, and wait at most `timeout` for the thread to end. [s]"""
+        """Cancel everything, and wait at most `timeout` for the thread to end [s]."""
         self._is_closing.set()
         self._is_waiting.set()
         self._thread.join(timeout)

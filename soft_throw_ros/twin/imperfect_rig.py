@@ -107,18 +107,18 @@ class ImperfectThrow:
     changes: tuple[Change, ...]
     """Releases and contacts, in turns."""
     peak_strain: float
-    """Largest compression up to the first release. [-]"""
+    """Largest compression up to the first release [-]."""
     _start: float
     _time: Floats
     _projectile: Floats
 
     def plate(self, time: ArrayLike) -> Floats:
-        """Height of the plate. [m]"""
+        """Height of the plate [m]."""
         moments = np.asarray(time, dtype=np.float64)
         return _plate(self.rig, self.imperfections, moments, self._start)
 
     def projectile(self, time: ArrayLike) -> Floats:
-        """Height of the projectile's lower face above the plate's rest. [m]"""
+        """Height of the projectile's lower face above the plate's rest [m]."""
         return np.interp(np.asarray(time, dtype=np.float64), self._time, self._projectile)
 
 
@@ -138,8 +138,9 @@ def throw(
     rig : Rig
         With a layer of one material, which may have a loss.
     imperfections : Imperfections, optional
+        None by default.
     until : float
-        [s]
+        Time of its end. [s]
     start : float
         From when on heights are asked for, at which a plate that rings does so. [s]
     cells : int, optional
@@ -213,7 +214,7 @@ class Deviations:
             for each in (Imperfections(), imperfections)
         )
         self.start = start
-        """Time before the throw from which on there are any. [s]"""
+        """Time before the throw from which on there are any [s]."""
         landings = [
             change.time
             for each in (pure, spoilt)
@@ -267,7 +268,7 @@ def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -
 
 
 def _relaxation(rig: Rig) -> float:
-    """Viscosity over stiffness. [s]"""
+    """Viscosity over stiffness [s]."""
     return rig.layer.loss_tangent / rig.engine.angular_frequency
 
 
@@ -278,7 +279,7 @@ def _static_strain(rig: Rig, imperfections: Imperfections) -> float:
 
 
 def _stable_step(rig: Rig, imperfections: Imperfections, cells: int) -> float:
-    """Find the longest step that is stable up to a strain of 1/2. [s]"""
+    """Find the longest step that is stable up to a strain of 1/2 [s]."""
     crossing = rig.crossing_time / cells
     crossing /= math.sqrt(1.0 + abs(imperfections.stiffening))
     damping = _relaxation(rig) / crossing
@@ -355,3 +356,8 @@ def _march(
             pull_time, force_before = math.inf, 0.0
     path[-1] = height if (plate.size - 1) % every == 0 else path[-1]
     return count, peak
+
+
+def warm_up() -> None:
+    """Compile or load the kernel."""
+    throw(Rig(), until=1e-3, cells=8)

@@ -43,6 +43,7 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.twin.onset import Onset, Rest
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
@@ -113,6 +114,12 @@ def decode(line: str) -> dict[str, Any]:
         motions.remember(entry.get('motions', {}))
     except (AttributeError, ValueError) as error:
         raise JournalError(f'an entry of a journal, {error}: {line!r}') from error
+    if 'result' in entry:  # early journals of 0.2.0 have other models in it
+        entry['result'] = {
+            name: value
+            for name, value in entry['result'].items()
+            if name.partition('.')[0] not in MODELS
+        }
     for part in ('settings', 'pending', 'values'):
         if isinstance(entry.get(part), dict):  # JSON knows no tuples
             entry[part] = {

@@ -62,12 +62,12 @@ NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
 
 
 def state_spacing_ns(config: MeasurementConfig) -> int:
-    """Return the time between those at which the plate is smoothed. [ns]"""
+    """Return the time between those at which the plate is smoothed [ns]."""
     return config.smoothing_window_ns // STATES_PER_WINDOW
 
 
 def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, str]:
-    """Return the lowest rate of samples that will do, and why. [Hz]"""
+    """Return the lowest rate of samples that will do, and why [Hz]."""
     return max(
         (PER_CROSSING / crossing_time, f'{PER_CROSSING} in a crossing of the wave'),
         (PER_PERIOD * config.plate.frequency, f'{PER_PERIOD} in a period of the plate'),
@@ -131,7 +131,7 @@ class PlateEstimator:
         return self._samples[first:last]
 
     def rate(self) -> float:
-        """Return the rate of the samples that are kept, 0 if there are too few to tell. [Hz]"""
+        """Return the rate of the samples that are kept, 0 if there are too few to tell [Hz]."""
         stamps = [sample.stamp_ns for sample in self._samples]
         if len(stamps) < FEWEST:
             return 0.0
@@ -223,7 +223,8 @@ class PlateEstimator:
         at_ns = self.origin_ns + spacing * np.arange(begin, end)
         first = bisect_left(self._samples, (at_ns[0] - behind,))
         last = bisect_left(self._samples, (at_ns[-1] + ahead + 1,))
-        samples = self._samples[max(first - 1, 0) : last]
+        before = max(first - 1, 0)
+        samples = self._samples[before:last]
         before_ns, self._smoothed_ns = self._smoothed_ns, int(at_ns[-1]) + ahead
         kept_ns = self._smoothed_ns - _KEPT_WINDOWS * config.smoothing_window_ns
         del self._samples[: bisect_left(self._samples, (kept_ns,))]

@@ -3,27 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 import dataclasses
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core import cell_stepper, smoothing, spring_mass, wave_stepper
-from soft_throw_ros.core.cell_stepper import cells_per_layer, first_throws
-from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.cell_stepper import cells_per_layer
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import Stepper
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import steps_per_crossing
-from soft_throw_ros.twin import engine_fit, jump_filter
 from soft_throw_ros.twin.engine_forecast import EngineForecaster
-from soft_throw_ros.twin.results import LayerState, Release, State, ThrowField
+from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
 THROW_FIELD_ROWS = 200  # times at which the field of a throw holds the layer
 THROW_FIELD_LENGTH = 1.5  # how long the field of a throw lasts, in ejection times [-]
@@ -31,8 +26,6 @@ LONGEST_WINDOW = 0.2  # of the smoothing, in plate periods: longer ones hide the
 RETURN_TIME = 0.1  # of putting back, unless the period of the throws is too short for it [s]
 
 _LONGEST_CONTACT = 4  # oscillation cycles: what has not left by then counts as never leaving
-_COMPARED_CELLS = 64  # by which finite differences predict for comparison, ...
-_STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long to follow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +38,6 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # what the layer will do; unknown if the plate is measured
-    models: Mapping[str, Release | None]  # first release by others; none if it is measured
     forks: tuple[Stepper, ...] = ()  # with a measured plate two that go ahead of the stepper
     forecaster: EngineForecaster | None = None  # with a measured plate, if the projectile leaves
 
@@ -64,7 +56,6 @@ class PreparedRig:
         rest_layer = np.empty((3, FIELD_POINTS))
         stepper.read_layer(rest_layer)
         is_measured = config.is_measured
-        is_predictable = not is_measured and config.rig.engine.motion is None
         return cls(
             config=config,
             stepper=stepper,
@@ -72,29 +63,28 @@ class PreparedRig:
             rest_layer=LayerState(*rest_layer),
             peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
-            models=_other_models(config.rig, config.model) if is_predictable else {},
             forks=(stepper.fork(), stepper.fork()) if is_measured else (),
             forecaster=_forecaster(config) if is_measured else None,
         )
 
     @property
     def rig(self) -> Rig:
-        """The rig."""
+        """Return the rig."""
         return self.config.rig
 
     @cached_property
     def tick(self) -> float:
-        """Time of the rig in one step. [s]"""
+        """Time of the rig in one step [s]."""
         return self.config.time_scale / self.config.state_rate
 
     @property
     def lookahead(self) -> float:
-        """How much longer than the plate the projectile is known: as long as a wave needs. [s]"""
+        """How much longer than the plate the projectile is known: as long as a wave needs [s]."""
         return 0.0 if self.config.model == 'spring_mass' else self.rig.crossing_time
 
     @property
     def release_lookahead(self) -> float:
-        """The same of its release, which is at the plate if the layer is thrown along. [s]"""
+        """Return the same of its release, at the plate if the layer is thrown along [s]."""
         return 0.0 if self.config.model == 'finite_difference_glued' else self.lookahead
 
     def period_ticks(self, period: float) -> int:
@@ -165,16 +155,6 @@ def check_settings(settings: Settings) -> None:
         )
 
 
-def warm_up() -> None:
-    """Compile or load the kernels of all models, so that no change of settings has to."""
-    smoothing.warm_up()
-    engine_fit.warm_up()
-    jump_filter.warm_up()
-    wave_stepper.warm_up()
-    cell_stepper.warm_up()
-    _other_models(Rig(), '')
-
-
 def _throw_field(stepper: Stepper) -> ThrowField:
     """Let the layer go through a throw, to half as long again as the ejection time."""
     times = np.linspace(0.0, THROW_FIELD_LENGTH * _ejection_time(stepper), THROW_FIELD_ROWS)
@@ -195,38 +175,3 @@ def _ejection_time(stepper: Stepper) -> float:
         if stepper.advance_to(0.125 * eighth * cycle):
             return stepper.events()[0].time
     return _LONGEST_CONTACT * cycle
-
-
-def _other_models(rig: Rig, model: str) -> dict[str, Release | None]:
-    """Let other models that can do it predict the first release; None if there is none."""
-    ratios: dict[str, Any] = {  # keyword arguments of either kind of function
-        'mass_ratio': rig.mass_ratio,
-        'speed_ratio': rig.speed_ratio,
-        'damping_ratio': rig.engine.damping_ratio,
-        'gravity_ratio': rig.gravity_ratio,
-    }
-    spring_ratio = rig.natural_frequency / rig.engine.frequency
-    ways: dict[str, Callable[[], Any]] = {  # each returns its own type with the same three fields
-        'spring_mass': partial(spring_mass.first_release, frequency_ratio=spring_ratio)
-    }
-    if not rig.layer.needs_cells:
-        ways['travelling_wave'] = partial(first_release, **ratios)
-    if rig.speed_ratio <= _STIFFEST:
-        ratios = {**rig.cell_ratios, 'cells': _COMPARED_CELLS}
-        ways['finite_difference_elastic'] = partial(
-            first_throws, **ratios, crossing_ratio=rig.crossing_ratio
-        )
-        ways['finite_difference_glued'] = partial(first_throws, **ratios, glued_to='projectile')
-    return {name: _released(rig, way) for name, way in ways.items() if name != model}
-
-
-def _released(rig: Rig, way: Callable[[], Any]) -> Release | None:
-    try:
-        release = way()
-    except ThrowUnresolvedError:
-        return None
-    return Release(
-        time=float(release.ejection_phase) / rig.engine.frequency,
-        speed=float(release.speed) * rig.engine.speed_scale,
-        energy_transfer=float(release.energy_transfer),
-    )

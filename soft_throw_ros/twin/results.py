@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 MOST_LEFT_OUT = 0.05
-"""Part of the samples of a throw that may be left out before it is marked. [-]"""
+"""Part of the samples of a throw that may be left out before it is marked [-]."""
 
 
 class Phase(str, Enum):
@@ -68,14 +68,18 @@ class ThrowField(NamedTuple):
 class Release:
     """How the projectile left."""
 
-    time: float  # ejection time, from the start of the throw [s]
-    speed: float  # ejection speed [m/s]
+    ejection_time: float  # from the start of the throw [s]
+    ejection_speed: float  # [m/s]
     energy_transfer: float  # square of the latter over the peak speed of the plate [-]
 
     @classmethod
     def of(cls, *, time: float, speed: float, peak_plate_speed: float) -> Release:
         """Make it from the two speeds whose ratio counts."""
-        return cls(time=time, speed=speed, energy_transfer=(speed / peak_plate_speed) ** 2)
+        return cls(
+            ejection_time=time,
+            ejection_speed=speed,
+            energy_transfer=(speed / peak_plate_speed) ** 2,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +166,6 @@ class ThrowResult:
     apex_height: float  # of the lower face above the plate's rest; infinite without gravity [m]
     recontacts: int  # the layer caught up with the projectile before that had fallen back
     landings: int  # it came down on the layer
-    models: Mapping[str, Release | None]  # first release as other models of the layer predict it
     lead: float | None = None  # how long before the release of a measured plate it was known [s]
     accuracy: Accuracy | None = None  # of the first release of a measured plate
     comparison: Comparison | None = None  # with what was measured of the projectile, if it was
@@ -186,18 +189,10 @@ class ThrowResult:
         """
         Return what is known, each by the name under which it is published; the rig is left out.
 
-        What has not happened, or was not measured, is left out, too. Names of another release
-        than the first begin with `last_`, or with the model that predicts it.
+        What has not happened, or was not measured, is left out, too.
         """
-        values = {name: getattr(self, name) for name in _SIMPLE}
+        values = {name: getattr(self, name) for name in _SIMPLE if getattr(self, name) is not None}
         values['is_linear'] = self.is_linear
-        releases = {'': self.first, 'last_': self.last}
-        releases |= {f'{model}.': release for model, release in self.models.items()}
-        for prefix, release in releases.items():
-            if release is not None:
-                values |= {prefix + name: getattr(release, _RELEASE[name]) for name in _RELEASE}
-        if self.lead is not None:
-            values['lead'] = self.lead
         for part, (prefix, _) in _PARTS.items():
             known = known_values(getattr(self, part))
             values |= {prefix + name: value for name, value in known.items()}
@@ -205,31 +200,14 @@ class ThrowResult:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], rig: Rig) -> ThrowResult:
-        """Make the result of a rig whose `values` are known; of the models, those that predict."""
-        prefixes = [
-            name.removesuffix('ejection_time') for name in values if name.endswith('ejection_time')
-        ]
-        releases = {
-            prefix: Release(**{_RELEASE[name]: values[prefix + name] for name in _RELEASE})
-            for prefix in prefixes
-        }
-        parts: dict[str, Any] = {}  # of several types
+        """Make the result of a rig whose `values` are known."""
+        parts: dict[str, Any] = {}  # values of many types
         for part, (prefix, kind) in _PARTS.items():
-            known = {
-                name.removeprefix(prefix): value
-                for name, value in values.items()
-                if name.startswith(prefix)
-            }
+            names = (item.name for item in fields(kind) if prefix + item.name in values)
+            known = {name: values[prefix + name] for name in names}
             parts[part] = kind(**known) if known else None
-        return cls(
-            **{name: values[name] for name in _SIMPLE},
-            rig=rig,
-            first=releases.pop('', None),
-            last=releases.pop('last_', None),
-            models={prefix.removesuffix('.'): release for prefix, release in releases.items()},
-            lead=values.get('lead'),
-            **parts,
-        )
+        parts |= {name: values.get(name) for name in _SIMPLE}
+        return cls(rig=rig, **parts)
 
     def describe(self) -> str:
         """Say it for people to read."""
@@ -239,8 +217,8 @@ class ThrowResult:
             return f'throw {self.throw}: the projectile has not left the layer'
         verb = 'will leave' if self.stage == 'predicted' else 'left'
         text = (
-            f'throw {self.throw}: {verb} after {1e3 * self.first.time:.3f} ms '
-            f'at {self.first.speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
+            f'throw {self.throw}: {verb} after {1e3 * self.first.ejection_time:.3f} ms '
+            f'at {self.first.ejection_speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
         )
         if self.accuracy is not None:
             text += f' +- {self.accuracy.energy_transfer_error:.3f}'
@@ -265,22 +243,16 @@ def known_values(part: object) -> dict[str, Any]:  # texts, truths and numbers
     return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
 
 
-_PARTS = {'accuracy': ('accuracy.', Accuracy), 'comparison': ('residual.', Comparison)}
+_PARTS: dict[str, tuple[str, type[Any]]] = {
+    'first': ('', Release),
+    'last': ('last_', Release),
+    'accuracy': ('accuracy.', Accuracy),
+    'comparison': ('residual.', Comparison),
+}
 """What of a result may be there, with values of its own, and how their names begin."""
 
-_SIMPLE = tuple(
-    item.name
-    for item in fields(ThrowResult)
-    if item.name not in ('rig', 'first', 'last', 'models', 'lead', *_PARTS)
-)
-"""What of a result is one value that is always there."""
-
-_RELEASE = {
-    'ejection_time': 'time',
-    'ejection_speed': 'speed',
-    'energy_transfer': 'energy_transfer',
-}
-"""What of a release is published under which name."""
+_SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_PARTS))
+"""What of a result is one value."""
 
 
 class PredictedState(NamedTuple):
@@ -294,7 +266,7 @@ class PredictedState(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """Positions of plate and projectile by the model less those measured, at a stamp. [m]"""
+    """Positions of plate and projectile by the model less those measured, at a stamp [m]."""
 
     stamp_ns: int
     plate: float

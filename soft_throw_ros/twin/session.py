@@ -112,21 +112,21 @@ class Session:
 
     @property
     def rate(self) -> float:
-        """Steps per second of the clock, now. [Hz]"""
+        """Return steps per second of the clock, now [Hz]."""
         return self._staged.config.state_rate
 
     @property
     def time_scale(self) -> float:
-        """Time of the rig over time of the clock, now. [-]"""
+        """Time of the rig over time of the clock, now [-]."""
         return self._staged.config.time_scale
 
     def due_ns(self, step: int) -> int:
-        """Return when a step is due by the schedule that was told last. [ns]"""
+        """Return when a step is due by the schedule that was told last [ns]."""
         return self._cycle.schedule.deadline(step)
 
     @property
     def pending(self) -> dict[str, Any]:
-        """The changes that wait, by name; values are as various as the parameters."""
+        """Return the changes that wait, by name; values are as various as the parameters."""
         return self._staged.pending
 
     @property

@@ -40,7 +40,7 @@ class StagedSettings:
 
     @property
     def pending(self) -> dict[str, Any]:
-        """The changes that wait, by name; values are as various as the parameters."""
+        """Return the changes that wait, by name; values are as various as the parameters."""
         wanted = self.wanted.items()
         return {name: value for name, value in wanted if value != self.settings[name]}
 

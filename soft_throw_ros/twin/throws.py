@@ -78,12 +78,12 @@ class OngoingThrow(ABC):
 
     @property
     def first_release(self) -> Event | None:
-        """The first release, if the projectile has left."""
+        """Return the first release, if the projectile has left."""
         return self.events[0] if self.events else None
 
     @property
     def layer(self) -> LayerState:
-        """What the layer does now."""
+        """Return what the layer does now."""
         rows = np.empty((3, FIELD_POINTS))
         self._shown.read_layer(rows)
         return LayerState(*rows)
@@ -150,7 +150,6 @@ class OngoingThrow(ABC):
             apex_height=apex_height(found[-1], prepared.rig.gravity) if found else rest_height,
             recontacts=kinds.count('recontact'),
             landings=kinds.count('landing'),
-            models=prepared.models,
             lead=lead,
             accuracy=accuracy,
             comparison=comparison,
@@ -175,7 +174,7 @@ class ScheduledThrow(OngoingThrow):
         self._time = 0.0
 
     def advance(self, time: float, *, max_events: int) -> ThrowStep:
-        """Go on to `time` after the start. [s]"""
+        """Go on to `time` after the start [s]."""
         self._time = time
         return ThrowStep(*self._go_to(time, max_events))
 

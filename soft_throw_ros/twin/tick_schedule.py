@@ -41,7 +41,7 @@ class TickSchedule:
     rate: float
 
     def deadline(self, step: int) -> int:
-        """Return when a step is due. [ns]"""
+        """Return when a step is due [ns]."""
         return self.time_ns + round((step - self.step) * SECOND / self.rate)
 
     def change_rate(self, *, step: int, rate: float) -> None:

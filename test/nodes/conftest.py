@@ -35,12 +35,13 @@ from soft_throw_ros.configuration.interface import resolve, Service, Topic
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.twin.kernels import load_kernels
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from std_srvs.srv import Trigger
 
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
-    import lark  # noqa: F401  rclpy imports it with the first node, and it imports what is obsolete
+    import lark  # noqa: F401  rclpy imports it with the first node, and it what is obsolete
 
 TIMEOUT = 20.0
 """Longest wait for anything; reached only when something is wrong. [s]"""
@@ -123,6 +124,12 @@ class Ros:
     def parameters(self, node: Node) -> Parameters:
         """Make a client for the parameter services of `node`."""
         return Parameters(self, node)
+
+    def remove(self, node: Node) -> None:
+        """Destroy a node."""
+        self.nodes.remove(node)
+        self._executor.remove_node(node)
+        node.destroy_node()
 
     def close(self) -> None:
         """Destroy the nodes, last made first, and the context."""
@@ -296,6 +303,12 @@ class Listener(Node):
             if publisher.topic_name == topic
         ]
         return lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers)
+
+
+@pytest.fixture(scope='session', autouse=True)
+def _kernels() -> None:
+    """Compile all kernels before, so that no node has to, nor has it done beside it."""
+    load_kernels()
 
 
 @pytest.fixture(scope='session')

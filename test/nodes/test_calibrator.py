@@ -114,7 +114,7 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
     )
     new = with_thickness(true, thickness)
     after = with_new_layer()
-    speed = statistics.mean(item.first.speed for item in after if item.first)
+    speed = statistics.mean(item.first.ejection_speed for item in after if item.first)
     assert speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
     errors = [item.comparison.position_rms for item in after if item.comparison]
     assert statistics.median(errors) <= after[0].comparison.threshold

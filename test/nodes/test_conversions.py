@@ -29,8 +29,8 @@ RESULT = ThrowResult(
     stage='final',
     ended_by='period',
     rig=Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)),
-    first=Release(time=0.1 + 0.2, speed=1.0 / 3.0, energy_transfer=0.499),
-    last=Release(time=0.4, speed=2.0 / 3.0, energy_transfer=1.241),
+    first=Release(ejection_time=0.1 + 0.2, ejection_speed=1.0 / 3.0, energy_transfer=0.499),
+    last=Release(ejection_time=0.4, ejection_speed=2.0 / 3.0, energy_transfer=1.241),
     peak_plate_speed=0.72,
     peak_strain=0.12,
     max_strain=0.1,
@@ -40,7 +40,6 @@ RESULT = ThrowResult(
     apex_height=math.inf,
     recontacts=1,
     landings=4,
-    models={'spring_mass': Release(time=0.01, speed=1.0, energy_transfer=3.0)},
 )
 COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1)
 
@@ -50,7 +49,7 @@ COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshol
     [
         {},
         {'last': RESULT.first, 'recontacts': 0, 'stage': 'release', 'ended_by': ''},
-        {'first': None, 'last': None, 'recontacts': 0, 'models': {}},
+        {'first': None, 'last': None, 'recontacts': 0},
         {'lead': 1e-3, 'comparison': COMPARISON},
         {'lead': -0.1, 'comparison': dataclasses.replace(COMPARISON, ejection_time_error=-1e-4)},
     ],

@@ -90,7 +90,9 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
     listener.listen(TWIN_TOPICS.predicted_joint_states, TWIN_TOPICS.residual)
     sensors.throw(rigs['measured_throw'](Rig(), begin_ns=twin.clock.time, noise=5e-6))
     predicted = next(result for result in twin.results if result.stage == 'predicted')
-    assert predicted.first.speed == pytest.approx(simulate(Rig()).ejection_speed, rel=0.01)
+    assert predicted.first.ejection_speed == pytest.approx(
+        simulate(Rig()).ejection_speed, rel=0.01
+    )
     assert predicted.lead > 0.0
 
     expected = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
@@ -116,7 +118,7 @@ def test_clock_that_is_behind_is_corrected_and_told(twin, sensors, listener) -> 
     sensors.throw(samples, behind_ns=300 * MILLISECOND)
     release = next(result for result in twin.results if result.stage == 'release')
     exact = simulate(Rig())
-    assert release.first.speed == pytest.approx(exact.ejection_speed, rel=0.01)
+    assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.01)
     left = begin_ns + round((0.35 + exact.ejection_time) * SECOND)
     assert abs(release.accuracy.release_ns - left) <= 1.1 * BATCH * MILLISECOND  # sent so early
     status = listener.status(
@@ -208,7 +210,9 @@ def test_twin_in_another_process_follows_a_rig_in_real_time(start, ros, listen_t
     thread.start()
     ros.spin_until(lambda: bool(releases()), 'the release')
     thread.join()
-    assert releases()[0].first.speed == pytest.approx(simulate(rig).ejection_speed, rel=0.01)
+    assert releases()[0].first.ejection_speed == pytest.approx(
+        simulate(rig).ejection_speed, rel=0.01
+    )
     assert releases()[0].lead is not None
     process.end(2)
     assert not any('Traceback' in line for line in process.lines), process.lines

@@ -42,7 +42,7 @@ class Bench:
         self.session.step += 1
 
     def at(self, time: float) -> list[tuple[int, float]]:
-        """Show a time, and return which steps are done, and when they were due. [ms]"""
+        """Show a time, and return which steps are done, and when they were due [ms]."""
         self.clock.time = round(time * MILLISECOND)
         before = len(self.done)
         self.ticker.run_due()

@@ -102,7 +102,8 @@ def test_plate_rings_before_a_throw_by_the_period(start) -> None:
     rig = start(*QUIET, '-p', 'throw.period:=0.8', '-p', 'faults.ringing:=0.02')
     rig.go(1.55)
     positions = np.array(rig.positions)[:, 0]
-    assert 2e-5 < np.ptp(positions[-int(0.04 * RATE) :]) < 8.1e-5
+    count = int(0.04 * RATE)
+    assert 2e-5 < np.ptp(positions[-count:]) < 8.1e-5
 
 
 def test_layer_ages_once_after_its_throws(start, ros) -> None:

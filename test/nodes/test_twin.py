@@ -96,8 +96,8 @@ def test_latched_topics_reach_who_comes_late(ros, twin, listener, listen_to) -> 
     assert result.stage == 'release'
     assert result.first.energy_transfer == pytest.approx(3.6366, abs=1e-4)
     numbers = {
-        TWIN_TOPICS.ejection_time: result.first.time,
-        TWIN_TOPICS.ejection_speed: result.first.speed,
+        TWIN_TOPICS.ejection_time: result.first.ejection_time,
+        TWIN_TOPICS.ejection_speed: result.first.ejection_speed,
         TWIN_TOPICS.energy_transfer: result.first.energy_transfer,
         TWIN_TOPICS.peak_strain: result.peak_strain,
         TWIN_TOPICS.recommended_energy_transfer: twin.recommendation.best.energy_transfer,
@@ -141,8 +141,9 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     lines = [message.data for message in listener.hear(TWIN_TOPICS.journal, 10)]
     entries = [journal.decode(line) for line in lines]
     begin = next(n for n, entry in enumerate(entries) if entry['kind'] == 'throw')
-    session = Session.from_entry(entries[begin])
-    again = [outputs for entry in entries[begin + 1 :] for outputs in follow(session, entry)]
+    begun, *entries = entries[begin:]
+    session = Session.from_entry(begun)
+    again = [outputs for entry in entries for outputs in follow(session, entry)]
     again += [session.advance() for _ in range(twin.session.step - session.step)]
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05

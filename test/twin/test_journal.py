@@ -22,7 +22,7 @@ from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 @pytest.fixture(scope='module')
 def eventful(start) -> Any:
-    """A run with a bit of everything."""
+    """Run with a bit of everything."""
     run = start(throw__max_events=4)
     run.go(1234)
     run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
@@ -90,7 +90,7 @@ def test_checksums_are_those_of_the_states_and_fields(eventful) -> None:
     assert max(entry['step'] - entry['first'] for entry in checksums) == 1000
     assert set(eventful.starts()) < {entry['first'] for entry in checksums}
     for entry in checksums:
-        outputs = eventful.outputs[entry['first'] : entry['step']]
+        outputs = eventful.outputs[slice(entry['first'], entry['step'])]
         assert entry['states'] == crc32(
             b''.join(journal.STATE.pack(*item.state) for item in outputs)
         )
@@ -116,10 +116,10 @@ def test_results_are_in_the_journal_with_all_digits_and_the_checksums_of_their_t
         for name in ('peak_strain', 'plate_work', 'apex_height', 'recontacts', 'landings'):
             assert values[name] == getattr(result, name)
         if result.first is not None:
-            assert values['ejection_speed'] == result.first.speed
+            assert values['ejection_speed'] == result.first.ejection_speed
         assert ('states' in entry) == (result.stage == 'final')
         if result.stage == 'final':
-            outputs = eventful.outputs[begins[result.throw] : entry['step']]
+            outputs = eventful.outputs[slice(begins[result.throw], entry['step'])]
             assert entry['states'] == crc32(
                 b''.join(journal.STATE.pack(*o.state) for o in outputs)
             )

@@ -30,7 +30,7 @@ def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> 
     found = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
-        estimator.take(samples[first : first + batch], now_ns)
+        estimator.take(samples[slice(first, first + batch)], now_ns)
         found.append(estimator.advance(now_ns))
     times, states, errors = (np.concatenate([motion[k] for motion in found]) for k in range(3))
     return PlateStates(times, states, errors, max(motion.gap for motion in found))

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile all kernels beforehand, so that nodes and commands start quickly."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+import os
+import signal
+import time
+
+from soft_throw_ros.commands.output import print_text, run_command
+from soft_throw_ros.twin.kernels import load_kernels, PARTS
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; exit code 0."""
+    parser = argparse.ArgumentParser(
+        description='Compile all kernels, once for this installation, so that nodes and commands '
+        'start quickly. What is compiled already is only loaded.',
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        'parts',
+        metavar='PART',
+        nargs='*',
+        help=f'which, among {", ".join(PARTS)} (default: all)',
+    )
+    return run_command(parser, _run, args)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    for signal_number in (signal.SIGINT, signal.SIGTERM):
+        # numba would answer in many lines; what is on the disk is whole at any time
+        signal.signal(signal_number, lambda number, _: os._exit(128 + number))
+    parts = arguments.parts or list(PARTS)
+    for part in parts:
+        if part not in PARTS:
+            raise ValueError(f'PART must be one of {", ".join(PARTS)}, got {part!r}')
+    for number, part in enumerate(parts, 1):
+        title = f'{number}/{len(parts)} {part}'
+        begin = time.monotonic()
+        load_kernels([part], say=partial(_say, title))
+        print_text(f'{title}: ready, {time.monotonic() - begin:.1f} s\n')
+    return 0
+
+
+def _say(title: str, text: str) -> None:
+    print_text(f'{title}: {text}\n')

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compile kernels once, in parts, and first those that somebody waits for.
+
+numba keeps on disk what it has compiled. Processes that start together would all compile the same
+nevertheless, so each part has a lock: one process compiles it, and the others load it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+import contextlib
+import fcntl
+from pathlib import Path
+import sys
+import threading
+import time
+from types import ModuleType
+
+from numba.core import event
+from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.requests import answer
+from soft_throw_ros.twin import engine_fit, imperfect_rig, jump_filter
+from soft_throw_ros.twin.other_models import predict_by_other_models
+from soft_throw_ros.twin.prepared_rig import PreparedRig
+
+Say = Callable[[str], object]
+
+_INTERVAL = 2.0  # from one line of progress to the next [s]
+_SOURCES = (  # of kernels
+    *Path(smoothing.__file__).parent.glob('*.py'),
+    *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, jump_filter)),
+)
+
+
+def _prepare(stepper: ModuleType, model: str) -> None:
+    """Do once what is done by a model, with a plate that moves as the engine says, or measured."""
+    settings: Settings = {**TWIN.defaults(), 'model': model}
+    PreparedRig.from_config(TwinConfig.from_settings(settings))
+    stepper.warm_up()
+
+
+def _measure() -> None:
+    """Do once what is done with the samples of a plate."""
+    for module in (smoothing, jump_filter, engine_fit):
+        module.warm_up()
+
+
+PARTS: dict[str, Callable[[], object]] = {
+    'travelling_wave': lambda: _prepare(wave_stepper, 'travelling_wave'),
+    'design': lambda: answer(TWIN.defaults()),
+    'measured': _measure,
+    'cells': lambda: _prepare(cell_stepper, 'finite_difference'),
+    'other_models': lambda: predict_by_other_models(Rig(), ''),
+    'imperfect_rig': imperfect_rig.warm_up,
+}
+"""What there is to compile, in order, and what is done once so that it is."""
+
+
+def needed_parts(settings: Settings) -> list[str]:
+    """Name the parts without which a rig with these settings cannot be followed."""
+    config = TwinConfig.from_settings(settings)
+    model = 'travelling_wave' if config.model == 'travelling_wave' else 'cells'
+    return [model, 'measured'] if config.is_measured else [model]
+
+
+def missing_parts() -> list[str]:
+    """Name the parts that have not been compiled, or not since the sources have changed."""
+    newest = max(path.stat().st_mtime for path in _SOURCES)
+    return [part for part in PARTS if not _is_newer(_mark(part), newest)]
+
+
+def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text: None) -> None:
+    """
+    Load the kernels of parts, and compile them before if nobody has.
+
+    Parameters
+    ----------
+    parts : iterable of str
+        Among `PARTS`.
+    say : callable
+        Is told what is being compiled, now and then; nothing if all are loaded. It may be called
+        in another thread.
+
+    """
+    missing = missing_parts()
+    for part in parts:
+        if part not in missing:
+            PARTS[part]()
+            continue
+        with _locked(part, say), _Progress(say):
+            PARTS[part]()
+            _mark(part).touch()
+
+
+class _Progress(event.Listener):
+    """Says every other second which kernel numba compiles, while it does."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self._count = 0
+        self._compiled: list[str] = []  # each needs those that follow
+        self._is_over = threading.Event()
+
+    def on_start(self, event: event.Event) -> None:
+        """Take note of a kernel that is compiled."""
+        kernel = event.data['dispatcher'].py_func
+        module = kernel.__module__
+        name = f'{module.rpartition(".")[2]}.{kernel.__name__}'
+        is_ours = module.startswith('soft_throw_ros.') or not self._compiled
+        self._count += 1
+        self._compiled.append(name if is_ours else self._compiled[-1])
+
+    def on_end(self, _event: event.Event) -> None:
+        """Go on with the one that needed it."""
+        self._compiled.pop()
+
+    def __enter__(self) -> None:
+        event.register('numba:compile', self)
+        threading.Thread(target=self._report, daemon=True).start()
+
+    def __exit__(self, *_: object) -> None:
+        event.unregister('numba:compile', self)
+        self._is_over.set()
+
+    def _report(self) -> None:
+        begin = time.monotonic()
+        while not self._is_over.wait(_INTERVAL):
+            for kernel in self._compiled[-1:]:
+                passed = time.monotonic() - begin
+                self._say(f'compiling, once: {kernel}, kernel {self._count}, {passed:.0f} s')
+
+
+@contextlib.contextmanager
+def _locked(part: str, say: Say) -> Iterator[None]:
+    """Let no other process compile a part meanwhile."""
+    with _mark(part).with_suffix('.lock').open('w') as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say(f'another process compiles {part}: waiting for it')
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _mark(part: str) -> Path:
+    """
+    Return the file that tells that a part has been compiled, beside what numba has on disk.
+
+    It ends as numba's files do, so that whoever deletes those deletes it, too.
+    """
+    folder = Path(str(smoothing.fit_cubics.stats.cache_path))
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f'{part}.{sys.implementation.cache_tag}.nbi'
+
+
+def _is_newer(path: Path, moment: float) -> bool:
+    try:
+        return path.stat().st_mtime > moment
+    except FileNotFoundError:
+        return False

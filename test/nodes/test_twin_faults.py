@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults around a twin: each with what docs/reliability.md promises."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+import pytest
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes.conversions import msg_to_values, time_to_msg
+from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.replay import follow
+from soft_throw_ros.twin.session import Session
+
+COMMAND = [sys.executable, '-m', 'soft_throw_ros', 'twin']
+SECOND = 1_000_000_000
+MILLISECOND = SECOND // 1000
+
+
+def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(ros, start_twin, capfd) -> None:
+    twins = [start_twin() for _ in range(2)]
+    log = ''
+
+    def has_said(text: str, count: int) -> bool:
+        nonlocal log
+        log += capfd.readouterr().err
+        return log.count(text) == count
+
+    ros.spin_until(lambda: has_said('another node is named /twin', 2), 'what both say')
+    ros.remove(twins[1])
+    ros.spin_until(lambda: has_said('no other node has this name', 1), 'that it is over')
+
+
+def test_namesake_is_a_warning_in_diagnostics(start_twin, listen_to) -> None:
+    twin, _ = start_twin(), start_twin()
+    listener = listen_to(twin)
+    listener.listen(TWIN_TOPICS.diagnostics)
+    status = listener.status(
+        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['namesakes'] == 1
+    )
+    assert status.level == DiagnosticStatus.WARN
+    assert '/twin' in status.message
+
+
+def test_clock_topic_that_stops_is_said_and_loses_no_step(ros, listen_to) -> None:
+    twin = ros.node(Twin, ros_args=('-p', 'use_sim_time:=true'))
+    listener = listen_to(twin)
+    listener.listen(TWIN_TOPICS.diagnostics)
+    clock = listener.create_publisher(ClockMessage, '/clock', 10)
+    ros.spin_until(lambda: clock.get_subscription_count() > 0, '/clock')
+    twin.ticker.start()
+
+    def go_to(milliseconds: int, ticks: int) -> None:
+        clock.publish(ClockMessage(clock=time_to_msg(milliseconds * MILLISECOND)))
+        ros.spin_until(lambda: twin.ticker.counts['ticks'] == ticks, f'tick {ticks}')
+
+    go_to(5000, 1)
+    go_to(5100, 101)
+    status = listener.status(TWIN_TOPICS.diagnostics, 'timing', lambda s: '/clock' in s.message)
+    assert status.level == DiagnosticStatus.WARN
+    go_to(5200, 201)
+    assert twin.ticker.counts['ticks_skipped'] == 0
+
+
+@pytest.mark.parametrize('jump', [-3600 * SECOND, 3600 * SECOND])
+def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener, jump) -> None:
+    listener.listen(TWIN_TOPICS.joint_states)
+    twin.clock.time += 10_000 * SECOND  # so that it can be set back
+    twin.clock.epoch += 1
+    twin.session.request_throw()
+    twin.go(50)
+    twin.clock.time += jump
+    twin.clock.epoch += 1
+    twin.ticker.run_due()
+    twin.clock.time -= jump  # and back
+    twin.clock.epoch += 1
+    twin.go(50)
+    twin.session.close()
+    assert twin.ticker.counts['clock_jumps'] == 3
+    assert twin.ticker.counts['ticks_skipped'] == 0
+    assert [outputs.step for outputs in twin.outputs] == list(range(len(twin.outputs)))
+    count = len(twin.outputs) - 1  # the first was before anybody listened
+    stamps = [m.header.stamp.sec for m in listener.hear(TWIN_TOPICS.joint_states, count)]
+    assert max(map(abs, stamps)) - min(map(abs, stamps)) >= 3599
+    entries = [journal.decode(line) for line in twin.lines]
+    session = Session.from_entry(entries[0])
+    again = [outputs for entry in entries[1:] for outputs in follow(session, entry)]
+    ours = [outputs.state for outputs in twin.outputs]
+    assert [outputs.state for outputs in again] == ours[: len(again)]
+    assert len(again) >= len(ours) - 1
+
+
+def test_twin_that_is_stopped_for_seconds_skips_and_counts_them(start, listen_to) -> None:
+    twin = start(*COMMAND)
+    twin.wait_for('ready')
+    listener = listen_to()
+    listener.listen(TWIN_TOPICS.diagnostics, TWIN_TOPICS.joint_states)
+    twin.process.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)
+    twin.process.send_signal(signal.SIGCONT)
+    values = msg_to_values(
+        listener.status(
+            TWIN_TOPICS.diagnostics, 'timing', lambda s: msg_to_values(s)['ticks_skipped'] > 0
+        )
+    )
+    assert values['ticks_skipped'] >= 1500
+    assert values['ticks_caught_up'] >= 100  # a tenth of a second
+    heard = len(listener.heard[TWIN_TOPICS.joint_states.name])
+    listener.hear(TWIN_TOPICS.joint_states, heard + 100)  # and so on
+    assert twin.end(signal.SIGTERM) == 0
+
+
+def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin) -> None:
+    twin = start_twin('-p', 'engine.motion:=measured')
+
+    def measure(others: Any) -> None:
+        sensors = others.node(Node, 'sensors')
+        sender = sensors.create_publisher(JointState, '/twin/measured_joint_states', 10)
+        others.spin_until(lambda: sender.get_subscription_count() > 0, 'the twin')
+        before = twin.session.sample_counts.taken
+        twin.go(10)
+        message = JointState(name=['plate'], position=[0.0], velocity=[math.nan])
+        message.header.stamp = time_to_msg(twin.clock.time)
+        sender.publish(message)
+
+        def is_taken() -> bool:
+            twin.measurement.take()
+            return bool(twin.session.sample_counts.taken > before)
+
+        ros.spin_until(is_taken, 'the sample')
+
+    for _ in range(2):
+        others = type(ros)(ros.domain_id)  # a participant of its own
+        measure(others)
+        others.close()
+    assert twin.session.sample_counts.taken == 2

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that are compiled once, by whoever comes first."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+
+from numba.core import event
+import pytest
+from soft_throw_ros.commands.warm_up import main
+from soft_throw_ros.core.throw import MODELS
+from soft_throw_ros.twin.kernels import load_kernels, missing_parts, needed_parts, PARTS
+
+
+@pytest.fixture
+def warm_up(tmp_path):
+    """Start the command with nothing compiled but what it has compiled before."""
+    environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+    command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up']
+
+    def start(*parts: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [*command, *parts], env=environment, stdout=subprocess.PIPE, text=True
+        )
+
+    return start
+
+
+@pytest.mark.timeout(300)
+def test_what_is_compiled_is_told_and_compiled_once(warm_up, tmp_path) -> None:
+    first, _ = warm_up('travelling_wave').communicate()
+    assert 'wave_stepper.' in first
+    second, _ = warm_up('travelling_wave').communicate()
+    assert 'compiling' not in second
+    assert second.startswith('1/1 travelling_wave: ready')
+    (mark,) = (tmp_path / 'cache').rglob('travelling_wave.*.nbi')
+    mark.unlink()
+    with mark.with_suffix('.lock').open('w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with warm_up('travelling_wave') as waiting:
+            assert 'another process compiles travelling_wave' in waiting.stdout.readline()
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            assert 'ready' in waiting.stdout.read()
+    assert mark.exists()
+
+
+def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
+    load_kernels()
+    assert missing_parts() == []
+    with event.install_recorder('numba:compiler_lock') as recorder:
+        for model in MODELS:
+            run = start(throw__period=0.3, model=model)
+            run.go(700)
+        run = start(engine__motion='measured')
+        run.measure()
+    assert run.session.throws == 1
+    assert recorder.buffer == []
+
+
+@pytest.mark.parametrize(
+    ('request_', 'parts'),
+    [
+        ({}, {'travelling_wave'}),
+        ({'engine__motion': 'measured'}, {'travelling_wave', 'measured'}),
+        ({'layer__loss_tangent': 0.1}, {'cells'}),
+        ({'model': 'spring_mass', 'engine__motion': 'measured'}, {'cells', 'measured'}),
+    ],
+)
+def test_rig_waits_for_its_own_model_only(settings, request_, parts) -> None:
+    assert set(needed_parts(settings(**request_))) == parts
+
+
+def test_part_that_is_not_there_is_refused_with_all_that_are(capsys) -> None:
+    with pytest.raises(SystemExit, match='2'):
+        main(['waves'])
+    words = capsys.readouterr().err
+    assert all(part in words for part in ('waves', *PARTS))
