@@ -38,7 +38,7 @@ from soft_throw_ros.commands.rerun_output import (
 )
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import BagError, Message
-from soft_throw_ros.recording.timeseries import find_throws, is_shown, tells_throws, ThrowStart
+from soft_throw_ros.recording.timeseries import find_throws, tells_throws, ThrowStart
 from soft_throw_ros.recording.viewer import (
     connect,
     free_port,
@@ -169,7 +169,7 @@ def _time(text: str) -> float:
 def _show_bag(arguments: argparse.Namespace) -> int:
     """Show a bag in one of four ways; return the exit code."""
     from soft_throw_ros.recording import rerun_canvas
-    from soft_throw_ros.recording.rerun_view import Scene
+    from soft_throw_ros.recording.rerun_view import is_shown, Scene
 
     with BagReader(arguments.bag) as reader:
         if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
@@ -223,14 +223,14 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
         while batch := list(itertools.islice(messages, _BATCH)):
             scene.show(batch)
         scene.finish(is_waiting=True)
-    decoder, path = scene.decoder, reader.path
-    damage = f', {decoder.damage}' if decoder.damage else ''
+    path = reader.path
+    damage = f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')
     if reader.damage:
         _say(f'{reader.damage}; what there is is shown')
-    if decoder.damaged:
-        _say(f'{path}: {decoder.damaged} messages are left out{damage}')
+    if scene.damaged:
+        _say(f'{path}: {scene.damaged} messages are left out{damage}')
 
 
 def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:

@@ -16,18 +16,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import NoReturn, TYPE_CHECKING
+from typing import NoReturn, TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
+
+Answer = TypeVar('Answer')
 
 HOST = '127.0.0.1'
 
 START_TIME = 20.0
 """Longest wait for a viewer to listen. [s]"""
 
-_ANSWER_TIME = 30.0
-"""Longest wait for it to load a recording. [s]"""
+_ANSWER_TIME = 60.0
+"""Longest wait for it to load a recording, or to draw. [s]"""
 
 _END_TIME = 5.0
 """Longest wait for a viewer that no longer answers to end. [s]"""
@@ -208,7 +210,8 @@ class Viewer:
 
         with self._explained_errors():
             client = ViewerClient.connect(url_of(self.port))
-            client.take_screenshot(max_size=64)  # it answers other questions before it draws
+            # it answers other questions before it draws
+            _ask(lambda: client.take_screenshot(max_size=64))
         return client
 
     def photograph(self, timeline: str, seconds: float | None) -> bytes:
@@ -228,7 +231,7 @@ class Viewer:
                 client.set_time(timeline, duration=seconds, play_state='paused')
             picture = b''
             for _ in range(_MOST_PICTURES):  # until nothing moves any more, as axes do for a while
-                before, picture = picture, client.take_screenshot()
+                before, picture = picture, _ask(client.take_screenshot)
                 if picture == before:
                     break
                 time.sleep(_FRAME_PAUSE)
@@ -281,6 +284,17 @@ def go_to(port: int, recording: str, timeline: str, seconds: float) -> None:
 def _has_loaded(client: ViewerClient) -> bool:
     state = client.get_state()
     return bool(state.recordings and state.views and not state.loading)
+
+
+def _ask(question: Callable[[], Answer]) -> Answer:
+    """Ask again while a viewer on a busy machine takes too long for it."""
+    deadline = time.monotonic() + _ANSWER_TIME
+    while True:
+        try:
+            return question()
+        except TimeoutError:
+            if time.monotonic() > deadline:
+                raise
 
 
 def _wait_for(is_so: Callable[[], bool]) -> None:
