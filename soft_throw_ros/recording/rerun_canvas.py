@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Recordings of Rerun: what is drawn into them, as shapes and charts, and where they go.
+Recordings of Rerun: what is drawn into them, as shapes and charts.
 
 What changes with every step goes out in columns, many rows at once; what stays until it is
 replaced is remembered, for a viewer that comes later.
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +18,6 @@ from numpy.typing import NDArray
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
-from soft_throw_ros.recording.viewer import HOST, url_of
-
-APPLICATION = 'soft_throw_ros'
-"""What Rerun knows the recordings by."""
 
 STAMP = 'stamp'
 """Timeline of the messages' stamps."""
@@ -54,8 +49,6 @@ _BAR_FOOT = 0.08
 
 _BEHIND, _IN_FRONT = 30.0, 40.0
 """Where dots are drawn."""
-
-_SERVER_MEMORY = '256MB'
 
 
 def _ramp(anchors: str) -> Bytes:
@@ -395,42 +388,3 @@ def draw_map(
     chart.draw(pixels, titles=(axes[0].title, axes[1].title))
     chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=panel.symbol)
     chart.draw_marks(marks)
-
-
-# where recordings go
-
-
-def new_stream() -> rr.RecordingStream:
-    """Begin a recording, which goes nowhere yet."""
-    return rr.RecordingStream(
-        APPLICATION, batcher_config=rr.ChunkBatcherConfig.LOW_LATENCY(), send_properties=False
-    )
-
-
-def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
-    """Have a recording written to a file; raise OSError if that cannot be done."""
-    try:
-        stream.save(path, write_footer=not is_live)  # whose size grows with time, in memory
-    except RuntimeError as error:
-        raise OSError(str(error)) from None
-
-
-def connect_to(stream: rr.RecordingStream, port: int) -> None:
-    """Have a recording sent to a viewer, or to the next one, if the last has ended."""
-    stream.connect_grpc(url_of(port))
-
-
-def serve_at(stream: rr.RecordingStream, port: int) -> None:
-    """Have a recording sent to viewers that connect, on this machine only."""
-    stream.set_sinks(
-        rr.GrpcServerSink(bind_ip=HOST, port=port, server_memory_limit=_SERVER_MEMORY)
-    )
-
-
-def flush(stream: rr.RecordingStream, seconds: float) -> bool:
-    """Send what waits, and tell whether it went."""
-    try:
-        stream.flush(timeout_sec=seconds)
-    except RuntimeError:
-        return False
-    return True

@@ -269,8 +269,10 @@ class Viewer:
         raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
 
 
-def go_to(port: int, recording: str, timeline: str, seconds: float) -> None:
+def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:
     """Have a viewer show a time of a recording that was sent to it, if it can do that. [s]"""
+    if seconds is None:
+        return
     from rerun.experimental import ViewerClient
 
     with contextlib.suppress(*_CLIENT_ERRORS):
