@@ -259,7 +259,7 @@ def _cursor(scene: Scene, at: float | None) -> tuple[str, float | None]:
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
     """
-    Interrupt by SIGINT and SIGTERM, and end the process soon after one, whatever it waits for.
+    Interrupt by SIGINT, SIGTERM and SIGHUP, and end the process soon after one, whatever it waits for.
 
     A call of Rerun may wait for ever for a viewer that hangs, and no signal handler of Python runs
     until it returns. So the signal is written to a pipe as soon as it comes, for a thread that
@@ -270,7 +270,7 @@ def _ended_by_signals() -> Iterator[None]:
     os.set_blocking(target, False)
     handlers = {
         number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
     wakeup = signal.set_wakeup_fd(target, warn_on_full_buffer=False)
 

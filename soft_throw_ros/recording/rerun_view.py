@@ -471,7 +471,7 @@ class _TwinView:
                 drawing.MapAxis('cₛ (m/s)', found.wave_speed),
             )
             marks = [(_MILLI * length, speed, text) for length, speed, text in found.marks]
-            panel = drawing.MapPanel('landscape', '', found.title, found.energy_transfer.T)
+            panel = drawing.MapPanel('landscape', '', found.title, found.energy_transfer)
             drawing.draw_map(self._canvas, stamp, axes, panel, marks, root=self._root)
 
     # layout

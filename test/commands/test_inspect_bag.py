@@ -125,6 +125,26 @@ def test_picture_without_graphics_says_what_to_install(capsys, bag, tmp_path, mo
     assert 'mesa-vulkan-drivers' in line
 
 
+@pytest.mark.parametrize('how', ['SIGINT', 'SIGTERM', 'SIGHUP', 'SIGKILL'])
+def test_killed_screenshot_leaves_no_viewer_behind(bag, tmp_path, how) -> None:
+    command = [sys.executable, '-c', INSPECT, bag, '--screenshot', tmp_path / 'scene.png']
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+        try:
+            wait_until(lambda: viewers_of(process.pid) != [])
+            (viewer,) = viewers_of(process.pid)
+        finally:
+            process.send_signal(getattr(signal, how))
+    wait_until(lambda: not Path(f'/proc/{viewer}').exists())
+    assert not (tmp_path / 'scene.png').exists()
+
+
+def viewers_of(pid: int) -> list[int]:
+    """Return the children of a process that are the program of Rerun."""
+    children = Path(f'/proc/{pid}/task').glob('*/children')
+    found = [int(child) for path in children for child in path.read_text().split()]
+    return [each for each in found if Path(f'/proc/{each}/comm').read_text().strip() == 'rerun']
+
+
 @pytest.mark.parametrize(
     ('options', 'start', 'milliseconds'),
     [([], 400, 5.353), (['--throw', '1'], 200, 5.353), (['--throw=1', '--at=0.002'], 200, 2.0)],
