@@ -262,6 +262,7 @@ class _TwinView:
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
         self._side = RigPicture(canvas, self._path('side'))
         self._recommendation: tuple[Rig | None, Values] = None, {}  # and for which rig it is
+        self._is_former = False  # whether the energy of its layer is not recorded
         self._track: dict[str, str] = {}  # what is said of it, by the task of the node
         self._residuals: Floats | None = None  # in the last contacts, or in that which is shown
         self._extents: dict[str, tuple[float, float]] = {}  # of plots, in the throw that is shown
@@ -356,22 +357,27 @@ class _TwinView:
     # waves in the layer
 
     def draw_layer(self, messages: Sequence[Message]) -> None:
-        self._draw_layer_states(self._reader.read_layer(messages))
+        layer = self._reader.read_layer(messages)
+        if layer is not None:
+            self._side.draw_layer(layer)
+            if self._is_dense():
+                self._draw_layer_energy(layer)
 
     def draw_former_layer(self, message: Message) -> None:
-        self._draw_layer_states(self._reader.read_former_strain(message))
+        layer = self._reader.read_former_strain(message)
+        self._is_former = True
+        if layer is not None:
+            self._side.draw_layer(layer)
 
-    def _draw_layer_states(self, layer: LayerStates | None, *, is_throw: bool = False) -> None:
-        """Draw it, and its energy where rows are close together in time."""
-        if layer is None:
-            return
-        self._side.draw_layer(layer)
+    def _is_dense(self) -> bool:
+        """Tell whether the layer comes so often that a line through its energies is true."""
         rows = self._reader.settings['rate.field'] * self._period_of_stamps
-        if rows < _DENSE and not is_throw:
-            return
+        return bool(rows >= _DENSE and not self._is_former)
+
+    def _draw_layer_energy(self, layer: LayerStates) -> None:
         for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
             stamps, values = layer.stamps, energy
-            if rows < _DENSE:  # the line must not go on to the next throw
+            if not self._is_dense():  # the line must not go on to the next throw
                 stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
             self._draw_lines(f'energy/{name}', stamps, values)
 
@@ -410,7 +416,8 @@ class _TwinView:
         if throw is not None:
             position, layer = throw
             self._side.draw_positions(stamps, position)
-            self._draw_layer_states(layer, is_throw=True)
+            self._side.draw_layer(layer)
+            self._draw_layer_energy(layer)
 
     # words
 
