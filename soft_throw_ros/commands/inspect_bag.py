@@ -259,7 +259,7 @@ def _cursor(scene: Scene, at: float | None) -> tuple[str, float | None]:
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
     """
-    Interrupt by SIGINT, SIGTERM and SIGHUP, and end the process soon after one, whatever it waits for.
+    Interrupt by a signal, and end the process soon after it, whatever that waits for.
 
     A call of Rerun may wait for ever for a viewer that hangs, and no signal handler of Python runs
     until it returns. So the signal is written to a pipe as soon as it comes, for a thread that
