@@ -77,7 +77,7 @@ class Panel(NamedTuple):
 COLUMNS = (
     (2.5, (
         Panel('side', 'rig', 'Rig, z (mm)', 3.0),
-        Panel('throw_result', 'text', 'Throw', 2.6),
+        Panel('throw_result', 'text', 'Throw', 2.75),
     )),
     (4.2, (
         Panel('phase', 'phase', 'Phase', 1.5),
@@ -88,11 +88,11 @@ COLUMNS = (
         Panel('residual', 'plot', 'Model less measurement (µm)', 3.0, is_optional=True),
     )),
     (4.2, (
-        Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.8),
-        Panel('landscape', 'map', 'Energy transfer α(Lₛ, cₛ)', 3.7),
-        Panel('recommendation', 'text', 'Recommended layer', 3.9),
-        Panel('track', 'text', 'Measured track', 1.8, is_optional=True),
-        Panel(LOG, 'log', 'Log', 2.1, is_optional=True),
+        Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.6),
+        Panel('landscape', 'map', 'Energy transfer α(Lₛ, cₛ)', 3.5),
+        Panel('recommendation', 'text', 'Recommended layer', 4.1),
+        Panel('track', 'text', 'Measured track', 2.0, is_optional=True),
+        Panel(LOG, 'log', 'Log', 2.3, is_optional=True),
     )),
 )  # fmt: skip
 """The window of a twin: columns from left to right with their share of the width, top down."""

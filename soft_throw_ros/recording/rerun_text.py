@@ -62,10 +62,8 @@ _MODELS = {
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
-_BASES = {
-    'engine': 'The plate is taken to do as the engine should.',
-    'plate': 'The plate did not do as the engine should; its samples count.',
-}
+_BASES = {'engine': ', which moves as the engine should', 'plate': ' alone'}
+"""What the errors of a throw rest on."""
 
 _VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
 
@@ -84,11 +82,11 @@ def throw_text(values: Values) -> str:
     text += f'\n\n{_table(values, _THROW_ROWS, columns)}'
     if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
         text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
-    basis = _BASES.get(str(values.get('accuracy.basis')))
-    if basis:
-        samples, out = (values.get(f'accuracy.{key}') for key in ('samples', 'samples_left_out'))
-        text += f'\n{basis} Errors are standard errors, of {samples:g} samples'
-        text += f', {out:g} of which were left out.\n' if out else '.\n'
+    samples, out = (values.get(f'accuracy.{key}') for key in ('samples', 'samples_left_out'))
+    if samples is not None:
+        basis = _BASES.get(str(values.get('accuracy.basis')), '')
+        text += f'\n± by {samples:g} samples of the plate{basis}'
+        text += f'; {out:g} were left out.\n' if out else '.\n'
     return text
 
 
@@ -106,18 +104,13 @@ def recommendation_text(message: str, values: Values) -> str:
 
 
 def track_text(task: str, status: Any, values: Values) -> str:  # a DiagnosticStatus
-    """Write what a status says of the measured track, what was identified as a table."""
-    if task != 'identification':
-        jumped = values.get('samples_jumped')
-        text = f'**{task.capitalize()}**: {status.message}'
-        return f'{text}; {jumped:g} left out, since they jumped' if jumped else text
+    """Write what a status says of the measured track, with doubts about it."""
+    text = f'**{task.capitalize()}**: {status.message}'.replace('+-', '±')
+    left_out = values.get('samples_jumped') or values.get('outliers')
+    if left_out:
+        text += f'; {left_out:g} samples left out, since they jump'
     doubts = [f'- {value}' for key, value in values.items() if key.startswith('warning')]
-    found = {key: value for key, value in values.items() if not key.startswith('warning')}
-    if not found:
-        return f'**Identification**: {status.message}'
-    lines = ['| identified | |', '|:--|--:|']
-    lines += [f'| {key} | {_cell(value)} |' for key, value in found.items()]
-    return '\n'.join([*lines, '', *doubts])
+    return '\n'.join([text, '', *doubts])
 
 
 def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> str:
@@ -136,7 +129,7 @@ def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> 
 def _cell(value: float | str | None, factor: float = 1.0, error: float | str | None = None) -> str:
     """Write a number, with its error if that is known."""
     if not isinstance(value, float):
-        return (value or '').replace('+-', '±')
+        return value or ''
     if not isinstance(error, float) or not 0.0 < error < math.inf:
         return f'{factor * value:.4g}'
     digits = max(1 - math.floor(math.log10(factor * error)), 0)

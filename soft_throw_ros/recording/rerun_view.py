@@ -195,12 +195,15 @@ class Scene:
         return True
 
     def _draw_line(self, message: Message) -> None:
-        """Show a line of the log."""
+        """Show a line of the log, which is stamped by another clock where time is simulated."""
         line = read_message(message)
+        twins = self._twins.values()
+        known = (twin.stamp_of(message) for twin in twins if twin.span is not None)
+        stamp = next(known, to_ns(line.stamp))
         level = next(name for bound, name in _LEVELS if line.level >= bound)
         self._has_log = True
         columns = rr.TextLog.columns(text=[f'{line.name}: {line.msg}'], level=[level])
-        self._canvas.send(layout.LOG, np.array([to_ns(line.stamp)]), columns)
+        self._canvas.send(layout.LOG, np.array([stamp]), columns)
 
     def _draw_diagnostics(self, message: Message) -> None:
         """Show what is of a measured track: of a twin itself, or of one beside its calibrator."""
@@ -284,6 +287,10 @@ class _TwinView:
         document = rr.TextDocument(text, media_type='text/markdown')
         self._canvas.put(self._path(name), stamp, document)
 
+    def stamp_of(self, message: Message) -> int:
+        """Return the time of the step with which something was published. [ns]"""
+        return self._reader.stamp_of(message)
+
     # the rig
 
     def read_journal(self, message: Message) -> None:
@@ -295,7 +302,7 @@ class _TwinView:
             return
         self.is_drawn = True
         is_throw = reader.throw is not None and reader.throw is not throw
-        stamp = reader.throw.stamp if reader.throw and is_throw else reader.stamp_of(message)
+        stamp = reader.throw.stamp if reader.throw and is_throw else self.stamp_of(message)
         self._period_of_stamps = 1.0 / (reader.rig.engine.frequency * reader.time_scale)
         self._side.change_rig(stamp, reader.rig)
         if self._map_rig != reader.rig:  # the map of what is recommended for it is there
@@ -424,7 +431,7 @@ class _TwinView:
     def draw_phase(self, message: Message) -> None:
         self.is_drawn = True
         state = rr.StateChange(state=read_text(message))
-        self._canvas.put(self._path('phase'), self._reader.stamp_of(message), state)
+        self._canvas.put(self._path('phase'), self.stamp_of(message), state)
 
     def draw_result(self, message: Message) -> None:
         """Write what a throw gave; up to the release at its start, as the field has it."""

@@ -357,10 +357,10 @@ def test_errors_of_a_measured_throw_and_words_on_its_track_are_shown(tmp_path) -
     for node, task, values in (
         ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
         ('/twin', 'timing', {'ticks': 1000}),
-        ('/calibrator', 'identification', {'wave_speed': '7.30 +- 0.02', 'warning 1': 'a doubt'}),
-        ('/other/calibrator', 'identification', {'wave_speed': '99'}),
+        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
+        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
     ):
-        twin.diagnose(node, task, 'in words', values)
+        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
     recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
     results = [result for outputs in twin.outputs for result in outputs.results]
     (accuracy,) = [each.accuracy for each in results if each.stage == 'release']
@@ -371,10 +371,12 @@ def test_errors_of_a_measured_throw_and_words_on_its_track_are_shown(tmp_path) -
     assert alpha == pytest.approx(simulate(Rig()).energy_transfer, abs=5.0 * error)
     assert f'{accuracy.samples} samples' in text
     text = recording.last('/twin/track', 'TextDocument:text')[0]
-    assert '7 left out' in text
-    assert '7.30 ± 0.02' in text
+    for words in ('measurement of', '7 samples left out', 'identification of 7.30 ± 0.02'):
+        assert words in text
+    assert '9 samples left out' in text
     assert 'a doubt' in text
-    assert '99' not in text
+    assert 'another' not in text
+    assert 'timing' not in text
     assert 'Measured track' in recording.views
 
 
@@ -414,3 +416,16 @@ def test_only_topics_of_a_twin_are_shown() -> None:
     assert not is_shown('/my_joint_states', 'sensor_msgs/msg/JointState')
     assert not is_shown('/scan', 'sensor_msgs/msg/LaserScan')
     assert not is_shown('/recorder/status', 'diagnostic_msgs/msg/DiagnosticArray')
+
+
+def test_lines_of_the_log_are_at_their_step_where_time_is_simulated(tmp_path) -> None:
+    """Lines are stamped by the clock of the machine."""
+    twin = TwinMessages(throw__period=0.2).go(300)
+    ahead = 10**15
+    messages = [
+        each._replace(publish_time=each.publish_time + ahead, log_time=each.log_time + ahead)
+        for each in twin.messages
+    ]
+    recording = record(tmp_path / 'a.rrd', Scene('test'), messages)
+    steps = [twin.pace.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
+    assert recording.series('/log', 'TextLog:text')[0].tolist() == steps
