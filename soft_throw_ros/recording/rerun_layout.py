@@ -88,11 +88,11 @@ COLUMNS = (
         Panel('residual', 'plot', 'Model less measurement (µm)', 3.0, is_optional=True),
     )),
     (4.2, (
-        Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.6),
+        Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.7),
         Panel('landscape', 'map', 'Energy transfer α(Lₛ, cₛ)', 3.5),
-        Panel('recommendation', 'text', 'Recommended layer', 4.1),
-        Panel('track', 'text', 'Measured track', 2.0, is_optional=True),
-        Panel(LOG, 'log', 'Log', 2.3, is_optional=True),
+        Panel('recommendation', 'text', 'Recommended layer', 4.15),
+        Panel('track', 'text', 'Measured track', 1.9, is_optional=True),
+        Panel(LOG, 'log', 'Log', 2.25, is_optional=True),
     )),
 )  # fmt: skip
 """The window of a twin: columns from left to right with their share of the width, top down."""

@@ -104,13 +104,13 @@ def recommendation_text(message: str, values: Values) -> str:
 
 
 def track_text(task: str, status: Any, values: Values) -> str:  # a DiagnosticStatus
-    """Write what a status says of the measured track, with doubts about it."""
+    """Write in a line what a status says of the measured track, with doubts about it."""
     text = f'**{task.capitalize()}**: {status.message}'.replace('+-', '±')
     left_out = values.get('samples_jumped') or values.get('outliers')
     if left_out:
         text += f'; {left_out:g} samples left out, since they jump'
-    doubts = [f'- {value}' for key, value in values.items() if key.startswith('warning')]
-    return '\n'.join([text, '', *doubts])
+    doubts = [str(value) for key, value in values.items() if key.startswith('warning')]
+    return '; '.join([text, *doubts])
 
 
 def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> str:

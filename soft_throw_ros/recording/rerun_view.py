@@ -451,7 +451,7 @@ class _TwinView:
         if task in words.TRACK_TASKS:
             self._track[task] = words.track_text(task, status, values)
             parts = [self._track[each] for each in words.TRACK_TASKS if each in self._track]
-            self._write('track', stamp, '\n\n'.join(parts))
+            self._write('track', stamp, '  \n'.join(parts))
 
     # the best layer
 
