@@ -27,36 +27,12 @@ import threading
 import time
 from typing import BinaryIO, NoReturn, TYPE_CHECKING
 
+from soft_throw_ros.commands import rerun_output as output
 from soft_throw_ros.commands.output import naming, slow_notice
-from soft_throw_ros.commands.rerun_output import (
-    check_viewer,
-    flush,
-    new_stream,
-    no_screen,
-    PORT,
-    PROBE_TIME,
-    save_recording,
-    save_to,
-    send_recording,
-    serve,
-    store_of,
-    WINDOW,
-)
+from soft_throw_ros.recording import viewer
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.timeseries import find_throws, tells_throws, ThrowStart
-from soft_throw_ros.recording.viewer import (
-    connect,
-    free_port,
-    go_to,
-    has_display,
-    HOST,
-    is_open,
-    listens,
-    url_of,
-    Viewer,
-    ViewerError,
-)
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -104,7 +80,7 @@ def main(args: list[str] | None = None) -> int:
             raise
         _say("inspect needs Rerun: pip install 'soft_throw_ros[rerun]'")
         return 1
-    except ViewerError as error:
+    except viewer.ViewerError as error:
         _say(str(error))
         return 1
     except ValueError as error:
@@ -132,7 +108,7 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
         '--sink', choices=('viewer', 'serve'), default='viewer',
         help='show it in a viewer, or to viewers that connect (default viewer)',
     )  # fmt: skip
-    add('--port', type=_port, default=PORT, help=f'of either, on {HOST} (default %(default)s)')
+    add('--port', type=_port, default=output.PORT, help='of either, here (default %(default)s)')
     arguments = parser.parse_args(args)
     if arguments.save and arguments.screenshot:
         parser.error('argument --screenshot: not allowed with argument --save')
@@ -183,31 +159,30 @@ def _show_bag(arguments: argparse.Namespace) -> None:
             raise ValueError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
         throw = _choose_throw(reader, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
-        stream = new_stream()
+        stream = output.new_stream()
         draw = partial(_draw, scene, stream, reader)
         if arguments.save:
             with naming(arguments.save):
-                save_recording(stream, arguments.save, draw)
+                output.save_recording(stream, arguments.save, draw)
         elif arguments.screenshot:
             with naming(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                save_recording(stream, recording, draw)
+                output.save_recording(stream, recording, draw)
                 cursor = _cursor(scene, arguments.at)
                 options = ('--headless', '--window-size', arguments.size, recording)
-                with Viewer(free_port(), *options) as viewer:
-                    picture = viewer.photograph(*cursor)
+                with viewer.Viewer(viewer.free_port(), *options) as process:
+                    picture = process.photograph(*cursor)
                 arguments.screenshot.write_bytes(picture)
         elif arguments.sink == 'serve':
-            serve(stream, arguments.port)
-            _say(f'to see it: rerun {url_of(arguments.port)}')
+            _serve(stream, arguments.port)
             draw()
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     signal.pause()
         else:
-            check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
-            send_recording(stream, arguments.port, draw)
-            go_to(arguments.port, store_of(stream), *_cursor(scene, arguments.at))
+            output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
+            output.send_recording(stream, arguments.port, draw)
+            viewer.go_to(arguments.port, output.store_of(stream), *_cursor(scene, arguments.at))
             stream.disconnect()
 
 
@@ -303,14 +278,13 @@ def _show_stream(arguments: argparse.Namespace) -> NoReturn:
     """
     from soft_throw_ros.recording.rerun_view import Scene
 
-    scene, stream = Scene('live', is_live=True), new_stream()
+    scene, stream = Scene('live', is_live=True), output.new_stream()
     check: Callable[[], None] = lambda: None  # noqa: E731
     if arguments.save:
         with naming(arguments.save):
-            save_to(stream, arguments.save, is_live=True)
+            output.save_to(stream, arguments.save, is_live=True)
     elif arguments.sink == 'serve':
-        serve(stream, arguments.port)
-        _say(f'to see it: rerun {url_of(arguments.port)}')
+        _serve(stream, arguments.port)
     else:
         check = _ViewerConnection(scene, stream, arguments.port).check
     if arguments.save or arguments.sink == 'serve':
@@ -329,7 +303,7 @@ def _show_stream(arguments: argparse.Namespace) -> NoReturn:
         if inbox.error:
             _say(inbox.error)
         scene.finish(is_waiting=False)
-        if flush(stream, EXIT_TIME):
+        if output.flush(stream, EXIT_TIME):
             stream.disconnect()
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -382,36 +356,41 @@ class _ViewerConnection:
         self._port = port
         self._connection: socket.socket | None = None
         self._next_probe = -math.inf
-        if listens(port):
+        if viewer.listens(port):
             return
-        if has_display():
+        if viewer.has_display():
             threading.Thread(target=self._start, name='viewer', daemon=True).start()
         else:
-            _say(no_screen(port, '--save FILE.rrd (rerun.sink:=file of a recorder)'))
+            _say(output.no_screen(port, '--save FILE.rrd (rerun.sink:=file of a recorder)'))
 
     def _start(self) -> None:
         try:
-            Viewer(self._port, *WINDOW, stays=True)
-        except ViewerError as error:
+            viewer.Viewer(self._port, *output.WINDOW, stays=True)
+        except viewer.ViewerError as error:
             _say(str(error))
 
     def check(self) -> None:
         """Notice that it has gone or come, and show it what is there already."""
         if self._connection is not None:
-            if is_open(self._connection):
+            if viewer.is_open(self._connection):
                 return
             self._connection.close()
             self._connection = None
             self._scene.connect(None)
-            _say(f'the viewer at {HOST}:{self._port} has gone; waiting for one')
+            _say(f'the viewer at {viewer.HOST}:{self._port} has gone; waiting for one')
         if time.monotonic() < self._next_probe:
             return
-        self._next_probe = time.monotonic() + PROBE_TIME
-        self._connection = connect(self._port)
+        self._next_probe = time.monotonic() + output.PROBE_TIME
+        self._connection = viewer.connect(self._port)
         if self._connection is not None:
-            self._stream.connect_grpc(url_of(self._port))
+            self._stream.connect_grpc(viewer.url_of(self._port))
             self._scene.connect(self._stream)
-            _say(f'connected to the viewer at {HOST}:{self._port}')
+            _say(f'connected to the viewer at {viewer.HOST}:{self._port}')
+
+
+def _serve(stream: rr.RecordingStream, port: int) -> None:
+    output.serve(stream, port)
+    _say(f'to see it: rerun {viewer.url_of(port)}')
 
 
 def _say(text: str) -> None:

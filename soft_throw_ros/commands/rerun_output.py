@@ -11,17 +11,8 @@ from pathlib import Path
 import time
 from typing import TYPE_CHECKING
 
-from soft_throw_ros.recording.viewer import (
-    connect,
-    find_viewer,
-    has_display,
-    HOST,
-    is_open,
-    listens,
-    url_of,
-    Viewer,
-    ViewerError,
-)
+from soft_throw_ros.recording import viewer
+from soft_throw_ros.recording.viewer import HOST, listens, Viewer, ViewerError
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -96,13 +87,13 @@ def no_screen(port: int, instead: str) -> str:
     return (
         'there is no screen for a window (DISPLAY and WAYLAND_DISPLAY are not set), and no viewer '
         f'at {HOST}:{port}; take {instead}, or start one where there is a screen: '
-        f'{find_viewer()} --bind {HOST} --port {port}'
+        f'{viewer.find_viewer()} --bind {HOST} --port {port}'
     )
 
 
 def check_viewer(port: int, instead: str) -> None:
     """Raise ViewerError if there is neither a viewer nor a screen; say what to do instead."""
-    if not listens(port) and not has_display():
+    if not listens(port) and not viewer.has_display():
         raise ViewerError(no_screen(port, instead))
 
 
@@ -131,15 +122,15 @@ def send_recording(
     """
     if not listens(port):
         Viewer(port, *WINDOW, stays=True)
-    connection = connect(port)
+    connection = viewer.connect(port)
     if connection is None:
         raise ViewerError(f'nobody listens at {HOST}:{port} any more')
     with connection:
-        stream.connect_grpc(url_of(port))
+        stream.connect_grpc(viewer.url_of(port))
         draw()
         deadline = time.monotonic() + within
         while not flush(stream, PROBE_TIME):
-            if not is_open(connection):
+            if not viewer.is_open(connection):
                 raise ViewerError('the viewer was closed before it had everything')
             if time.monotonic() > deadline:
                 raise ViewerError(f'the viewer at {HOST}:{port} does not take it')

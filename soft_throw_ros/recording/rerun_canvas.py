@@ -8,8 +8,9 @@ replaced is remembered, for a viewer that comes later.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 import math
 from typing import NamedTuple
 
@@ -88,31 +89,32 @@ class Canvas:
     def __init__(self, throw: ThrowStart | None = None) -> None:
         self.throw = throw
         self._stream: rr.RecordingStream | None = None
-        self._styles: dict[str, rr.AsComponents] = {}
-        self._rows: dict[str, tuple[int, list[rr.ComponentColumn]]] = {}
+        self._kept: dict[tuple[str, str], Callable[[], None]] = {}
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
         """Draw into a recording from now on, what is remembered first; or into none."""
         self._stream = stream
-        if stream is not None:
-            for path, style in self._styles.items():
-                stream.log(path, style, static=True)
-            for path, (stamp, columns) in self._rows.items():
-                self.send(path, np.array([stamp]), columns)
+        for draw in self._kept.values():
+            draw()
 
     def style(self, path: str, style: rr.AsComponents) -> None:
         """Say once how something looks."""
-        if path not in self._styles:
-            self._styles[path] = style
-            if self._stream is not None:
-                self._stream.log(path, style, static=True)
+        if ('style', path) not in self._kept:
+            self._keep('style', path, partial(self._log, path, style))
 
     def put(self, path: str, stamp: int, *content: rr.AsComponents) -> None:
         """Draw what stays until something else is put there."""
         batches = [batch for each in content for batch in each.as_component_batches()]
         columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
-        self._rows[path] = stamp, columns
-        self.send(path, np.array([stamp]), columns)
+        self._keep('content', path, partial(self.send, path, np.array([stamp]), columns))
+
+    def _keep(self, kind: str, path: str, draw: Callable[[], None]) -> None:
+        self._kept[kind, path] = draw
+        draw()
+
+    def _log(self, path: str, style: rr.AsComponents) -> None:
+        if self._stream is not None:
+            self._stream.log(path, style, static=True)
 
     def send(self, path: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw what changes all the time."""

@@ -13,34 +13,16 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.configuration.interface import (
-    FORMER_TOPICS,
-    JOINT_STATE,
-    Topic,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import FORMER_TOPICS, JOINT_STATE, Topic, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
+from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rig_picture import RigPicture
-from soft_throw_ros.recording.timeseries import (
-    DECODING_ERRORS,
-    Floats,
-    identify,
-    LayerStates,
-    read_message,
-    read_statuses,
-    read_text,
-    SECOND,
-    Stamps,
-    ThrowStart,
-    to_ns,
-    TwinReader,
-    Values,
-)
+from soft_throw_ros.recording.timeseries import Floats, LayerStates, SECOND, Stamps, ThrowStart
 
 _MILLI, _MICRO = 1e3, 1e6
 
@@ -187,7 +169,7 @@ class Scene:
         """Read one message or several; count one that cannot be read."""
         try:
             read(data)
-        except DECODING_ERRORS as error:
+        except series.DECODING_ERRORS as error:
             if counted is not None:
                 self.damaged += 1
                 self.damage = self.damage or f'{counted.channel.topic}: {error}'
@@ -196,10 +178,10 @@ class Scene:
 
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log, which is stamped by another clock where time is simulated."""
-        line = read_message(message)
+        line = series.read_message(message)
         twins = self._twins.values()
         known = (twin.stamp_of(message) for twin in twins if twin.span is not None)
-        stamp = next(known, to_ns(line.stamp))
+        stamp = next(known, series.to_ns(line.stamp))
         level = next(name for bound, name in _LEVELS if line.level >= bound)
         self._has_log = True
         columns = rr.TextLog.columns(text=[f'{line.name}: {line.msg}'], level=[level])
@@ -207,7 +189,7 @@ class Scene:
 
     def _draw_diagnostics(self, message: Message) -> None:
         """Show what is of a measured track: of a twin itself, or of one beside its calibrator."""
-        for stamp, status, values in read_statuses(message):
+        for stamp, status, values in series.read_statuses(message):
             node, _, task = str(status.name).rpartition(': ')
             for name, twin in self._twins.items():
                 is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
@@ -261,10 +243,13 @@ class _TwinView:
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
         self._pool = pool
-        self._reader = TwinReader()
+        self._reader = series.TwinReader()
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
         self._side = RigPicture(canvas, self._path('side'))
-        self._recommendation: tuple[Rig | None, Values] = None, {}  # and for which rig it is
+        self._recommendation: tuple[Rig | None, series.Values] = (
+            None,
+            {},
+        )  # and for which rig it is
         self._is_former = False  # whether the energy of its layer is not recorded
         self._track: dict[str, str] = {}  # what is said of it, by the task of the node
         self._residuals: Floats | None = None  # in the last contacts, or in that which is shown
@@ -430,13 +415,13 @@ class _TwinView:
 
     def draw_phase(self, message: Message) -> None:
         self.is_drawn = True
-        state = rr.StateChange(state=read_text(message))
+        state = rr.StateChange(state=series.read_text(message))
         self._canvas.put(self._path('phase'), self.stamp_of(message), state)
 
     def draw_result(self, message: Message) -> None:
         """Write what a throw gave; up to the release at its start, as the field has it."""
         throw, shown = self._reader.throw, self._canvas.throw
-        for stamp, _, values in read_statuses(message):
+        for stamp, _, values in series.read_statuses(message):
             number, time = values.get('throw'), values.get('ejection_time')
             self._reader.note_result(values)
             is_early = values.get('stage') in ('predicted', 'release')
@@ -446,7 +431,7 @@ class _TwinView:
             if shown is not None and number == shown.number and isinstance(time, float):
                 self.ejection_time = time
 
-    def draw_track(self, stamp: int, task: str, status: Any, values: Values) -> None:
+    def draw_track(self, stamp: int, task: str, status: Any, values: series.Values) -> None:
         """Write what diagnostics say of the measured track, that of each task with its stamp."""
         if task in words.TRACK_TASKS:
             self._track[task] = words.track_text(task, status, values)
@@ -458,7 +443,7 @@ class _TwinView:
     def draw_recommendation(self, message: Message) -> None:
         reader = self._reader
         rig = reader.wanted_rig()
-        for stamp, status, values in read_statuses(message):
+        for stamp, status, values in series.read_statuses(message):
             self._recommendation = rig, values
             text = words.recommendation_text(str(status.message), values)
             self._write('recommendation', stamp, text)
@@ -534,6 +519,6 @@ def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     """Find of which node a topic is, empty if of several, and which; None if it is not drawn."""
     if type_name == _LOG.type:
         return '', _LOG
-    node, topic = identify(name, type_name)
+    node, topic = series.identify(name, type_name)
     is_drawn = topic in _READERS or topic == TWIN_TOPICS.diagnostics
     return (node, topic) if is_drawn else ('', None)
