@@ -23,6 +23,7 @@ from soft_throw_ros.commands.options import (
 from soft_throw_ros.commands.output import naming, print_text, require, slow_notice
 from soft_throw_ros.commands.rerun_output import (
     check_viewer,
+    new_stream,
     PORT,
     save_recording,
     send_recording,
@@ -259,18 +260,14 @@ def draw(landscape: Landscape, path: Path) -> None:
 
 def _record(landscape: Landscape, path: Path) -> None:
     """Write a landscape as a recording of Rerun."""
-    from soft_throw_ros.recording import rerun_canvas
-
-    stream = rerun_canvas.new_stream()
+    stream = new_stream()
     with atomic_file(path) as unfinished:
         save_recording(stream, unfinished, partial(_send, landscape, stream))
 
 
 def _view(landscape: Landscape) -> None:
     """Show a landscape in the viewer that is there, or in one that stays."""
-    from soft_throw_ros.recording import rerun_canvas
-
-    stream = rerun_canvas.new_stream()
+    stream = new_stream()
     send_recording(stream, PORT, partial(_send, landscape, stream), within=_SHOW_TIME)
     stream.disconnect()
 

@@ -9,6 +9,7 @@ and it ends soon after its input does, whatever the viewer does.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 import itertools
@@ -24,32 +25,14 @@ import sys
 import tempfile
 import threading
 import time
-from types import FrameType
-from typing import Any, BinaryIO, NoReturn, TYPE_CHECKING
+from typing import BinaryIO, NoReturn, TYPE_CHECKING
 
+from soft_throw_ros.commands import rerun_output as output
 from soft_throw_ros.commands.output import naming, slow_notice
-from soft_throw_ros.commands.rerun_output import (
-    check_viewer,
-    PORT,
-    PROBE_TIME,
-    save_recording,
-    send_recording,
-    WINDOW,
-)
+from soft_throw_ros.recording import viewer
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.message import BagError, Message
-from soft_throw_ros.recording.timeseries import find_throws, is_shown, tells_throws, ThrowStart
-from soft_throw_ros.recording.viewer import (
-    connect,
-    free_port,
-    go_to,
-    has_display,
-    is_open,
-    listens,
-    url_of,
-    Viewer,
-    ViewerError,
-)
+from soft_throw_ros.recording.timeseries import find_throws, tells_throws, ThrowStart
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -64,14 +47,14 @@ FILE_PERIOD = 0.5
 EXIT_TIME = 0.7
 """After its input, or a signal, the process ends within this time. [s]"""
 
+_POLL_TIME = 100
+"""Between looks whether the drawing has ended by itself. [ms]"""
+
 _BATCH = 5000
 """Messages of a bag that are drawn at once."""
 
 _MOST_WAITING = 20_000
 """Messages that may wait to be shown; then no more are read, and it is for the sender to drop."""
-
-_FINAL_PAUSE = 2e-3
-"""Between looks at the input once the end is near. [s]"""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -89,16 +72,15 @@ def main(args: list[str] | None = None) -> int:
     os.environ.setdefault('RUST_LOG', 'off')  # Rerun would say in its own words what we say
     try:
         if arguments.bag == '-':
-            with _Watchdog(code=0, is_gentle=True) as watchdog:
-                _show_stream(arguments, watchdog)
-        with _Watchdog(code=130):
-            return _show_bag(arguments)
+            _show_stream(arguments)
+        with _ended_by_signals():
+            _show_bag(arguments)
     except ModuleNotFoundError as error:
         if (error.name or '').partition('.')[0] not in ('rerun', 'rerun_bindings', 'pyarrow'):
             raise
         _say("inspect needs Rerun: pip install 'soft_throw_ros[rerun]'")
         return 1
-    except ViewerError as error:
+    except viewer.ViewerError as error:
         _say(str(error))
         return 1
     except ValueError as error:
@@ -106,6 +88,7 @@ def main(args: list[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+    return 0
 
 
 def _parse(args: list[str] | None) -> argparse.Namespace:
@@ -125,7 +108,7 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
         '--sink', choices=('viewer', 'serve'), default='viewer',
         help='show it in a viewer, or to viewers that connect (default viewer)',
     )  # fmt: skip
-    add('--port', type=_port, default=PORT, help='of either, on 127.0.0.1 (default %(default)s)')
+    add('--port', type=_port, default=output.PORT, help='of either, here (default %(default)s)')
     arguments = parser.parse_args(args)
     if arguments.save and arguments.screenshot:
         parser.error('argument --screenshot: not allowed with argument --save')
@@ -166,10 +149,9 @@ def _time(text: str) -> float:
 # bags
 
 
-def _show_bag(arguments: argparse.Namespace) -> int:
-    """Show a bag in one of four ways; return the exit code."""
-    from soft_throw_ros.recording import rerun_canvas
-    from soft_throw_ros.recording.rerun_view import Scene
+def _show_bag(arguments: argparse.Namespace) -> None:
+    """Show a bag in one of four ways."""
+    from soft_throw_ros.recording.rerun_view import is_shown, Scene
 
     with BagReader(arguments.bag) as reader:
         if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
@@ -177,19 +159,19 @@ def _show_bag(arguments: argparse.Namespace) -> int:
             raise ValueError(f'{reader.path}: nothing in it is of a twin, topics: {topics}')
         throw = _choose_throw(reader, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
-        stream = rerun_canvas.new_stream()
+        stream = output.new_stream()
         draw = partial(_draw, scene, stream, reader)
         if arguments.save:
             with naming(arguments.save):
-                save_recording(stream, arguments.save, draw)
+                output.save_recording(stream, arguments.save, draw)
         elif arguments.screenshot:
             with naming(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                save_recording(stream, recording, draw)
+                output.save_recording(stream, recording, draw)
+                cursor = _cursor(scene, arguments.at)
                 options = ('--headless', '--window-size', arguments.size, recording)
-                with Viewer(free_port(), *options) as viewer:
-                    cursor = _cursor(scene, arguments)
-                    picture = viewer.photograph(rerun_canvas.THROW_TIME, cursor)
+                with viewer.Viewer(viewer.free_port(), *options) as process:
+                    picture = process.photograph(*cursor)
                 arguments.screenshot.write_bytes(picture)
         elif arguments.sink == 'serve':
             _serve(stream, arguments.port)
@@ -198,8 +180,10 @@ def _show_bag(arguments: argparse.Namespace) -> int:
                 while True:
                     signal.pause()
         else:
-            _send_bag(stream, scene, reader, arguments)
-    return 0
+            output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
+            output.send_recording(stream, arguments.port, draw)
+            viewer.go_to(arguments.port, output.store_of(stream), *_cursor(scene, arguments.at))
+            stream.disconnect()
 
 
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
@@ -223,81 +207,119 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
         while batch := list(itertools.islice(messages, _BATCH)):
             scene.show(batch)
         scene.finish(is_waiting=True)
-    decoder, path = scene.decoder, reader.path
-    damage = f', {decoder.damage}' if decoder.damage else ''
+    path, damage = reader.path, f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')
     if reader.damage:
         _say(f'{reader.damage}; what there is is shown')
-    if decoder.damaged:
-        _say(f'{path}: {decoder.damaged} messages are left out{damage}')
+    if scene.damaged:
+        _say(f'{path}: {scene.damaged} messages are left out{damage}')
 
 
-def _cursor(scene: Scene, arguments: argparse.Namespace) -> float | None:
-    """Return when in the throw the cursor is, in time of the rig; None without a throw. [s]"""
-    at: float | None = arguments.at
-    return scene.moment if scene.moment is None or at is None else at
+def _cursor(scene: Scene, at: float | None) -> tuple[str, float | None]:
+    """Return timeline and time of the cursor, which is None without a throw. [s]"""
+    from soft_throw_ros.recording.rerun_canvas import THROW_TIME
+
+    low, high = scene.span
+    if at is not None and scene.moment is None:
+        raise ValueError(f'--at is a time since a throw started, and the bag has none, got {at:g}')
+    if at is not None and not low <= at <= high:
+        raise ValueError(
+            f'--at must be within what was recorded, from {low:.6g} to {high:.6g} s since the '
+            f'throw started, got {at:g}'
+        )
+    return THROW_TIME, scene.moment if at is None else at
 
 
-def _send_bag(
-    stream: rr.RecordingStream, scene: Scene, reader: BagReader, arguments: argparse.Namespace
-) -> None:
-    """Show a bag in the viewer that is there, or in one that stays, at the throw's time."""
-    from soft_throw_ros.recording import rerun_canvas
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """
+    Interrupt by a signal, and end the process soon after it, whatever that waits for.
 
-    check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
-    send_recording(stream, arguments.port, partial(_draw, scene, stream, reader))
-    cursor = _cursor(scene, arguments)
-    if cursor is not None:
-        recording = f'Recording:{rerun_canvas.APPLICATION}:{stream.get_recording_id()}'
-        go_to(arguments.port, recording, rerun_canvas.THROW_TIME, cursor)
-    stream.disconnect()
+    A call of Rerun may wait for ever for a viewer that hangs, and no signal handler of Python runs
+    until it returns. So the signal is written to a pipe as soon as it comes, for a thread that
+    Rerun does not hold up.
 
+    """
+    source, target = os.pipe()
+    os.set_blocking(target, False)
+    handlers = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    wakeup = signal.set_wakeup_fd(target, warn_on_full_buffer=False)
 
-def _serve(stream: rr.RecordingStream, port: int) -> None:
-    from soft_throw_ros.recording import rerun_canvas
+    def watch() -> None:
+        with os.fdopen(source, 'rb', 0) as pipe:
+            if pipe.read(1):
+                time.sleep(EXIT_TIME)
+                os._exit(130)
 
-    if listens(port):
-        raise ValueError(f'somebody listens at 127.0.0.1:{port} already; take another --port')
-    rerun_canvas.serve_at(stream, port)
-    _say(f'to see it: rerun {url_of(port)}')
+    threading.Thread(target=watch, name='watchdog', daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(wakeup)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        os.close(target)
 
 
 # streams
 
 
-def _show_stream(arguments: argparse.Namespace, watchdog: _Watchdog) -> NoReturn:
-    """Show what comes; the process ends here, since Rerun might wait for a viewer that hangs."""
-    from soft_throw_ros.recording import rerun_canvas
+def _show_stream(arguments: argparse.Namespace) -> NoReturn:
+    """
+    Show what comes until input or a signal ends it; the process ends here.
+
+    Another thread draws, since Rerun might wait for a viewer that hangs; this one has an ear for
+    signals and the end of the input.
+
+    """
     from soft_throw_ros.recording.rerun_view import Scene
 
-    scene, stream = Scene('live', is_live=True), rerun_canvas.new_stream()
-    viewer = None
-    if not arguments.save:
-        watchdog.watch_pipe(sys.stdin.buffer.fileno())
-    if arguments.save or arguments.sink == 'serve':
-        if arguments.save:
-            with naming(arguments.save):
-                rerun_canvas.save_to(stream, arguments.save, is_live=True)
-        else:
-            _serve(stream, arguments.port)
-        scene.connect(stream)
+    scene, stream = Scene('live', is_live=True), output.new_stream()
+    check: Callable[[], None] = lambda: None  # noqa: E731
+    if arguments.save:
+        with naming(arguments.save):
+            output.save_to(stream, arguments.save, is_live=True)
+    elif arguments.sink == 'serve':
+        _serve(stream, arguments.port)
     else:
-        viewer = _ViewerConnection(scene, stream, arguments.port)
-    inbox = _Inbox(sys.stdin.buffer)
-    while not watchdog.is_told_to_end:
-        if viewer is not None:
-            viewer.check()
-        scene.show(inbox.take())
-        if inbox.is_over:
-            break
-        watchdog.wait(FILE_PERIOD if arguments.save else LIVE_PERIOD)
-    watchdog.count_down()
-    if inbox.error:
-        _say(inbox.error)
-    scene.finish(is_waiting=False)
-    if rerun_canvas.flush(stream, EXIT_TIME):
-        stream.disconnect()
+        check = _ViewerConnection(scene, stream, arguments.port).check
+    if arguments.save or arguments.sink == 'serve':
+        scene.connect(stream)
+    inbox, end = _Inbox(sys.stdin.buffer), threading.Event()
+    period = FILE_PERIOD if arguments.save else LIVE_PERIOD
+
+    def draw() -> None:
+        while not end.is_set():
+            check()
+            is_over = inbox.is_over
+            scene.show(inbox.take())
+            if is_over:
+                break
+            end.wait(period)
+        if inbox.error:
+            _say(inbox.error)
+        scene.finish(is_waiting=False)
+        if output.flush(stream, EXIT_TIME):
+            stream.disconnect()
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    thread = threading.Thread(target=draw, name='drawing', daemon=True)
+    thread.start()
+    poll = select.poll()
+    if not arguments.save:  # a file takes all that has come
+        poll.register(sys.stdin.buffer.fileno(), 0)  # which tells all the same when it is closed
+    try:
+        while thread.is_alive() and not poll.poll(_POLL_TIME):
+            pass
+    except KeyboardInterrupt:
+        end.set()
+    with contextlib.suppress(KeyboardInterrupt):  # one is enough
+        thread.join(EXIT_TIME)
     os._exit(2 if inbox.error and scene.is_empty else 0)
 
 
@@ -308,19 +330,12 @@ class _Inbox:
         self.is_over = False
         self.error = ''
         self._stream = stream
-        self._messages: queue.Queue[Message | None] = queue.Queue(_MOST_WAITING)
+        self._messages: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
         threading.Thread(target=self._run, name='reader', daemon=True).start()
 
     def take(self) -> list[Message]:
         """Return what has come."""
-        messages = []
-        for _ in range(self._messages.qsize()):
-            message = self._messages.get()
-            if message is None:
-                self.is_over = True
-            else:
-                messages.append(message)
-        return messages
+        return [self._messages.get() for _ in range(self._messages.qsize())]
 
     def _run(self) -> None:
         try:
@@ -329,7 +344,7 @@ class _Inbox:
                     self._messages.put(item)
         except BagError as error:
             self.error = str(error)
-        self._messages.put(None)
+        self.is_over = True
 
 
 class _ViewerConnection:
@@ -341,113 +356,41 @@ class _ViewerConnection:
         self._port = port
         self._connection: socket.socket | None = None
         self._next_probe = -math.inf
-        if listens(port):
+        if viewer.listens(port):
             return
-        if has_display():
+        if viewer.has_display():
             threading.Thread(target=self._start, name='viewer', daemon=True).start()
         else:
-            _say(f'no viewer at 127.0.0.1:{port} yet; `rerun --bind 127.0.0.1 --port {port}`')
+            _say(output.no_screen(port, '--save FILE.rrd (rerun.sink:=file of a recorder)'))
 
     def _start(self) -> None:
         try:
-            Viewer(self._port, *WINDOW, stays=True)
-        except ViewerError as error:
+            viewer.Viewer(self._port, *output.WINDOW, stays=True)
+        except viewer.ViewerError as error:
             _say(str(error))
 
     def check(self) -> None:
         """Notice that it has gone or come, and show it what is there already."""
-        from soft_throw_ros.recording import rerun_canvas
-
         if self._connection is not None:
-            if is_open(self._connection):
+            if viewer.is_open(self._connection):
                 return
             self._connection.close()
             self._connection = None
             self._scene.connect(None)
-            _say(f'the viewer at 127.0.0.1:{self._port} has gone; waiting for one')
+            _say(f'the viewer at {viewer.HOST}:{self._port} has gone; waiting for one')
         if time.monotonic() < self._next_probe:
             return
-        self._next_probe = time.monotonic() + PROBE_TIME
-        self._connection = connect(self._port)
+        self._next_probe = time.monotonic() + output.PROBE_TIME
+        self._connection = viewer.connect(self._port)
         if self._connection is not None:
-            rerun_canvas.connect_to(self._stream, self._port)
+            self._stream.connect_grpc(viewer.url_of(self._port))
             self._scene.connect(self._stream)
-            _say(f'connected to the viewer at 127.0.0.1:{self._port}')
+            _say(f'connected to the viewer at {viewer.HOST}:{self._port}')
 
 
-class _Watchdog:
-    """
-    Ends the process in bounded time after a signal, or after the end of a pipe.
-
-    A call of Rerun may wait for ever for a viewer that hangs, and no signal handler of Python runs
-    until it returns. So the signal is written to a pipe as soon as it comes, and that is what a
-    thread of its own waits for, which Rerun does not hold up.
-
-    Parameters
-    ----------
-    code : int
-        Exit code if it comes to that.
-    is_gentle : bool
-        Whether a signal only sets `is_told_to_end`, and interrupts nothing.
-
-    """
-
-    def __init__(self, *, code: int, is_gentle: bool = False) -> None:
-        self.is_told_to_end = False
-        self._code = code
-        self._is_gentle = is_gentle
-        self._is_ending = threading.Event()
-        self._is_closed = threading.Event()
-
-    def __enter__(self) -> _Watchdog:
-        self._pipe = os.pipe()
-        os.set_blocking(self._pipe[1], False)
-        handler: Any = self._on_signal if self._is_gentle else signal.default_int_handler
-        self._handlers = {
-            number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)
-        }
-        self._wakeup = signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
-        self._thread = threading.Thread(target=self._run, name='watchdog', daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        signal.set_wakeup_fd(self._wakeup)
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        self._is_closed.set()
-        self.count_down()
-        self._thread.join()
-        for end in self._pipe:
-            os.close(end)
-
-    def watch_pipe(self, source: int) -> None:
-        """Begin to count down when the other end of a pipe is closed."""
-        threading.Thread(target=self._await_end, args=(source,), name='input', daemon=True).start()
-
-    def count_down(self) -> None:
-        """End the process in bounded time, whatever is still to be done."""
-        os.write(self._pipe[1], b'.')
-
-    def wait(self, seconds: float) -> None:
-        """Sleep, or only for a moment once the end is near."""
-        if self._is_ending.wait(seconds):
-            time.sleep(_FINAL_PAUSE)
-
-    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self.is_told_to_end = True
-
-    def _await_end(self, source: int) -> None:
-        poll = select.poll()
-        poll.register(source, 0)  # which is told all the same when the other end is closed
-        poll.poll()
-        self.count_down()
-
-    def _run(self) -> None:
-        os.read(self._pipe[0], 1)
-        self._is_ending.set()
-        if not self._is_closed.wait(EXIT_TIME):
-            os._exit(self._code)
+def _serve(stream: rr.RecordingStream, port: int) -> None:
+    output.serve(stream, port)
+    _say(f'to see it: rerun {viewer.url_of(port)}')
 
 
 def _say(text: str) -> None:

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 import time
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,13 @@ _SAME = 0.01
 """Layers that differ by no more than this part are one mark."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EnergyMap:
+class EnergyMap(NamedTuple):
     """Energy transfer over all layers that are considered."""
 
     # From each to the next by the same factor. [m], [m/s]
     thickness: Floats
     wave_speed: Floats
-    # A row for each wave speed; NaN where nothing is thrown. [-]
+    # A row for each thickness; NaN where nothing is thrown. [-]
     energy_transfer: Floats
     # Thickness [m], wave speed [m/s] and text: the layer of the rig, and maybe a recommended one
     marks: tuple[tuple[float, float, str], ...]
@@ -44,25 +43,9 @@ class EnergyMap:
 
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
-    """
-    Compute alpha of a rig with other layers, without loss.
-
-    Parameters
-    ----------
-    rig : Rig
-        All but thickness and wave speed of the layer stay.
-    thickness, wave_speed : ndarray
-        Broadcast against each other. [m], [m/s]
-
-    Returns
-    -------
-    ndarray
-        NaN where it cannot be told, or the projectile does not leave. [-]
-
-    """
-    layer_mass = rig.layer.density * rig.layer.section * thickness
+    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown. [-]"""
     releases = first_releases(
-        mass_ratio=rig.projectile.mass / layer_mass,
+        mass_ratio=rig.projectile.mass / (rig.layer.density * rig.layer.section * thickness),
         speed_ratio=wave_speed / (thickness * rig.engine.frequency),
         damping_ratio=rig.engine.damping_ratio,
         gravity_ratio=rig.gravity_ratio,
@@ -93,44 +76,34 @@ def compute_energy_map(
         Its marks are within it.
 
     """
-    now = rig.layer.thickness, rig.layer.wave_speed
-    said_now = _layer_of(recommendation, 'now.')
-    best = _layer_of(recommendation, '')
+    now, best = (rig.layer.thickness, rig.layer.wave_speed), _layer_of(recommendation, '')
     is_same = best is not None and np.allclose(now, best, rtol=_SAME)
-    layers = [now] if best is None or is_same else [now, best]
-    sources = ['now.' if said_now and np.allclose(now, said_now, rtol=1e-6) else None, '']
-    names = ['now, as recommended' if is_same else 'now', 'recommended']
+    layers = {'now, as recommended' if is_same else 'now': (now, 'now.')}
+    if best is not None and not is_same:
+        layers['recommended'] = best, ''
     marks = []
-    for layer, source, name in zip(layers, sources, names, strict=False):
-        said = None if source is None else recommendation.get(f'{source}energy_transfer')
-        alpha = said if isinstance(said, float) else float(energy_transfer(rig, *np.array(layer)))
+    for name, (layer, source) in layers.items():
+        told = _layer_of(recommendation, source)
+        alpha = recommendation.get(f'{source}energy_transfer')
+        if told is None or not np.allclose(layer, told, rtol=1e-6) or not isinstance(alpha, float):
+            alpha = float(energy_transfer(rig, *np.array(layer)))
         text = f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
         marks.append((*layer, text))
-    bounds = [
-        (
-            min(settings[f'recommendation.{name}_min'], *values),
-            max(settings[f'recommendation.{name}_max'], *values),
-        )
-        for name, values in zip(
-            ('thickness', 'wave_speed'), zip(*layers, strict=True), strict=True
-        )
-    ]
     for coarseness in _COARSENESSES:
         begin = time.monotonic()
         thickness, wave_speed = (
-            np.geomspace(low, high, count // coarseness)
-            for (low, high), count in zip(bounds, _SHAPE, strict=True)
+            np.geomspace(
+                min(settings[f'recommendation.{name}_min'], *(mark[column] for mark in marks)),
+                max(settings[f'recommendation.{name}_max'], *(mark[column] for mark in marks)),
+                _SHAPE[column] // coarseness,
+            )
+            for column, name in enumerate(('thickness', 'wave_speed'))
         )
-        values = energy_transfer(rig, thickness[None], wave_speed[:, None])
+        values = energy_transfer(rig, thickness[:, None], wave_speed)
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # what the next one takes
             break
-    return EnergyMap(
-        thickness=thickness,
-        wave_speed=wave_speed,
-        energy_transfer=values,
-        marks=tuple(marks),
-        title='α, lossless' if rig.layer.loss_tangent else 'α',
-    )
+    title = 'α, lossless' if rig.layer.loss_tangent else 'α'
+    return EnergyMap(thickness, wave_speed, values, tuple(marks), title)
 
 
 def _layer_of(values: Mapping[str, float | str], prefix: str) -> tuple[float, float] | None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Recordings of Rerun: what is drawn into them, as shapes and charts, and where they go.
+Recordings of Rerun: what is drawn into them, as shapes and charts.
 
 What changes with every step goes out in columns, many rows at once; what stays until it is
 replaced is remembered, for a viewer that comes later.
@@ -8,21 +8,17 @@ replaced is remembered, for a viewer that comes later.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 import math
-from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.recording.timeseries import Floats, SECOND, Stamps, ThrowStart
-from soft_throw_ros.recording.viewer import HOST, url_of
-
-APPLICATION = 'soft_throw_ros'
-"""What Rerun knows the recordings by."""
+from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
 
 STAMP = 'stamp'
 """Timeline of the messages' stamps."""
@@ -31,7 +27,6 @@ THROW_TIME = 'time since throw'
 """Timeline of the rig, from the start of the throw that is shown."""
 
 Bytes = NDArray[np.uint8]
-
 Colour = tuple[int, int, int]
 
 # Okabe and Ito's colours, which everybody can tell apart
@@ -44,8 +39,8 @@ PURPLE = (0xCC, 0x79, 0xA7)
 RED = (0xD5, 0x5E, 0x00)
 BLACK = (0x00, 0x00, 0x00)
 
-WIDTH = 200.0
-"""Of a chart, in units of its view."""
+WIDTH, MAP_HEIGHT = 200.0, 84.0
+"""Of a chart, and of a map, in units of its view."""
 
 _LINE = 4.0
 """Half a line of text, in units of the view."""
@@ -55,8 +50,6 @@ _BAR_FOOT = 0.08
 
 _BEHIND, _IN_FRONT = 30.0, 40.0
 """Where dots are drawn."""
-
-_SERVER_MEMORY = '256MB'
 
 
 def _ramp(anchors: str) -> Bytes:
@@ -82,23 +75,6 @@ def colours_of(values: Floats, low: float, high: float, ramp: Bytes) -> Bytes:
     return colours
 
 
-def image_format(width: int, height: int) -> rr.components.ImageFormat:
-    """Return the format of pixels with a byte for each of red, green and blue."""
-    return rr.components.ImageFormat(
-        width=width, height=height, color_model='RGB', channel_datatype='U8'
-    )
-
-
-@dataclass(frozen=True)
-class Text:
-    """A text whose upper edge is a little below a place in the view."""
-
-    x: float
-    y: float
-    text: str
-    colour: Colour = GREY
-
-
 class Canvas:
     """
     Where things are drawn: a recording, if there is one, and a memory of what stays.
@@ -113,38 +89,40 @@ class Canvas:
     def __init__(self, throw: ThrowStart | None = None) -> None:
         self.throw = throw
         self._stream: rr.RecordingStream | None = None
-        self._styles: dict[str, Any] = {}  # archetypes of Rerun
-        self._rows: dict[str, tuple[int, list[Any]]] = {}  # their columns
+        self._kept: dict[tuple[str, str], Callable[[], None]] = {}
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
         """Draw into a recording from now on, what is remembered first; or into none."""
         self._stream = stream
-        if stream is not None:
-            for path, style in self._styles.items():
-                stream.log(path, style, static=True)
-            for path, (stamp, columns) in self._rows.items():
-                self.send(path, np.array([stamp]), columns)
+        for draw in self._kept.values():
+            draw()
 
-    def style(self, path: str, style: Any) -> None:
+    def style(self, path: str, style: rr.AsComponents) -> None:
         """Say once how something looks."""
-        if path not in self._styles:
-            self._styles[path] = style
-            if self._stream is not None:
-                self._stream.log(path, style, static=True)
+        if ('style', path) not in self._kept:
+            self._keep('style', path, partial(self._log, path, style))
 
-    def put(self, path: str, stamp: int, columns: Iterable[Any]) -> None:
+    def put(self, path: str, stamp: int, *content: rr.AsComponents) -> None:
         """Draw what stays until something else is put there."""
-        self._rows[path] = stamp, list(columns)
-        self.send(path, np.array([stamp]), self._rows[path][1])
+        batches = [batch for each in content for batch in each.as_component_batches()]
+        columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
+        self._keep('content', path, partial(self.send, path, np.array([stamp]), columns))
 
-    def send(self, path: str, stamps: Stamps, columns: Iterable[Any]) -> None:
+    def _keep(self, kind: str, path: str, draw: Callable[[], None]) -> None:
+        self._kept[kind, path] = draw
+        draw()
+
+    def _log(self, path: str, style: rr.AsComponents) -> None:
+        if self._stream is not None:
+            self._stream.log(path, style, static=True)
+
+    def send(self, path: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw what changes all the time."""
         if self._stream is None or not stamps.size:
             return
         indexes = [rr.TimeColumn(STAMP, timestamp=stamps.astype('datetime64[ns]'))]
         if self.throw is not None:
-            seconds = (stamps - self.throw.stamp) * (self.throw.time_scale / SECOND)
-            indexes.append(rr.TimeColumn(THROW_TIME, duration=seconds))
+            indexes.append(rr.TimeColumn(THROW_TIME, duration=self.throw.seconds_to(stamps)))
         self._stream.send_columns(path, indexes, columns)
 
     def arrange(self, blueprint: rrb.Blueprint) -> None:
@@ -152,51 +130,48 @@ class Canvas:
         if self._stream is not None:
             self._stream.send_blueprint(blueprint)
 
-    # shapes that stay
 
-    def picture(
-        self, path: str, stamp: int, pixels: Bytes, *, x: float, y: float, w: float, h: float
-    ) -> None:
-        """Stretch pixels over a rectangle, whose upper left corner is at x, y."""
-        rows, columns = pixels.shape[:2]
-        image = rr.Image.columns(buffer=[pixels.tobytes()], format=[image_format(columns, rows)])
-        place = rr.Transform3D.columns(
-            translation=[[x, y, 0.0]], scale=[[w / columns, h / rows, 1.0]]
-        )
-        self.put(path, stamp, [*image, *place])
+# shapes
 
-    def lines(self, path: str, stamp: int, strips: Sequence[Any], colour: Colour) -> None:
-        """Draw thin lines."""
-        columns = rr.LineStrips2D.columns(
-            strips=[np.array(strip, np.float32) for strip in strips],
-            colors=[colour] * len(strips),
-            radii=rr.Radius.ui_points([0.5] * len(strips)),
-        )
-        self.put(path, stamp, columns.partition([len(strips)]))
 
-    def texts(self, path: str, stamp: int, texts: Sequence[Text]) -> None:
-        """Write texts."""
-        columns = rr.Points2D.columns(
-            positions=[[text.x, text.y] for text in texts],
-            radii=rr.Radius.ui_points([0.0] * len(texts)),
-            colors=[text.colour for text in texts],
-            labels=[text.text for text in texts],
-        )
-        show = rr.Points2D.columns(show_labels=[True], draw_order=[_IN_FRONT])
-        self.put(path, stamp, [*columns.partition([len(texts)]), *show])
+class Text(NamedTuple):
+    """A text whose upper edge is a little below a place in the view."""
 
-    def dots(
-        self, path: str, stamp: int, places: Sequence[tuple[float, float]],
-        colours: Sequence[Colour], *, radius: float, order: float = _IN_FRONT,
-    ) -> None:  # fmt: skip
-        """Draw dots, whose radius is in points of the screen."""
-        columns = rr.Points2D.columns(
-            positions=places,
-            radii=rr.Radius.ui_points([radius] * len(places)),
-            colors=colours,
-        )
-        show = rr.Points2D.columns(draw_order=[order])
-        self.put(path, stamp, [*columns.partition([len(places)]), *show])
+    x: float
+    y: float
+    text: str
+    colour: Colour = GREY
+
+
+def picture(
+    pixels: Bytes, *, x: float, y: float, w: float, h: float
+) -> tuple[rr.AsComponents, rr.AsComponents]:
+    """Stretch pixels over a rectangle, whose upper left corner is at x, y."""
+    rows, columns = pixels.shape[:2]
+    # from an array, Rerun would leave out sides of one pixel
+    image = rr.Image(
+        bytes=pixels.tobytes(), width=columns, height=rows, color_model='RGB', datatype='U8'
+    )
+    scale = [w / columns, h / rows, 1.0]
+    return image, rr.Transform3D(translation=[x, y, 0.0], scale=scale)
+
+
+def lines(strips: Sequence[Sequence[tuple[float, float]]], colour: Colour) -> rr.LineStrips2D:
+    """Draw thin lines."""
+    radius = rr.Radius.ui_points(0.5)
+    return rr.LineStrips2D([np.array(strip) for strip in strips], colors=[colour], radii=radius)
+
+
+def texts(rows: Sequence[Text]) -> rr.Points2D:
+    """Write texts."""
+    return rr.Points2D(
+        [(row.x, row.y) for row in rows],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[row.colour for row in rows],
+        labels=[row.text for row in rows],
+        show_labels=True,
+        draw_order=_IN_FRONT,
+    )
 
 
 @dataclass(frozen=True)
@@ -211,9 +186,8 @@ class Axis:
     def of_pixels(cls, values: Floats) -> Axis:
         """Make the axis of pixels around values that grow by the same step or factor each."""
         if values.size > 2 and values[0] > 0.0 and not np.allclose(np.diff(values, 2), 0.0):
-            half = 0.5 * math.log(values[1] / values[0])
-            low, high = math.exp(-half) * values[0], math.exp(half) * values[-1]
-            return cls(float(low), float(high), is_log=True)
+            half = math.sqrt(values[1] / values[0])
+            return cls(float(values[0] / half), float(values[-1] * half), is_log=True)
         half = 0.5 * (values[1] - values[0])
         return cls(float(values[0] - half), float(values[-1] + half))
 
@@ -259,50 +233,52 @@ class Chart:
         """Return where a value of the y-axis is."""
         return self.height * (1.0 - self.y.part(value))
 
+    def put(self, name: str, *content: rr.AsComponents) -> None:
+        """Draw a part of it."""
+        self.canvas.put(f'{self.path}/{name}', self.stamp, *content)
+
     def draw(self, pixels: Bytes, *, titles: tuple[str, str]) -> None:
         """Draw picture, frame, ticks and titles."""
-        height, path, stamp = self.height, self.path, self.stamp
-        self.canvas.picture(f'{path}/picture', stamp, pixels, x=0.0, y=0.0, w=WIDTH, h=height)
+        height = self.height
+        self.put('picture', *picture(pixels, x=0.0, y=0.0, w=WIDTH, h=height))
         x_ticks = [(self.x_at(tick), f'{tick:g}') for tick in self.x.ticks(6)]
         y_ticks = [(self.y_at(tick), f'{tick:g}') for tick in self.y.ticks(5)]
         short, left = 0.4 * _LINE, -1.8 * _LINE
         strips = [[(0.0, 0.0), (WIDTH, 0.0), (WIDTH, height), (0.0, height), (0.0, 0.0)]]
         strips += [[(x, height), (x, height + short)] for x, _ in x_ticks]
         strips += [[(-short, y), (0.0, y)] for y, _ in y_ticks]
-        self.canvas.lines(f'{path}/frame', stamp, strips, GREY)
-        texts = [Text(x, height + short, text) for x, text in x_ticks]
-        texts += [Text(left, y - _LINE, text) for y, text in y_ticks]
-        texts.append(Text(1.075 * WIDTH, height + short, titles[0], WHITE))
-        texts.append(Text(left, -2.6 * _LINE, titles[1], WHITE))
-        self.canvas.texts(f'{path}/texts', stamp, texts)
+        self.put('frame', lines(strips, GREY))
+        rows = [Text(x, height + short, text) for x, text in x_ticks]
+        rows += [Text(left, y - _LINE, text) for y, text in y_ticks]
+        rows.append(Text(1.075 * WIDTH, height + short, titles[0], WHITE))
+        rows.append(Text(left, -2.6 * _LINE, titles[1], WHITE))
+        self.put('texts', texts(rows))
 
     def draw_bar(self, axis: Axis, ramp: Bytes, *, title: str) -> None:
         """Draw what the colours mean, to the right."""
-        left, thick, path = WIDTH + _LINE, 1.2 * _LINE, f'{self.path}/bar'
-        self.canvas.picture(
-            path, self.stamp, ramp[::-1, None], x=left, y=0.0, w=thick, h=self.height
-        )
+        left, thick = WIDTH + _LINE, 1.2 * _LINE
+        self.put('bar', *picture(ramp[::-1, None], x=left, y=0.0, w=thick, h=self.height))
         x = left + thick + 1.8 * _LINE
         places = [(axis.part(tick), f'{tick:g}') for tick in axis.ticks(4)]
-        texts = [
+        rows = [
             Text(x, self.height * (1.0 - part) - _LINE, text)
             for part, text in places
             if part > _BAR_FOOT
         ]
-        texts.append(Text(left + thick, -2.6 * _LINE, title, WHITE))
-        self.canvas.texts(f'{self.path}/bar_texts', self.stamp, texts)
+        rows.append(Text(left + thick, -2.6 * _LINE, title, WHITE))
+        self.put('bar_texts', texts(rows))
 
-    def draw_line(self, name: str, x: float, text: str) -> None:
-        """Draw a vertical line with a text at its top."""
-        path = f'{self.path}/{name}'
-        self.canvas.lines(path, self.stamp, [[(x, 0.0), (x, self.height)]], BLACK)
-        self.canvas.texts(f'{path}/text', self.stamp, [Text(x, -2.6 * _LINE, text, WHITE)])
+    def draw_line(self, name: str, value: float | None, text: str = '') -> None:
+        """Draw a vertical line with a text at its top; None takes it away."""
+        places = [] if value is None else [self.x_at(value)]
+        self.put(name, lines([[(x, 0.0), (x, self.height)] for x in places], BLACK))
+        self.put(f'{name}/text', texts([Text(x, -2.6 * _LINE, text, WHITE) for x in places]))
 
     def draw_marks(self, marks: Sequence[tuple[float, float, str]]) -> None:
         """Draw up to two dots with a dark rim, and their texts, that of the upper one above it."""
         places = [(self.x_at(x), self.y_at(y)) for x, y, _ in marks]
-        upper = min(range(len(marks)), key=lambda index: places[index][1])
-        texts = [
+        upper = min(range(len(marks)), key=lambda index: places[index][1], default=0)
+        rows = [
             Text(
                 min(max(x, 0.15 * WIDTH), 0.85 * WIDTH),
                 y - 3.6 * _LINE if index == upper and len(marks) > 1 else y + 0.6 * _LINE,
@@ -311,30 +287,27 @@ class Chart:
             )
             for index, (x, y) in enumerate(places)
         ]
-        path, stamp, colours = self.path, self.stamp, (WHITE, RED)[: len(marks)]
-        rims = [BLACK] * len(marks)
-        self.canvas.dots(f'{path}/rims', stamp, places, rims, radius=6.0, order=_BEHIND)
-        self.canvas.dots(f'{path}/marks', stamp, places, colours, radius=4.0)
-        self.canvas.texts(f'{path}/mark_texts', stamp, texts)
+        for name, radius, colours, order in (
+            ('rims', 6.0, (BLACK, BLACK), _BEHIND),
+            ('marks', 4.0, (WHITE, RED), _IN_FRONT),
+        ):
+            size = rr.Radius.ui_points(radius)
+            dots = rr.Points2D(places, radii=size, colors=colours[: len(marks)], draw_order=order)
+            self.put(name, dots)
+        self.put('mark_texts', texts(rows))
 
 
 def chart_view(origin: str, title: str, height: float) -> rrb.Spatial2DView:
     """Make the view of a `Chart`."""
-    return rrb.Spatial2DView(
-        origin=origin,
-        name=title,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=[-0.1 * WIDTH, 1.13 * WIDTH],
-            y_range=[-2.5 * _LINE, height + 4.5 * _LINE],
-        ),
-    )
+    x_range, y_range = [-0.1 * WIDTH, 1.13 * WIDTH], [-2.5 * _LINE, height + 4.5 * _LINE]
+    bounds = rrb.VisualBounds2D(x_range=x_range, y_range=y_range)
+    return rrb.Spatial2DView(origin=origin, name=title, visual_bounds=bounds)
 
 
 # maps of designs
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MapAxis:
+class MapAxis(NamedTuple):
     """An axis of a map."""
 
     title: str  # What it is, with its unit
@@ -342,8 +315,7 @@ class MapAxis:
     values: Floats
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MapPanel:
+class MapPanel(NamedTuple):
     """What a map shows."""
 
     name: str  # Of the entity
@@ -355,13 +327,17 @@ class MapPanel:
     highest: float | None = None  # Where the colours end; at the largest value if not given
 
 
+Marks = Sequence[tuple[float, float, str]]
+"""Up to two places to be marked in a map: values on the axes, and a text."""
+
+
 def draw_landscape(
     stream: rr.RecordingStream,
     *,
     name: str,
     axes: tuple[MapAxis, MapAxis],
     panels: Sequence[MapPanel],
-    marks: Sequence[tuple[float, float, str]] = (),
+    marks: Marks = (),
 ) -> None:
     """
     Draw maps over two axes, one above the other. The values are beside them, as tensors.
@@ -377,24 +353,20 @@ def draw_landscape(
     panels : sequence of MapPanel
         The maps.
     marks : sequence of tuple
-        Up to two places to be marked in each: values on the axes, and a text.
+        The places to be marked in each.
 
     """
     stream.send_recording_name(name)
     canvas = Canvas()
     canvas.connect(stream)
     for panel in panels:
-        draw_map(
-            canvas, f'/{panel.name}', 0, axes, panel.values,
-            symbol=panel.symbol, highest=panel.highest, marks=marks,
-        )  # fmt: skip
+        draw_map(canvas, 0, axes, panel, marks, root='')
         tensor = rr.Tensor(panel.values, dim_names=[axis.title for axis in axes])
         stream.log(f'/values/{panel.name}', tensor, static=True)
+    views = [chart_view(f'/{each.name}', each.title, MAP_HEIGHT) for each in panels]
     canvas.arrange(
         rrb.Blueprint(
-            rrb.Vertical(
-                *(chart_view(f'/{each.name}', each.title, MAP_HEIGHT) for each in panels)
-            ),
+            rrb.Vertical(*views),
             rrb.BlueprintPanel(state='hidden'),
             rrb.SelectionPanel(state='hidden'),
             rrb.TimePanel(state='hidden', timeline=STAMP),
@@ -402,68 +374,19 @@ def draw_landscape(
     )
 
 
-MAP_HEIGHT = 84.0
-
-
 def draw_map(
-    canvas: Canvas, path: str, stamp: int, axes: tuple[MapAxis, MapAxis], values: Floats,
-    *, symbol: str, highest: float | None = None, marks: Sequence[tuple[float, float, str]] = (),
+    canvas: Canvas, stamp: int, axes: Sequence[MapAxis], panel: MapPanel, marks: Marks, *,
+    root: str,
 ) -> None:  # fmt: skip
-    """Draw a map, whose values are along the first and the second axis, as those of a panel."""
+    """Draw a map, as an entity below a root, from some time on. [ns]"""
+    values, highest = panel.values, panel.highest
     if highest is None:
         known = values[np.isfinite(values)]
         highest = float(known.max()) if known.size and known.max() > 0.0 else 1.0
     x, y = (Axis.of_pixels(axis.values) for axis in axes)
+    path = f'{root}/{panel.name}'
     chart = Chart(canvas=canvas, path=path, stamp=stamp, height=MAP_HEIGHT, x=x, y=y)
     pixels = colours_of(values.T[::-1], 0.0, highest, UNSIGNED)
     chart.draw(pixels, titles=(axes[0].title, axes[1].title))
-    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=symbol)
-    if marks:
-        chart.draw_marks(marks)
-
-
-# where recordings go
-
-
-def new_stream() -> rr.RecordingStream:
-    """Begin a recording, which goes nowhere yet."""
-    return rr.RecordingStream(
-        APPLICATION, batcher_config=rr.ChunkBatcherConfig.LOW_LATENCY(), send_properties=False
-    )
-
-
-def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
-    """
-    Have a recording written to a file.
-
-    Raises
-    ------
-    OSError
-        If that cannot be done.
-
-    """
-    try:
-        stream.save(path, write_footer=not is_live)  # whose size grows with time, in memory
-    except RuntimeError as error:
-        raise OSError(str(error)) from None
-
-
-def connect_to(stream: rr.RecordingStream, port: int) -> None:
-    """Have a recording sent to a viewer, or to the next one, if the last has ended."""
-    stream.connect_grpc(url_of(port))
-
-
-def serve_at(stream: rr.RecordingStream, port: int) -> None:
-    """Have a recording sent to viewers that connect, on this machine only."""
-    stream.set_sinks(
-        rr.GrpcServerSink(bind_ip=HOST, port=port, server_memory_limit=_SERVER_MEMORY)
-    )
-
-
-def flush(stream: rr.RecordingStream, seconds: float) -> bool:
-    """Send what waits, and tell whether it went."""
-    try:
-        stream.flush(timeout_sec=seconds)
-    except RuntimeError:
-        return False
-    return True
+    chart.draw_bar(Axis(0.0, highest), UNSIGNED, title=panel.symbol)
+    chart.draw_marks(marks)

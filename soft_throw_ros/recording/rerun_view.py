@@ -3,103 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 import math
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.configuration.interface import FORMER_TOPICS, JOINT_STATE, Topic, TWIN_TOPICS
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import rerun_canvas as drawing
+from soft_throw_ros.recording import rerun_layout as layout
+from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.timeseries import Floats, SECOND, Stamps, ThrowStart
+from soft_throw_ros.recording.rig_picture import RigPicture
+from soft_throw_ros.recording.timeseries import Floats, LayerStates, SECOND, Stamps, ThrowStart
 
-_MILLI = 1e3
+_MILLI, _MICRO = 1e3, 1e6
 
-_PHASES = {
-    'rest': (0x60, 0x60, 0x60),
-    'contact': drawing.ORANGE,
-    'flight': drawing.BLUE,
-    'landed': drawing.GREEN,
-    'returning': drawing.PURPLE,
-}
-
-_SERIES: Mapping[str, tuple[tuple[str, ...], tuple[drawing.Colour, ...], float]] = {
-    'position': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.5),
-    'velocity': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.5),
-    'force': (('at the plate', 'at the projectile'), (drawing.GREY, drawing.BLUE), 1.5),
-    'energy/plate_work': (('work of the plate',), (drawing.GREY,), 4.0),
-    'energy/projectile': (('projectile',), (drawing.BLUE,), 1.5),
-    'energy/layer': (('layer',), (drawing.ORANGE,), 1.5),
-    'energy/total': (('projectile + layer',), (drawing.GREEN,), 1.5),
-    'position/measured': (
-        ('plate, measured', 'projectile, measured'),
-        (drawing.RED, drawing.ORANGE),
-        1.0,
-    ),
-    'position/predicted': (('projectile, predicted',), (drawing.GREEN,), 1.0),
-    'residual': (('plate', 'projectile'), (drawing.GREY, drawing.BLUE), 1.0),
-}
-"""Lines in plots: by entity their names, colours and width."""
-
-_AUXILIARY = {
-    TWIN_TOPICS.measured_joint_states: ('position/measured', 1e3),
-    TWIN_TOPICS.predicted_joint_states: ('position/predicted', 1e3),
-    TWIN_TOPICS.residual: ('residual', 1e6),
-}
-"""Where positions besides those of the states are drawn, in mm or um."""
-
-_PLOTS = {
-    'position': 'Position z (mm)',
-    'velocity': 'Velocity v (m/s)',
-    'force': 'Compressive force F (N)',
-    'energy': 'Energy (mJ)',
-    'residual': 'Model less measurement (µm)',
-}
-
-_PLOTS_SIZE = 616.0, 650.0
-"""Width and height of all plots together in a picture of the default size. [points]"""
-
-_LABEL_SPACE, _LABEL_DISTANCE = 9.0, 20.0
-"""What Rerun leaves beside the labels of an axis, and between them at least. [points]"""
-
-_CHARACTERS = {'-': 6.0, '.': 3.5}
-_DIGIT = 7.5
-"""How wide characters of labels are. [points]"""
-
-_LOG = '/log'
+_LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 
 _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEBUG'))
 """Levels of rcl_interfaces/Log, and what Rerun calls them."""
 
-_CELLS = 64
-"""Into which the layer is divided where it is drawn."""
-
-_PLATE_WIDTH = 1.5
-"""Width of the plate, over the diameter of the layer."""
-
-_TOP = 0.93
-"""Part of the height of the side view at which the text of what is above it stands."""
-
-_STRAIN_HEIGHT = 58.0
-"""Of the chart of strain, whose width is `WIDTH`."""
-
-_DEFAULT_STRAIN = 0.2
-"""Where the colours of strain end before a throw has been seen."""
-
 _MOMENT = 0.7
 """When in a contact there is most to see, as part of the ejection time."""
-
-_BEFORE, _AFTER = 0.7, 1.8
-"""What plots show before and after the cursor, in periods of the plate."""
-
-_LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0
-"""What they show up to now: in periods of the plate, and at least in seconds."""
 
 _DENSE = 10.0
 """Rows of the layer per period of the plate from which on a line through them is true."""
@@ -110,6 +43,8 @@ _RESIDUAL_QUANTILE = 0.9
 _LEAST_RESIDUAL, _DEFAULT_RESIDUAL = 10.0, 100.0  # um
 
 _KEPT_RESIDUALS = 200
+
+Groups = Mapping[Topic, Sequence[Message]]
 
 
 class Scene:
@@ -129,8 +64,10 @@ class Scene:
 
     Attributes
     ----------
-    decoder : Decoder
-        What reads the messages.
+    damaged : int
+        Messages that could not be read.
+    damage : str
+        Why the first of them could not.
 
     """
 
@@ -142,7 +79,8 @@ class Scene:
         is_picture: bool = False,
         throw: ThrowStart | None = None,
     ) -> None:
-        self.decoder = series.Decoder()
+        self.damaged = 0
+        self.damage = ''
         self._name = name
         self._is_live = is_live
         self._is_picture = is_picture
@@ -155,7 +93,7 @@ class Scene:
     @property
     def is_empty(self) -> bool:
         """Whether nothing has come that could be drawn."""
-        return not self._twins
+        return not any(twin.is_drawn for twin in self._twins.values())
 
     @property
     def moment(self) -> float | None:
@@ -164,6 +102,16 @@ class Scene:
         if self._canvas.throw is None:
             return None
         return _MOMENT * times[0] if times else 0.0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From when to when there are states, since the start of the throw that is shown. [s]"""
+        spans = [twin.span for twin in self._twins.values() if twin.span]
+        if not spans or self._canvas.throw is None:
+            return -math.inf, math.inf
+        begins, ends = zip(*spans, strict=True)
+        begin, end = self._canvas.throw.seconds_to(np.array([min(begins), max(ends)]))
+        return begin, end
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
         """Draw into a recording from now on, with what is there already; or into none."""
@@ -175,14 +123,17 @@ class Scene:
             self._arrange()
 
     def show(self, messages: Iterable[Message]) -> None:
-        """Draw messages."""
-        for node, item in self.decoder.decode(messages):
-            if isinstance(item, series.LogLine):
-                self._log(item)
+        """Draw messages, those of each topic at once, in an order in which each has its needs."""
+        waiting: dict[str, dict[Topic, list[Message]]] = {}
+        for message in messages:
+            node, topic = _identify(message.channel.topic, message.channel.type)
+            if topic is None:
                 continue
-            if node not in self._twins:
-                self._twins[node] = _TwinView(node, self._canvas, self._pool)
-            self._twins[node].draw(item)
+            if topic == TWIN_TOPICS.journal:  # what came before it is of the rig as it was
+                self._read(node, waiting.pop(node, {}))
+            waiting.setdefault(node, {}).setdefault(topic, []).append(message)
+        for node, groups in waiting.items():
+            self._read(node, groups)
         for twin in self._twins.values():
             twin.draw_maps()
         if self._is_live:
@@ -194,30 +145,75 @@ class Scene:
             twin.draw_maps(is_waiting=is_waiting)
         self._arrange()
 
-    def _log(self, line: series.LogLine) -> None:
-        self._has_log = True
+    def _read(self, node: str, groups: Groups) -> None:
+        """Draw messages of one node, or of all."""
+        readers: Mapping[Topic, Callable[[Any], None]] = {
+            _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
+        }  # fmt: skip
+        if node:
+            if node not in self._twins:
+                self._twins[node] = _TwinView(node, self._canvas, self._pool)
+            twin = self._twins[node]
+            readers = {topic: partial(read, twin) for topic, read in _READERS.items()}
+        for topic, read in readers.items():
+            messages = groups.get(topic, ())
+            is_series = topic.type == JOINT_STATE
+            if is_series and len(messages) > 1 and self._attempt(read, messages):
+                continue
+            for message in messages:  # one by one if one is damaged, or unlike the others
+                self._attempt(read, [message] if is_series else message, message)
+
+    def _attempt(
+        self, read: Callable[[Any], None], data: Any, counted: Message | None = None
+    ) -> bool:
+        """Read one message or several; count one that cannot be read."""
+        try:
+            read(data)
+        except series.DECODING_ERRORS as error:
+            if counted is not None:
+                self.damaged += 1
+                self.damage = self.damage or f'{counted.channel.topic}: {error}'
+            return False
+        return True
+
+    def _draw_line(self, message: Message) -> None:
+        """Show a line of the log, which is stamped by another clock where time is simulated."""
+        line = series.read_message(message)
+        twins = self._twins.values()
+        known = (twin.stamp_of(message) for twin in twins if twin.span is not None)
+        stamp = next(known, series.to_ns(line.stamp))
         level = next(name for bound, name in _LEVELS if line.level >= bound)
-        columns = rr.TextLog.columns(text=[f'{line.node}: {line.text}'], level=[level])
-        self._canvas.send(_LOG, np.array([line.stamp]), columns)
+        self._has_log = True
+        columns = rr.TextLog.columns(text=[f'{line.name}: {line.msg}'], level=[level])
+        self._canvas.send(layout.LOG, np.array([stamp]), columns)
+
+    def _draw_diagnostics(self, message: Message) -> None:
+        """Show what is of a measured track: of a twin itself, or of one beside its calibrator."""
+        for stamp, status, values in series.read_statuses(message):
+            node, _, task = str(status.name).rpartition(': ')
+            for name, twin in self._twins.items():
+                is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
+                if name == node or (is_beside and task == 'identification'):
+                    twin.draw_track(stamp, task, status, values)
 
     def _arrange(self) -> None:
         """Send the layout if there is none yet, or it has to be another."""
-        views = list(self._twins.values())
-        key = [twin.layout_key() for twin in views], self._has_log
-        if not views or key == self._arranged:
+        drawn = [twin for twin in self._twins.values() if twin.is_drawn]
+        twins = [twin.layout_state(has_log=self._has_log) for twin in drawn]
+        if not twins or twins == self._arranged:
             return
-        self._arranged = key
-        layouts = [twin.layout(is_live=self._is_live, has_log=self._has_log) for twin in views]
+        self._arranged = twins
+        views = [layout.arrange(twin, is_live=self._is_live) for twin in twins]
         self._canvas.arrange(
             rrb.Blueprint(
-                layouts[0] if len(layouts) == 1 else rrb.Tabs(*layouts),
+                views[0] if len(views) == 1 else rrb.Tabs(*views),
                 rrb.TopPanel(state='hidden' if self._is_picture else 'expanded'),
                 rrb.BlueprintPanel(state='hidden'),
                 rrb.SelectionPanel(state='hidden'),
                 rrb.TimePanel(
                     state='collapsed',
                     timeline=drawing.STAMP if self._canvas.throw is None else drawing.THROW_TIME,
-                    playback_speed=1.0 if self._is_live else min(0.5 * views[0].period, 1.0),
+                    playback_speed=1.0 if self._is_live else min(0.5 * twins[0].period, 1.0),
                     play_state='following' if self._is_live else 'paused',
                 ),
             )
@@ -225,148 +221,182 @@ class Scene:
 
 
 class _TwinView:
-    """One of the twins."""
+    """
+    One of the twins: reads its messages and draws what they say.
+
+    Attributes
+    ----------
+    ejection_time : float or None
+        In the throw that is shown. [s]
+    span : tuple of int or None
+        Stamps of the first and the last state. [ns]
+    is_drawn : bool
+        Whether there is anything of it; topics of its names may be of another machine.
+
+    """
 
     def __init__(self, node: str, canvas: drawing.Canvas, pool: ThreadPoolExecutor) -> None:
-        self.ejection_time: float | None = None  # in the throw that is shown
+        self.ejection_time: float | None = None
+        self.span: tuple[int, int] | None = None
+        self.is_drawn = False
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
         self._pool = pool
+        self._reader = series.TwinReader()
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
-        self._rows_per_period = 0.0  # of the layer's states
-        self._side = _SideView(canvas, self._path('side'))
-        self._recommendation: series.RecommendationSummary | None = None
-        self._throw_start = 0
-        self._has_residual = False
-        self._residuals = np.zeros(0)  # in the last contacts, or in that which is shown
+        self._side = RigPicture(canvas, self._path('side'))
+        self._recommendation: tuple[Rig | None, series.Values] = (
+            None,
+            {},
+        )  # and for which rig it is
+        self._is_former = False  # whether the energy of its layer is not recorded
+        self._track: dict[str, str] = {}  # what is said of it, by the task of the node
+        self._residuals: Floats | None = None  # in the last contacts, or in that which is shown
         self._extents: dict[str, tuple[float, float]] = {}  # of plots, in the throw that is shown
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
-        styles = {
-            'phase': rr.StateConfiguration(values=list(_PHASES), colors=list(_PHASES.values())),
-            'strain/picture': rr.Image.from_fields(magnification_filter='linear'),
-            'margin': rr.TextDocument(' '),
-        }
-        for name, style in styles.items():
-            canvas.style(self._path(name), style)
+        phases = rr.StateConfiguration(
+            values=list(layout.PHASES), colors=list(layout.PHASES.values())
+        )
+        smooth = rr.Image.from_fields(magnification_filter='linear')
+        canvas.style(self._path('phase'), phases)
+        canvas.style(self._path('strain/picture'), smooth)
+        canvas.style(self._path('margin'), rr.TextDocument(' '))
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
-    def draw(self, item: series.Item) -> None:
-        """Draw something that the messages say."""
-        match item:
-            case series.RigStates():
-                self._draw_states(item)
-            case series.Positions(topic=TWIN_TOPICS.joint_states):
-                self._side.draw_positions(item.stamps, item.position)
-            case series.Positions():
-                self._draw_auxiliary(item)
-            case series.LayerStates():
-                self._side.draw_layer(item)
-                self._draw_layer_energy(item)
-            case series.StrainField():
-                self._draw_strain(item)
-            case series.PhaseChange():
-                columns = rr.StateChange.columns(state=[item.phase])
-                self._canvas.put(self._path('phase'), item.stamp, columns)
-            case ThrowStart():
-                self._throw_start = item.stamp
-            case series.ThrowSummary():
-                self._write('throw_result', item.stamp, _throw_text(item.values))
-                shown, time = self._canvas.throw, item.values.get('ejection_time')
-                if shown and item.values.get('throw') == shown.number and isinstance(time, float):
-                    self.ejection_time = time
-            case series.RecommendationSummary():
-                self._recommendation = item
-                self._write('recommendation', item.stamp, _recommendation_text(item))
-                if item.rig is not None:
-                    self._request_map(item.stamp, item.rig, item.settings)
-            case series.RigChange():
-                self._period_of_stamps = 1.0 / (item.rig.engine.frequency * item.time_scale)
-                self._rows_per_period = item.settings['rate.field'] * self._period_of_stamps
-                self._side.change_rig(item.stamp, item.rig)
-                if self._map_rig != item.rig:  # the map of what is recommended for it is there
-                    self._request_map(item.stamp, item.rig, item.settings)
+    def _write(self, name: str, stamp: int, text: str) -> None:
+        self.is_drawn = True
+        document = rr.TextDocument(text, media_type='text/markdown')
+        self._canvas.put(self._path(name), stamp, document)
+
+    def stamp_of(self, message: Message) -> int:
+        """Return the time of the step with which something was published. [ns]"""
+        return self._reader.stamp_of(message)
+
+    # the rig
+
+    def read_journal(self, message: Message) -> None:
+        """Take over a throw or a rig, and draw the latter."""
+        reader = self._reader
+        rig, throw = reader.rig, reader.throw
+        reader.read_journal(message)
+        if reader.rig is None or reader.rig is rig:
+            return
+        self.is_drawn = True
+        is_throw = reader.throw is not None and reader.throw is not throw
+        stamp = reader.throw.stamp if reader.throw and is_throw else self.stamp_of(message)
+        self._period_of_stamps = 1.0 / (reader.rig.engine.frequency * reader.time_scale)
+        self._side.change_rig(stamp, reader.rig)
+        if self._map_rig != reader.rig:  # the map of what is recommended for it is there
+            self._request_map(stamp, reader.rig, reader.settings)
 
     # plots
 
-    def _draw_series(self, name: str, stamps: Stamps, values: Floats) -> None:
-        lines, colours, width = _SERIES[name]
-        style = rr.SeriesLines(names=lines, colors=colours, widths=[width] * len(lines))
+    def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
+        """Draw lines of a plot, of values in SI units."""
+        self.is_drawn = True
+        names, colours, factor, width = layout.LINES[name]
+        style = rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
         self._canvas.style(self._path(name), style)
-        self._canvas.send(self._path(name), stamps, rr.Scalars.columns(scalars=values))
+        self._canvas.send(self._path(name), stamps, rr.Scalars.columns(scalars=factor * values))
         throw = self._canvas.throw
         if throw is not None:
             periods = (stamps - throw.stamp) / (SECOND * self._period_of_stamps)
-            shown = values[(periods > 0.3 - _BEFORE) & (periods < 0.3 + _AFTER)]
-            known, plot = shown[np.isfinite(shown)], name.partition('/')[0]
+            shown = (periods > 0.3 - layout.BEFORE) & (periods < 0.3 + layout.AFTER)
+            known, plot = factor * values[shown], name.partition('/')[0]
+            known = known[np.isfinite(known)]
             if known.size:
                 low, high = self._extents.get(plot, (math.inf, -math.inf))
                 self._extents[plot] = min(low, float(known.min())), max(high, float(known.max()))
 
-    def _draw_states(self, states: series.RigStates) -> None:
+    def draw_states(self, messages: Sequence[Message]) -> None:
+        states = self._reader.read_states(messages)
+        if states is None:
+            return
         stamps = states.stamps
-        self._draw_series('position', stamps, _MILLI * states.position)
-        self._draw_series('velocity', stamps, states.velocity)
-        self._draw_series('force', stamps, states.force * [-1.0, 1.0])
-        self._draw_series('energy/plate_work', stamps, _MILLI * states.plate_work)
-        self._draw_series('energy/projectile', stamps, _MILLI * states.projectile_energy)
+        first, last = self.span or (int(stamps[0]), int(stamps[-1]))
+        self.span = min(first, int(stamps[0])), max(last, int(stamps[-1]))
+        self._draw_lines('position', stamps, states.position)
+        self._draw_lines('velocity', stamps, states.velocity)
+        self._draw_lines('force', stamps, states.force * [-1.0, 1.0])
+        self._draw_lines('energy/plate_work', stamps, states.plate_work)
+        self._draw_lines('energy/projectile', stamps, states.projectile_energy)
         self._side.draw_positions(stamps, states.position)
 
-    def _draw_auxiliary(self, positions: series.Positions) -> None:
-        name, factor = _AUXILIARY[positions.topic]
-        values = factor * positions.position
-        self._draw_series(name, positions.stamps, values)
-        if name == 'residual':
-            self._has_residual = True
-            self._keep_residuals(positions.stamps, np.abs(values))
+    def draw_positions(self, messages: Sequence[Message], topic: Topic) -> None:
+        found = self._reader.read_positions(topic, messages)
+        if found is None:
+            return
+        stamps, position = found
+        self._draw_lines(layout.POSITIONS[topic], stamps, position)
+        if topic == TWIN_TOPICS.residual:
+            self._keep_residuals(stamps, np.abs(position))
 
     def _keep_residuals(self, stamps: Stamps, values: Floats) -> None:
         """Keep those of a contact; in flight and after a landing they have no bounds."""
-        shown = self._canvas.throw
-        if shown is None or shown.stamp == self._throw_start:
-            since = (stamps - self._throw_start) / SECOND
+        before = np.zeros(0) if self._residuals is None else self._residuals
+        self._residuals = before
+        shown, throw = self._canvas.throw, self._reader.throw
+        if throw is not None and (shown is None or shown.stamp == throw.stamp):
+            since = (stamps - throw.stamp) / SECOND
             values = values[(since >= 0.0) & (since < self._period_of_stamps)]
             known = values[np.isfinite(values)]
-            self._residuals = np.concatenate([self._residuals, known])[-_KEPT_RESIDUALS:]
-
-    def _draw_layer_energy(self, layer: series.LayerStates) -> None:
-        """Draw lines through rows that are close together in time, and no others."""
-        is_dense = self._rows_per_period >= _DENSE
-        if not (is_dense or layer.is_throw):
-            return
-        for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
-            stamps, values = layer.stamps, _MILLI * energy
-            if not is_dense:  # the line must not go on to the next throw
-                stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
-            self._draw_series(f'energy/{name}', stamps, values)
+            self._residuals = np.concatenate([before, known])[-_KEPT_RESIDUALS:]
 
     # waves in the layer
 
-    def _draw_strain(self, field: series.StrainField) -> None:
-        time = field.ejection_time
+    def draw_layer(self, messages: Sequence[Message]) -> None:
+        layer = self._reader.read_layer(messages)
+        if layer is not None:
+            self._side.draw_layer(layer)
+            if self._is_dense():
+                self._draw_layer_energy(layer)
+
+    def draw_former_layer(self, message: Message) -> None:
+        layer = self._reader.read_former_strain(message)
+        self._is_former = True
+        if layer is not None:
+            self._side.draw_layer(layer)
+
+    def _is_dense(self) -> bool:
+        """Tell whether the layer comes so often that a line through its energies is true."""
+        rows = self._reader.settings['rate.field'] * self._period_of_stamps
+        return bool(rows >= _DENSE and not self._is_former)
+
+    def _draw_layer_energy(self, layer: LayerStates) -> None:
+        for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
+            stamps, values = layer.stamps, energy
+            if not self._is_dense():  # the line must not go on to the next throw
+                stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
+            self._draw_lines(f'energy/{name}', stamps, values)
+
+    def draw_field(self, message: Message) -> None:
+        field = self._reader.read_field(message)
+        if field is None:
+            return
+        time, stamps, start = field.ejection_time, field.stamps, int(field.stamps[0])
         contact = field.strain[field.times <= (time or field.times[-1])]
         limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
         chart = drawing.Chart(
             canvas=self._canvas,
             path=self._path('strain'),
-            stamp=field.start,
-            height=_STRAIN_HEIGHT,
+            stamp=start,
+            height=layout.STRAIN_HEIGHT,
             x=drawing.Axis(0.0, _MILLI * float(field.times[-1])),
             y=drawing.Axis(0.0, _MILLI * field.thickness),
         )
         pixels = drawing.colours_of(field.strain.T[::-1], -limit, limit, drawing.SIGNED)
         chart.draw(pixels, titles=('t (ms)', 'y (mm)'))
         chart.draw_bar(drawing.Axis(-100.0 * limit, 100.0 * limit), drawing.SIGNED, title='ε (%)')
-        if time is not None:
-            chart.draw_line('ejection', chart.x_at(_MILLI * time), f'tₑ {_MILLI * time:.2f} ms')
-        stamps = field.stamps()
+        at = None if time is None else _MILLI * time
+        chart.draw_line('ejection', at, '' if at is None else f'tₑ {at:.2f} ms')
         strips = np.zeros((stamps.size, 2, 2), np.float32)
         strips[:, :, 0] = np.linspace(0.0, drawing.WIDTH, stamps.size)[:, None]
-        strips[:, 1, 1] = _STRAIN_HEIGHT
+        strips[:, 1, 1] = layout.STRAIN_HEIGHT
         gone = np.append(stamps, 2 * stamps[-1] - stamps[-2])
         columns = rr.LineStrips2D.columns(
             strips=strips,
@@ -374,16 +404,58 @@ class _TwinView:
             radii=rr.Radius.ui_points([1.0] * stamps.size),
         ).partition([1] * stamps.size + [0])
         self._canvas.send(self._path('strain/now'), gone, columns)
+        throw = self._reader.see_throw(field)
+        if throw is not None:
+            position, layer = throw
+            self._side.draw_positions(stamps, position)
+            self._side.draw_layer(layer)
+            self._draw_layer_energy(layer)
+
+    # words
+
+    def draw_phase(self, message: Message) -> None:
+        self.is_drawn = True
+        state = rr.StateChange(state=series.read_text(message))
+        self._canvas.put(self._path('phase'), self.stamp_of(message), state)
+
+    def draw_result(self, message: Message) -> None:
+        """Write what a throw gave; up to the release at its start, as the field has it."""
+        throw, shown = self._reader.throw, self._canvas.throw
+        for stamp, _, values in series.read_statuses(message):
+            number, time = values.get('throw'), values.get('ejection_time')
+            self._reader.note_result(values)
+            is_early = values.get('stage') in ('predicted', 'release')
+            if throw is not None and is_early and number == throw.number:
+                stamp = throw.stamp  # noqa: PLW2901
+            self._write('throw_result', stamp, words.throw_text(values))
+            if shown is not None and number == shown.number and isinstance(time, float):
+                self.ejection_time = time
+
+    def draw_track(self, stamp: int, task: str, status: Any, values: series.Values) -> None:
+        """Write what diagnostics say of the measured track, that of each task with its stamp."""
+        if task in words.TRACK_TASKS:
+            self._track[task] = words.track_text(task, status, values)
+            parts = [self._track[each] for each in words.TRACK_TASKS if each in self._track]
+            self._write('track', stamp, '  \n'.join(parts))
 
     # the best layer
 
+    def draw_recommendation(self, message: Message) -> None:
+        reader = self._reader
+        rig = reader.wanted_rig()
+        for stamp, status, values in series.read_statuses(message):
+            self._recommendation = rig, values
+            text = words.recommendation_text(str(status.message), values)
+            self._write('recommendation', stamp, text)
+            if rig is not None:
+                self._request_map(stamp, rig, reader.wanted)
+
     def _request_map(self, stamp: int, rig: Rig, settings: Settings) -> None:
         """Have a map computed; what was asked for last is shown last."""
-        best = self._recommendation
-        values: Mapping[str, float | str] = {} if best is None else best.values
-        if best is not None and best.rig not in (None, rig):
+        recommended_for, values = self._recommendation
+        if recommended_for not in (None, rig):
             values = {}
-            self._write('recommendation', stamp, _UNKNOWN_BEST)  # the table was of another rig
+            self._write('recommendation', stamp, words.UNKNOWN_BEST)  # it was of another rig
         self._map_rig = rig
         stamp = max([stamp, *(earlier for earlier, _ in self._maps)])
         self._maps.append((stamp, self._pool.submit(compute_energy_map, rig, settings, values)))
@@ -394,301 +466,59 @@ class _TwinView:
             stamp, future = self._maps.pop(0)
             found = future.result()
             axes = (
-                drawing.MapAxis(title='Lₛ (mm)', values=_MILLI * found.thickness),
-                drawing.MapAxis(title='cₛ (m/s)', values=found.wave_speed),
+                drawing.MapAxis('Lₛ (mm)', _MILLI * found.thickness),
+                drawing.MapAxis('cₛ (m/s)', found.wave_speed),
             )
             marks = [(_MILLI * length, speed, text) for length, speed, text in found.marks]
-            path, values = self._path('landscape'), found.energy_transfer.T
-            drawing.draw_map(
-                self._canvas, path, stamp, axes, values, symbol=found.title, marks=marks
-            )
-
-    def _write(self, name: str, stamp: int, text: str) -> None:
-        columns = rr.TextDocument.columns(text=[text], media_type=['text/markdown'])
-        self._canvas.put(self._path(name), stamp, columns)
+            panel = drawing.MapPanel('landscape', '', found.title, found.energy_transfer)
+            drawing.draw_map(self._canvas, stamp, axes, panel, marks, root=self._root)
 
     # layout
 
-    @property
-    def period(self) -> float:
-        """Of the plate, on the timeline that is shown. [s]"""
-        throw = self._canvas.throw
-        return self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
-
-    def _residual_limit(self) -> float:
-        """Return how far the plot of the residual goes, 0 if there is none. [um]"""
-        if not self._has_residual:
-            return 0.0
-        if not self._residuals.size:
-            return _DEFAULT_RESIDUAL
-        most = float(np.quantile(self._residuals, _RESIDUAL_QUANTILE))
-        return drawing.round_up(max(1.5 * most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
-
-    def layout_key(self) -> object:
-        """Return what another layout is needed for."""
-        return self.period, self._side.bounds, self._residual_limit()
-
-    def layout(self, *, is_live: bool, has_log: bool) -> rrb.Container:
-        """Arrange all there is of the twin."""
-        before, after = _BEFORE * self.period, _AFTER * self.period
-        if is_live:
-            before, after = max(_LIVE_BEFORE * self.period, _LEAST_LIVE), 0.0
-        window = rrb.TimeAxis(
-            view_range=rr.TimeRange(
-                start=rrb.TimeRangeBoundary.cursor_relative(seconds=-before),
-                end=rrb.TimeRangeBoundary.cursor_relative(seconds=after),
-            )
-        )
-        limit = self._residual_limit()
-        plots = {
-            name: rrb.TimeSeriesView(
-                origin=self._path(name),
-                name=title,
-                axis_x=window,
-                axis_y=rrb.ScalarAxis(range=(-limit, limit)) if name == 'residual' else None,
-                plot_legend=rrb.PlotLegend('RightTop' if name == 'force' else 'LeftTop'),
-            )
-            for name, title in _PLOTS.items()
-            if name != 'residual' or limit
-        }
-        extents = {**self._extents, 'residual': (-limit, limit)}
-        height = _PLOTS_SIZE[1] / len(plots)
-        axes = {name: _axis_width(*extents.get(name, (0.0, 10.0)), height) for name in plots}
-        widest = max(axes.values())
-        lanes = [self._indented(plot, widest - axes[name]) for name, plot in plots.items()]
-        phase = rrb.StateTimelineView(origin=self._path('phase'), name='Phase', time_view=window)
-        strain, landscape = self._path('strain'), self._path('landscape')
-        throw = rrb.TextDocumentView(origin=self._path('throw_result'), name='Throw')
-        best = rrb.TextDocumentView(origin=self._path('recommendation'), name='Recommended layer')
-        right = [
-            (drawing.chart_view(strain, 'Strain ε(y, t) in the throw', _STRAIN_HEIGHT), 2.9),
-            (drawing.chart_view(landscape, 'Energy transfer α(Lₛ, cₛ)', drawing.MAP_HEIGHT), 3.8),
-            (best, 3.8),
-        ]
-        if has_log:
-            columns = rrb.TextLogColumns(
-                timeline_columns=[
-                    rrb.encodings.TimelineColumn(name, visible=False)
-                    for name in (drawing.STAMP, drawing.THROW_TIME)
-                ],
-                text_log_columns=['LogLevel', 'Body'],
-            )
-            right.append((rrb.TextLogView(origin=_LOG, name='Log', columns=columns), 2.1))
-        views, shares = zip(*right, strict=True)
-        return rrb.Horizontal(
-            rrb.Vertical(self._side.view(), throw, row_shares=[3.0, 2.1]),
-            rrb.Vertical(
-                self._indented(phase, widest),
-                *lanes,
-                row_shares=[0.35 * len(lanes), *[3.0] * len(lanes)],
-            ),
-            rrb.Vertical(*views, row_shares=shares),
-            column_shares=[2.5, 4.2, 4.2],
-            name=self._node or '/',
+    def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
+        """Return what the layout depends on."""
+        throw, residuals = self._canvas.throw, self._residuals
+        limit = 0.0
+        if residuals is not None:
+            most = _DEFAULT_RESIDUAL
+            if residuals.size:
+                most = 1.5 * _MICRO * float(np.quantile(residuals, _RESIDUAL_QUANTILE))
+            limit = drawing.round_up(max(most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
+        present = {'residual': residuals is not None, 'track': self._track, layout.LOG: has_log}
+        return layout.TwinLayout(
+            root=self._root,
+            title=self._node or '/',
+            period=self._period_of_stamps * (1.0 if throw is None else throw.time_scale),
+            side=self._side.bounds,
+            residual_limit=limit,
+            present=frozenset(name for name, is_there in present.items() if is_there),
+            extents=self._extents,
         )
 
-    def _indented(self, view: rrb.View, width: float) -> rrb.View | rrb.Container:
-        """Leave room to the left of a view, so that all begin where the widest axis ends."""
-        if width < 1.0:
-            return view
-        margin = rrb.TextDocumentView(origin=self._path('margin'), name=' ', titlebar=False)
-        return rrb.Horizontal(margin, view, column_shares=[width, _PLOTS_SIZE[0] - width])
 
-
-def _axis_width(low: float, high: float, height: float) -> float:
-    """Return how much Rerun needs for the labels beside a plot, at powers of ten. [points]"""
-    extent = max(high - low, 1e-9)
-    step = 10.0 ** math.ceil(math.log10(_LABEL_DISTANCE * extent / height))
-    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
-    labels = [f'{step * number:g}' for number in numbers]
-    widths = [sum(_CHARACTERS.get(each, _DIGIT) for each in label) for label in labels]
-    return _LABEL_SPACE + max(widths, default=_DIGIT)
-
-
-class _SideView:
-    """
-    The rig from the side, to scale: in mm, downwards as Rerun has it.
-
-    Attributes
-    ----------
-    largest_strain : float
-        Where the colours of strain end. [-]
-
-    """
-
-    def __init__(self, canvas: drawing.Canvas, path: str) -> None:
-        self.largest_strain = _DEFAULT_STRAIN
-        self._canvas = canvas
-        self._path = path
-        self._rig: Rig | None = None
-        style = rr.Image.from_fields(
-            format=drawing.image_format(1, _CELLS), magnification_filter='linear'
-        )
-        canvas.style(f'{path}/layer', style)
-
-    def draw_positions(self, stamps: Stamps, position: Floats) -> None:
-        """Move plate and projectile."""
-        translation = np.zeros((stamps.size, 3))
-        for name, height in zip(('plate', 'projectile'), position.T, strict=True):
-            translation[:, 1] = -_MILLI * height
-            columns = rr.Transform3D.columns(translation=translation)
-            self._canvas.send(f'{self._path}/{name}', stamps, columns)
-        # what is above the view can be told by its text
-        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self.bounds[2])
-        columns = rr.Transform3D.columns(translation=translation)
-        self._canvas.send(f'{self._path}/projectile_text', stamps, columns)
-
-    def draw_layer(self, layer: series.LayerStates) -> None:
-        """Colour cells that are even in height, wherever their matter is."""
-        if self._rig is None:
-            return
-        bottom, top = layer.height[:, 0], layer.height[:, -1]
-        parts = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
-        rows = zip(bottom, top, layer.height, layer.strain, strict=True)
-        strain = np.array(
-            [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
-        )
-        limit = self.largest_strain
-        pixels = drawing.colours_of(strain, -limit, limit, drawing.SIGNED)
-        diameter = _MILLI * self._rig.layer.diameter
-        nothing, one = np.zeros_like(top), np.ones_like(top)
-        corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
-        scale = np.stack([diameter * one, _MILLI * (top - bottom) / _CELLS, one], axis=1)
-        columns = [
-            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
-        ]
-        self._canvas.send(f'{self._path}/layer', layer.stamps, columns)
-
-    def change_rig(self, stamp: int, rig: Rig) -> None:
-        """Draw the bodies of a rig, and heights to the left of them."""
-        self._rig = rig
-        diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
-        for name, colour, w, y, h in (
-            ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
-            ('projectile', drawing.BLUE, diameter, -length, length),
-        ):
-            path, pixel = f'{self._path}/{name}/body', np.array([[colour]], np.uint8)
-            self._canvas.picture(path, stamp, pixel, x=-0.5 * w, y=y, w=w, h=h)
-        for name, text, y in (
-            ('plate/text', 'plate', 0.0),
-            ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
-            ('projectile_text', 'projectile', -0.5 * length),
-        ):
-            texts = [drawing.Text(0.95 * diameter, y, text, drawing.WHITE)]
-            self._canvas.texts(f'{self._path}/{name}', stamp, texts)
-        width, low, high = self.bounds
-        ticks = drawing.Axis(0.0, high).ticks(8)
-        x = -0.5 * _PLATE_WIDTH * diameter - 0.03 * width
-        strips = [[(x, 0.0), (x, -ticks[-1])]]
-        strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
-        self._canvas.lines(f'{self._path}/ruler', stamp, strips, drawing.GREY)
-        lift = 0.009 * (high - low)  # texts stand below their places
-        texts = [drawing.Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
-        self._canvas.texts(f'{self._path}/ruler/texts', stamp, texts)
-
-    @property
-    def bounds(self) -> tuple[float, float, float]:
-        """Half the width of the view, and its lowest and highest height. [mm]"""
-        if self._rig is None:
-            return 15.0, -5.0, 60.0
-        diameter = _MILLI * self._rig.layer.diameter
-        content = _MILLI * (self._rig.layer.thickness + self._rig.projectile.length)
-        return 1.25 * diameter, -0.4 * diameter, 1.35 * content + 0.8 * diameter
-
-    def view(self) -> rrb.Spatial2DView:
-        """Make the view."""
-        half, low, high = self.bounds
-        bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
-        return rrb.Spatial2DView(origin=self._path, name='Rig, z (mm)', visual_bounds=bounds)
-
-
-# what is said of a throw and of a layer: key, title, and factor from SI units
-_THROW_ROWS = (
-    ('ejection_time', 'ejection time tₑ (ms)', 1e3),
-    ('ejection_speed', 'ejection speed Vₑ (m/s)', 1.0),
-    ('energy_transfer', 'energy transfer α', 1.0),
-    ('last_energy_transfer', 'α at the last release', 1.0),
-    ('peak_plate_speed', 'plate speed Vₚ* (m/s)', 1.0),
-    ('peak_strain', 'peak strain (%)', 1e2),
-    ('peak_acceleration', 'peak acceleration (g)', 1.0 / STANDARD_GRAVITY),
-    ('peak_force', 'peak force on plate (N)', 1.0),
-    ('plate_work', 'work of the plate (mJ)', 1e3),
-    ('apex_height', 'apex (mm)', 1e3),
-    ('lead', 'release known before (ms)', 1e3),
-    ('residual.position_rms', 'model off by, rms (µm)', 1e6),
-    ('residual.ejection_time_error', 'and tₑ by (µs)', 1e6),
-    ('residual.ejection_speed_error', 'and Vₑ by (m/s)', 1.0),
-)
-
-_LAYER_ROWS = (
-    ('thickness', 'thickness Lₛ (mm)', 1e3),
-    ('wave_speed', 'wave speed cₛ (m/s)', 1.0),
-    ('youngs_modulus', 'modulus Eₛ (kPa)', 1e-3),
-    ('energy_transfer', 'energy transfer α', 1.0),
-    ('ejection_time', 'ejection time tₑ (ms)', 1e3),
-    ('ejection_speed', 'ejection speed Vₑ (m/s)', 1.0),
-    ('peak_strain', 'peak strain (%)', 1e2),
-    ('peak_acceleration', 'peak acceleration (g)', 1.0 / STANDARD_GRAVITY),
-)
-
-_MODELS = {
-    'travelling_wave': 'wave',
-    'finite_difference': 'grid',
-    'finite_difference_elastic': 'elastic',
-    'finite_difference_glued': 'glued on',
-    'spring_mass': 'spring',
+_READERS: Mapping[Topic, Callable[[_TwinView, Any], None]] = {
+    TWIN_TOPICS.journal: _TwinView.read_journal,
+    TWIN_TOPICS.joint_states: _TwinView.draw_states,
+    **{topic: partial(_TwinView.draw_positions, topic=topic) for topic in layout.POSITIONS},
+    TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
+    FORMER_TOPICS.strain: _TwinView.draw_former_layer,
+    TWIN_TOPICS.phase: _TwinView.draw_phase,
+    TWIN_TOPICS.throw_result: _TwinView.draw_result,
+    TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,
+    TWIN_TOPICS.throw_field: _TwinView.draw_field,
 }
-"""What other models are called where there is little room."""
-
-_STAGES = {'final': 'in all', 'predicted': 'as it will be'}
-
-_UNKNOWN_BEST = 'The rig has changed; what is recommended for it has not come yet.'
-
-_VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
+"""What draws the messages of a topic, in an order in which one needs those before it."""
 
 
-def _throw_text(values: Mapping[str, float | str]) -> str:
-    """Write what a throw gave, and what other models say."""
-    models = [
-        key.removesuffix('.ejection_time') for key in values if key.endswith('.ejection_time')
-    ]
-    if not values.get('recontacts'):
-        values = {key: value for key, value in values.items() if not key.startswith('last_')}
-    columns = {'twin': '', **{_MODELS.get(model, model): f'{model}.' for model in models}}
-    number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
-    text = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**, '
-    text += _STAGES.get(str(values.get('stage')), 'up to the release')
-    text += f'\n\n{_table(values, _THROW_ROWS, columns)}'
-    if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
-        text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
-    return text
+def is_shown(topic: str, type_name: str) -> bool:
+    """Tell whether such a topic is one of a twin that is drawn."""
+    return _identify(topic, type_name)[1] in _READERS
 
 
-def _recommendation_text(summary: series.RecommendationSummary) -> str:
-    """Write what layer is recommended, beside that which is there."""
-    values = summary.values
-    if 'now.thickness' not in values:
-        return f'{summary.message}\n'
-    vary = values.get('vary')
-    columns = {'now': 'now.'}
-    for key, head in _VARIED.items():
-        columns[f'**{head}**' if key == vary else head] = f'by_{key}.'
-    if vary == 'library':
-        columns[f'**{values.get("layer")}**'] = ''
-    return _table(values, _LAYER_ROWS, columns)
-
-
-def _table(
-    values: Mapping[str, float | str],
-    rows: Sequence[tuple[str, str, float]],
-    columns: Mapping[str, str],
-) -> str:
-    """Write a table in Markdown, of rows that there is something of; columns have prefixes."""
-    lines = ['| | ' + ' | '.join(columns) + ' |', '|:--|' + '--:|' * len(columns)]
-    for key, title, factor in rows:
-        found = [values.get(prefix + key) for prefix in columns.values()]
-        cells = [f'{factor * each:.4g}' if isinstance(each, float) else '' for each in found]
-        if any(cells):
-            lines.append(f'| {title} | ' + ' | '.join(cells) + ' |')
-    return '\n'.join(lines) + '\n'
+def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
+    """Find of which node a topic is, empty if of several, and which; None if it is not drawn."""
+    if type_name == _LOG.type:
+        return '', _LOG
+    node, topic = series.identify(name, type_name)
+    is_drawn = topic in _READERS or topic == TWIN_TOPICS.diagnostics
+    return (node, topic) if is_drawn else ('', None)

@@ -224,7 +224,7 @@ def test_what_is_not_installed_is_said(command, monkeypatch, args, extra):
 def test_map_without_screen_and_viewer_says_what_to_do(command, monkeypatch):
     pytest.importorskip('rerun', reason='comes with the extra [rerun]')
     monkeypatch.setattr(design_map, 'PORT', free_port())
-    monkeypatch.setattr(rerun_output, 'has_display', lambda: False)
+    monkeypatch.setattr(rerun_output.viewer, 'has_display', lambda: False)
     assert '--output FILE.rrd' in command.refused('--rerun')
 
 

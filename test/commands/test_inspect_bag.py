@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 from typing import Any
-import warnings
 
 import pytest
 from soft_throw_ros import recording
@@ -22,13 +21,14 @@ from soft_throw_ros.commands import inspect_bag
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, url_of, Viewer
+from soft_throw_ros.recording.viewer import find_viewer, free_port, NoGraphicsError, url_of, Viewer
 
 pytest.importorskip('rerun')
 
-from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME
+
+from test.recording.recordings import Recording
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,14 +75,7 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
 
 def rows(path: Path) -> dict[str, int]:
     """Count the rows of each entity in a recording, less those of its style."""
-    counts: dict[str, int] = {}
-    with warnings.catch_warnings():
-        warnings.filterwarnings('ignore', 'RRD file has no footer')  # of a stream, as it grows
-        reader = RrdReader(path)
-    for chunk in reader.stream():
-        if not chunk.is_static:
-            counts[chunk.entity_path] = counts.get(chunk.entity_path, 0) + chunk.num_rows
-    return counts
+    return Recording(path).rows
 
 
 @contextlib.contextmanager
@@ -132,6 +125,26 @@ def test_picture_without_graphics_says_what_to_install(capsys, bag, tmp_path, mo
     assert 'mesa-vulkan-drivers' in line
 
 
+@pytest.mark.parametrize('how', ['SIGINT', 'SIGTERM', 'SIGHUP', 'SIGKILL'])
+def test_killed_screenshot_leaves_no_viewer_behind(bag, tmp_path, how) -> None:
+    command = [sys.executable, '-c', INSPECT, bag, '--screenshot', tmp_path / 'scene.png']
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+        try:
+            wait_until(lambda: viewers_of(process.pid) != [])
+            (viewer,) = viewers_of(process.pid)
+        finally:
+            process.send_signal(getattr(signal, how))
+    wait_until(lambda: not Path(f'/proc/{viewer}').exists())
+    assert not (tmp_path / 'scene.png').exists()
+
+
+def viewers_of(pid: int) -> list[int]:
+    """Return the children of a process that are the program of Rerun."""
+    children = Path(f'/proc/{pid}/task').glob('*/children')
+    found = [int(child) for path in children for child in path.read_text().split()]
+    return [each for each in found if Path(f'/proc/{each}/comm').read_text().strip() == 'rerun']
+
+
 @pytest.mark.parametrize(
     ('options', 'start', 'milliseconds'),
     [([], 400, 5.353), (['--throw', '1'], 200, 5.353), (['--throw=1', '--at=0.002'], 200, 2.0)],
@@ -146,16 +159,11 @@ def test_throw_and_time_to_show_can_be_chosen(
     assert (shown.current_time or 0) / 1e6 == pytest.approx(milliseconds, abs=0.01)
     path = tmp_path / 'scene.rrd'
     assert run(capsys, bag, '--save', path, *options) == (0, [])
-    batches = [
-        chunk.to_record_batch()
-        for chunk in RrdReader(path).stream()
-        if chunk.entity_path == '/twin/position' and not chunk.is_static
-    ]
-    for batch in batches:
-        stamps, times = (
-            batch.column(name).cast('int64').to_numpy() for name in (STAMP, THROW_TIME)
-        )
-        assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
+    entity = '/twin/position', 'Scalars:scalars'
+    (stamps, _), (times, _) = (
+        Recording(path).series(*entity, name) for name in (STAMP, THROW_TIME)
+    )
+    assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
 
 
 def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch) -> None:
@@ -164,13 +172,14 @@ def test_bag_without_screen_and_viewer_says_what_to_do(capsys, bag, monkeypatch)
     port = free_port()
     code, (line,) = run(capsys, bag, '--port', port)
     assert code == 1
+    assert 'no screen' in line
     assert '--screenshot' in line
-    assert str(port) in line
+    assert f'{find_viewer()} --bind 127.0.0.1 --port {port}' in line
 
 
 def test_without_rerun_it_says_how_to_get_it(capsys, bag, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    for name in ('rerun_canvas', 'rerun_view'):
+    for name in ('rerun_canvas', 'rerun_layout', 'rerun_view', 'rig_picture'):
         monkeypatch.delitem(sys.modules, f'soft_throw_ros.recording.{name}', raising=False)
         monkeypatch.delattr(recording, name, raising=False)
     code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
@@ -234,6 +243,11 @@ def test_messages_that_cannot_be_read_are_counted(capsys, twin, tmp_path) -> Non
         (['--throw', 'last'], 'last'),
         (['--throw', '7', '--save', 'a.rrd'], 'no throw 7'),
         (['--at', 'nan'], 'nan'),
+        (
+            ['--at', '7', '--screenshot', 'a.png'],
+            'from -0.4 to 0.099 s',
+        ),
+        (['--throw', '1', '--at', '-0.3', '--screenshot', 'a.png'], 'from -0.2 to 0.299 s'),
         (['--save', '.'], 'inspect: .: '),
     ],
 )

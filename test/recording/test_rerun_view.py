@@ -3,25 +3,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 import io
 from pathlib import Path
 import runpy
 from typing import Any
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.timeseries import find_throws
 from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
 
 rr = pytest.importorskip('rerun')
 
-from rerun.chunk import RrdReader  # noqa: E402
+from soft_throw_ros.commands.rerun_output import flush, new_stream, save_to  # noqa: E402
 from soft_throw_ros.recording import rerun_canvas  # noqa: E402
-from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
+from soft_throw_ros.recording.rerun_view import is_shown, Scene  # noqa: E402
+
+from test.recording.recordings import record, Recording  # noqa: E402
 
 HERE = Path(__file__).parent
 TwinMessages: Any = runpy.run_path(str(HERE / 'twin_messages.py'))['TwinMessages']
@@ -36,69 +41,6 @@ def mistakes_raise() -> Iterator[None]:
     rr.set_strict_mode(False)
 
 
-class Recording:
-    """What Rerun reads from a file: rows by entity and component, times in [ns]."""
-
-    def __init__(self, path: Path) -> None:
-        reader = RrdReader(path)
-        self.entities: dict[str, list[Any]] = {}
-        for chunk in reader.stream():
-            batch = chunk.to_record_batch()
-            self.entities.setdefault(chunk.entity_path, []).append(batch)
-        blueprints = [
-            chunk.to_record_batch().to_pydict()
-            for store in reader.blueprints()
-            for chunk in reader.stream(store=store)
-        ]
-        self.views = [
-            each['ViewBlueprint:display_name'][0][0]
-            for each in blueprints
-            if 'ViewBlueprint:display_name' in each
-        ]
-        self.ranges = [
-            tuple(each['ScalarAxis:range'][0][0])
-            for each in blueprints
-            if 'ScalarAxis:range' in each
-        ]
-
-    def series(
-        self, entity: str, component: str, timeline: str = 'stamp'
-    ) -> tuple[Any, list[Any]]:
-        """Return times and values of a component, by time."""
-        times: list[int] = []
-        values: list[Any] = []
-        for batch in self.entities[entity]:
-            if {timeline, component} <= set(batch.schema.names):
-                times += batch.column(timeline).cast('int64').to_pylist()
-                values += batch.column(component).to_pylist()
-        order = np.argsort(times, kind='stable')
-        return np.array(times)[order], [values[place] for place in order]
-
-    def scalars(self, entity: str, timeline: str = 'stamp') -> tuple[Any, Any]:
-        times, values = self.series(entity, 'Scalars:scalars', timeline)
-        return times, np.array(values)
-
-    def last(self, entity: str, component: str) -> Any:
-        return self.series(entity, component)[1][-1]
-
-    def components(self, entity: str) -> set[str]:
-        return {name for batch in self.entities[entity] for name in batch.schema.names}
-
-
-def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> Path:
-    """Have a scene written to a file, with what it knows already."""
-    stream = rerun_canvas.new_stream()
-    rerun_canvas.save_to(stream, path, is_live=False)
-    scene.connect(stream)
-    for begin in range(0, len(messages), batch):
-        scene.show(messages[begin : begin + batch])
-    scene.finish(is_waiting=True)
-    assert rerun_canvas.flush(stream, 10.0)
-    stream.disconnect()
-    scene.connect(None)
-    return path
-
-
 @pytest.fixture(scope='module')
 def twin() -> Any:
     """Two throws in real time."""
@@ -109,7 +51,10 @@ def twin() -> Any:
 def path(twin, tmp_path_factory) -> Path:
     throw = find_throws(twin.messages)['/twin'][-1]
     scene = Scene('test', throw=throw)
-    path = record(tmp_path_factory.mktemp('scene') / 'scene.rrd', scene, twin.messages)
+    path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
+    record(path, scene, twin.messages)
+    low, high = scene.span
+    assert (low, high) == pytest.approx((-1.0, 0.199))
     assert scene.moment == pytest.approx(0.7 * simulate(Rig()).ejection_time, rel=1e-6)
     return path
 
@@ -222,8 +167,7 @@ def test_map_and_table_are_of_the_rig_that_is_recommended_for_or_say_nothing(tmp
             topic = '/twin/recommendation'
             last = [each for each in twin.messages if each.channel.topic == topic][-1]
             twin.messages.remove(last)
-        path = record(tmp_path / f'{number}.rrd', Scene('test'), twin.messages)
-        recording = Recording(path)
+        recording = record(tmp_path / f'{number}.rrd', Scene('test'), twin.messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
         marks = recording.last('/twin/landscape/mark_texts', 'Points2D:labels')
         alphas = [mark.split('α ')[1] for mark in marks]
@@ -250,7 +194,7 @@ def test_layer_has_the_colour_of_its_strain(twin, recording) -> None:
 
 def test_twin_without_journal_is_shown_as_far_as_it_is_known(twin, tmp_path) -> None:
     messages = [each for each in twin.messages if each.channel.topic == '/twin/joint_states']
-    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), messages)
     assert len(recording.scalars('/twin/velocity')[0]) == 1200
     assert not any(entity.startswith('/twin/landscape') for entity in recording.entities)
 
@@ -285,7 +229,7 @@ def test_twins_have_trees_and_tabs_of_their_own(tmp_path) -> None:
     twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
     messages = [message for twin in twins for message in twin.go(150).messages]
     messages.sort(key=lambda message: message.log_time)
-    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), messages))
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), messages)
     for root in ('/rig1/twin', r'/rig\ 2/twin'):
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert recording.views.count('Energy (mJ)') == 2
@@ -293,8 +237,8 @@ def test_twins_have_trees_and_tabs_of_their_own(tmp_path) -> None:
 
 def test_late_viewer_gets_what_still_holds_and_nothing_else(twin, tmp_path) -> None:
     scene = Scene('test', is_live=True)
-    before = Recording(record(tmp_path / 'first.rrd', scene, twin.messages, batch=100))
-    after = Recording(record(tmp_path / 'second.rrd', scene, []))
+    before = record(tmp_path / 'first.rrd', scene, twin.messages, batch=100)
+    after = record(tmp_path / 'second.rrd', scene, [])
     for entity, component in (
         ('/twin/phase', 'StateChange:state'),
         ('/twin/throw_result', 'TextDocument:text'),
@@ -342,7 +286,7 @@ def test_measured_throw_is_drawn_with_prediction_and_residual_without_its_spikes
     onset = twin.pace.time_ns + 50_000_000
     spike = twin._encode_positions(onset + 5_000_000, (0.0, 0.1))
     twin.messages.append(Message(twin.channels['residual'], spike, twin.now, twin.now, 0))
-    recording = Recording(record(tmp_path / 'scene.rrd', Scene('test'), twin.messages))
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
     assert stamps.tolist() == [item.stamp_ns for item in predictions]
@@ -366,8 +310,8 @@ def test_maps_are_read_back_with_values_colours_and_marks(tmp_path) -> None:
     values = np.arange(15.0).reshape(5, 3)
     values[1, 0] = np.nan
     path = tmp_path / 'map.rrd'
-    stream = rerun_canvas.new_stream()
-    rerun_canvas.save_to(stream, path, is_live=False)
+    stream = new_stream()
+    save_to(stream, path, is_live=False)
     rerun_canvas.draw_landscape(
         stream,
         name='a map',
@@ -383,7 +327,7 @@ def test_maps_are_read_back_with_values_colours_and_marks(tmp_path) -> None:
         ],
         marks=[(10.0, 1.0, 'low'), (30.0, 100.0, 'high')],
     )
-    assert rerun_canvas.flush(stream, 10.0)
+    assert flush(stream, 10.0)
     stream.disconnect()
     recording = Recording(path)
     (batch,) = recording.entities['/values/a']
@@ -405,3 +349,83 @@ def test_maps_are_read_back_with_values_colours_and_marks(tmp_path) -> None:
         assert low == pytest.approx([20.0, 84.0 - 14.0], rel=1e-5)
         assert high == pytest.approx([180.0, 14.0], rel=1e-5)
     assert set(recording.views) == {'First', 'Second'}
+
+
+def test_errors_of_a_measured_throw_and_words_on_its_track_are_shown(tmp_path) -> None:
+    twin = TwinMessages(engine__motion='measured')
+    twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1, onset=0.05, noise=2e-6))
+    for node, task, values in (
+        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
+        ('/twin', 'timing', {'ticks': 1000}),
+        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
+        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
+    ):
+        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
+    results = [result for outputs in twin.outputs for result in outputs.results]
+    (accuracy,) = [each.accuracy for each in results if each.stage == 'release']
+    text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
+    (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
+    alpha, error = map(float, cell.split(' ± '))
+    assert error == pytest.approx(accuracy.energy_transfer_error, rel=0.06)
+    assert alpha == pytest.approx(simulate(Rig()).energy_transfer, abs=5.0 * error)
+    assert f'{accuracy.samples} samples' in text
+    text = recording.last('/twin/track', 'TextDocument:text')[0]
+    for words in ('measurement of', '7 samples left out', 'identification of 7.30 ± 0.02'):
+        assert words in text
+    assert '9 samples left out' in text
+    assert 'a doubt' in text
+    assert 'another' not in text
+    assert 'timing' not in text
+    assert 'Measured track' in recording.views
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_damaged_messages_are_counted_and_the_rest_is_shown(twin, path, data) -> None:
+    messages = list(twin.messages[:60])
+    place = data.draw(st.integers(0, len(messages) - 1))
+    damaged = bytearray(messages[place].data)
+    for _ in range(data.draw(st.integers(0, 3))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    cut = data.draw(st.integers(0, len(damaged)))
+    messages[place] = messages[place]._replace(
+        data=bytes(damaged[:cut]),
+        publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
+    )
+    scene = Scene('test')
+    recording = record(path.with_name('damaged.rrd'), scene, messages)
+    states = sum(each.channel.topic == '/twin/joint_states' for each in messages)
+    assert recording.rows['/twin/position'] >= states - 1
+    assert scene.damaged <= 2
+    assert bool(scene.damage) == bool(scene.damaged)
+
+
+@pytest.mark.parametrize('name', ['joint_states', 'measured_joint_states', 'residual'])
+def test_joint_states_of_other_machines_are_neither_shown_nor_damage(twin, tmp_path, name) -> None:
+    arm = JointStateEncoder('base', ('shoulder', 'elbow')).encode(1, [0.0] * 6)
+    scene = Scene('test')
+    record(tmp_path / 'a.rrd', scene, [Message(twin.channels[name], arm, 1, 1)])
+    assert (scene.damaged, scene.is_empty) == (0, True)
+
+
+def test_only_topics_of_a_twin_are_shown() -> None:
+    assert is_shown('/a/b/joint_states', 'sensor_msgs/msg/JointState')
+    assert is_shown('/a/b/layer/strain', 'std_msgs/msg/Float64MultiArray')
+    assert not is_shown('/a/joint_states', 'std_msgs/msg/String')
+    assert not is_shown('/my_joint_states', 'sensor_msgs/msg/JointState')
+    assert not is_shown('/scan', 'sensor_msgs/msg/LaserScan')
+    assert not is_shown('/recorder/status', 'diagnostic_msgs/msg/DiagnosticArray')
+
+
+def test_lines_of_the_log_are_at_their_step_where_time_is_simulated(tmp_path) -> None:
+    """Lines are stamped by the clock of the machine."""
+    twin = TwinMessages(throw__period=0.2).go(300)
+    ahead = 10**15
+    messages = [
+        each._replace(publish_time=each.publish_time + ahead, log_time=each.log_time + ahead)
+        for each in twin.messages
+    ]
+    recording = record(tmp_path / 'a.rrd', Scene('test'), messages)
+    steps = [twin.pace.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
+    assert recording.series('/log', 'TextLog:text')[0].tolist() == steps

@@ -19,6 +19,7 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 from soft_throw_ros.nodes.conversions import (
+    status_to_msg,
     statuses_to_msg,
     throw_result_to_msg,
     time_to_msg,
@@ -108,6 +109,11 @@ class TwinMessages:
             del waiting[:count]
             self.go(1)
         return self
+
+    def diagnose(self, node: str, task: str, message: str, values: dict[str, Any]) -> None:
+        """Say something of a task on /diagnostics."""
+        array = statuses_to_msg(self.now, [status_to_msg(node, task, message, values)])
+        self._send('/diagnostics', serialize_message(array), 9)
 
     def change(self, **request: Any) -> None:
         """Change settings."""

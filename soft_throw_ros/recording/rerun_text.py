@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said in words and tables (Markdown) of a throw, of a layer, and of what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import math
+from typing import Any, NamedTuple
+
+from soft_throw_ros.core.rig import STANDARD_GRAVITY
+from soft_throw_ros.recording.timeseries import Values
+
+UNKNOWN_BEST = 'The rig has changed; what is recommended for it has not come yet.'
+
+
+class _Row(NamedTuple):
+    """A row of a table: the key of its values, its title, and the factor from SI units."""
+
+    key: str
+    title: str
+    factor: float = 1.0
+    error: str = ''  # key of the standard error, which is written beside the value
+
+
+_THROW_ROWS = (
+    _Row('ejection_time', 'ejection time tₑ (ms)', 1e3, 'accuracy.release_time_error'),
+    _Row('ejection_speed', 'ejection speed Vₑ (m/s)', 1.0, 'accuracy.ejection_speed_error'),
+    _Row('energy_transfer', 'energy transfer α', 1.0, 'accuracy.energy_transfer_error'),
+    _Row('last_energy_transfer', 'α at the last release'),
+    _Row('peak_plate_speed', 'plate speed Vₚ* (m/s)'),
+    _Row('peak_strain', 'peak strain (%)', 1e2),
+    _Row('peak_acceleration', 'peak acceleration (g)', 1.0 / STANDARD_GRAVITY),
+    _Row('peak_force', 'peak force on plate (N)'),
+    _Row('plate_work', 'work of the plate (mJ)', 1e3),
+    _Row('apex_height', 'apex (mm)', 1e3),
+    _Row('lead', 'release known before (ms)', 1e3),
+    _Row('residual.position_rms', 'model off by, rms (µm)', 1e6),
+    _Row('residual.ejection_time_error', 'and tₑ by (µs)', 1e6),
+    _Row('residual.ejection_speed_error', 'and Vₑ by (m/s)'),
+)
+
+_LAYER_ROWS = (
+    _Row('thickness', 'thickness Lₛ (mm)', 1e3),
+    _Row('wave_speed', 'wave speed cₛ (m/s)'),
+    _Row('youngs_modulus', 'modulus Eₛ (kPa)', 1e-3),
+    _THROW_ROWS[2],
+    *_THROW_ROWS[:2],
+    *_THROW_ROWS[5:7],
+)
+
+TRACK_TASKS = ('measurement', 'model', 'identification')
+"""What of /diagnostics is of a measured track, in the order in which it is shown."""
+
+_MODELS = {
+    'travelling_wave': 'wave',
+    'finite_difference': 'grid',
+    'finite_difference_elastic': 'elastic',
+    'finite_difference_glued': 'glued on',
+    'spring_mass': 'spring',
+}
+"""What other models are called where there is little room."""
+
+_STAGES = {'final': 'in all', 'predicted': 'as it will be'}
+
+_BASES = {'engine': ', which moves as the engine should', 'plate': ' alone'}
+"""What the errors of a throw rest on."""
+
+_VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
+
+
+def throw_text(values: Values) -> str:
+    """Write what a throw gave, how well that is known, and what other models say."""
+    models = [
+        key.removesuffix('.ejection_time') for key in values if key.endswith('.ejection_time')
+    ]
+    if not values.get('recontacts'):
+        values = {key: value for key, value in values.items() if not key.startswith('last_')}
+    columns = {'twin': '', **{_MODELS.get(model, model): f'{model}.' for model in models}}
+    number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
+    text = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**, '
+    text += _STAGES.get(str(values.get('stage')), 'up to the release')
+    text += f'\n\n{_table(values, _THROW_ROWS, columns)}'
+    if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
+        text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
+    samples, out = (values.get(f'accuracy.{key}') for key in ('samples', 'samples_left_out'))
+    if samples is not None:
+        basis = _BASES.get(str(values.get('accuracy.basis')), '')
+        text += f'\n± by {samples:g} samples of the plate{basis}'
+        text += f'; {out:g} were left out.\n' if out else '.\n'
+    return text
+
+
+def recommendation_text(message: str, values: Values) -> str:
+    """Write what layer is recommended, beside that which is there."""
+    if 'now.thickness' not in values:
+        return f'{message}\n'
+    vary = values.get('vary')
+    columns = {'now': 'now.'}
+    for key, head in _VARIED.items():
+        columns[f'**{head}**' if key == vary else head] = f'by_{key}.'
+    if vary == 'library':
+        columns[f'**{values.get("layer")}**'] = ''
+    return _table(values, _LAYER_ROWS, columns)
+
+
+def track_text(task: str, status: Any, values: Values) -> str:  # a DiagnosticStatus
+    """Write in a line what a status says of the measured track, with doubts about it."""
+    text = f'**{task.capitalize()}**: {status.message}'.replace('+-', '±')
+    left_out = values.get('samples_jumped') or values.get('outliers')
+    if left_out:
+        text += f'; {left_out:g} samples left out, since they jump'
+    doubts = [str(value) for key, value in values.items() if key.startswith('warning')]
+    return '; '.join([text, *doubts])
+
+
+def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> str:
+    """Write a table, of rows that there is something of; columns have prefixes."""
+    lines = ['| | ' + ' | '.join(columns) + ' |', '|:--|' + '--:|' * len(columns)]
+    for row in rows:
+        cells = [
+            _cell(values.get(prefix + row.key), row.factor, values.get(prefix + row.error))
+            for prefix in columns.values()
+        ]
+        if any(cells):
+            lines.append(f'| {row.title} | ' + ' | '.join(cells) + ' |')
+    return '\n'.join(lines) + '\n'
+
+
+def _cell(value: float | str | None, factor: float = 1.0, error: float | str | None = None) -> str:
+    """Write a number, with its error if that is known."""
+    if not isinstance(value, float):
+        return value or ''
+    if not isinstance(error, float) or not 0.0 < error < math.inf:
+        return f'{factor * value:.4g}'
+    digits = max(1 - math.floor(math.log10(factor * error)), 0)
+    return f'{factor * value:.{digits}f} ± {factor * error:.{digits}f}'

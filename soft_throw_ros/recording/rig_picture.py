@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rig from the side, to scale, in Rerun."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording import rerun_canvas as drawing
+from soft_throw_ros.recording.rerun_canvas import Text
+from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps
+
+_MILLI = 1e3
+
+_CELLS = 64
+"""Into which the layer is divided where it is drawn."""
+
+_PLATE_WIDTH = 1.5
+"""Width of the plate, over the diameter of the layer."""
+
+_TOP = 0.93
+"""Part of the height of the view at which the text of what is above it stands."""
+
+_DEFAULT_STRAIN = 0.2
+"""Where the colours of strain end before a throw has been seen."""
+
+
+class RigPicture:
+    """
+    Plate, layer and projectile: in mm, downwards as Rerun has it.
+
+    Attributes
+    ----------
+    largest_strain : float
+        Where the colours of strain end. [-]
+
+    """
+
+    def __init__(self, canvas: drawing.Canvas, path: str) -> None:
+        self.largest_strain = _DEFAULT_STRAIN
+        self._canvas = canvas
+        self._path = path
+        self._rig: Rig | None = None
+        pixels = rr.components.ImageFormat(
+            width=1, height=_CELLS, color_model='RGB', channel_datatype='U8'
+        )
+        style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
+        canvas.style(f'{path}/layer', style)
+
+    @property
+    def bounds(self) -> tuple[float, float, float]:
+        """Half the width of the view, and its lowest and highest height. [mm]"""
+        if self._rig is None:
+            return 15.0, -5.0, 60.0
+        diameter = _MILLI * self._rig.layer.diameter
+        content = _MILLI * (self._rig.layer.thickness + self._rig.projectile.length)
+        return 1.25 * diameter, -0.4 * diameter, 1.35 * content + 0.8 * diameter
+
+    def change_rig(self, stamp: int, rig: Rig) -> None:
+        """Draw the bodies of a rig, and heights to the left of them."""
+        self._rig = rig
+        diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
+        for name, colour, w, y, h in (
+            ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
+            ('projectile', drawing.BLUE, diameter, -length, length),
+        ):
+            body = drawing.picture(np.array([[colour]], np.uint8), x=-0.5 * w, y=y, w=w, h=h)
+            self._canvas.put(f'{self._path}/{name}/body', stamp, *body)
+        for name, text, y in (
+            ('plate/text', 'plate', 0.0),
+            ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
+            ('projectile_text', 'projectile', -0.5 * length),
+        ):
+            label = drawing.texts([Text(0.95 * diameter, y, text, drawing.WHITE)])
+            self._canvas.put(f'{self._path}/{name}', stamp, label)
+        width, low, high = self.bounds
+        ticks = drawing.Axis(0.0, high).ticks(8)
+        x = -0.5 * _PLATE_WIDTH * diameter - 0.03 * width
+        strips = [[(x, 0.0), (x, -ticks[-1])]]
+        strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
+        self._canvas.put(f'{self._path}/ruler', stamp, drawing.lines(strips, drawing.GREY))
+        lift = 0.009 * (high - low)  # texts stand below their places
+        rows = [Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
+        self._canvas.put(f'{self._path}/ruler/texts', stamp, drawing.texts(rows))
+
+    def draw_positions(self, stamps: Stamps, position: Floats) -> None:
+        """Move plate and projectile."""
+        translation = np.zeros((stamps.size, 3))
+        for name, height in zip(('plate', 'projectile'), position.T, strict=True):
+            translation[:, 1] = -_MILLI * height
+            columns = rr.Transform3D.columns(translation=translation)
+            self._canvas.send(f'{self._path}/{name}', stamps, columns)
+        # what is above the view can be told by its text
+        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self.bounds[2])
+        columns = rr.Transform3D.columns(translation=translation)
+        self._canvas.send(f'{self._path}/projectile_text', stamps, columns)
+
+    def draw_layer(self, layer: LayerStates) -> None:
+        """Colour cells that are even in height, wherever their matter is."""
+        if self._rig is None:
+            return
+        bottom, top = layer.height[:, 0], layer.height[:, -1]
+        parts = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
+        rows = zip(bottom, top, layer.height, layer.strain, strict=True)
+        strain = np.array(
+            [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
+        )
+        limit = self.largest_strain
+        pixels = drawing.colours_of(strain, -limit, limit, drawing.SIGNED)
+        diameter = _MILLI * self._rig.layer.diameter
+        nothing, one = np.zeros_like(top), np.ones_like(top)
+        corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
+        scale = np.stack([diameter * one, _MILLI * (top - bottom) / _CELLS, one], axis=1)
+        columns = [
+            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
+            *rr.Transform3D.columns(translation=corner, scale=scale),
+        ]
+        self._canvas.send(f'{self._path}/layer', layer.stamps, columns)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of Rerun, read back by Rerun itself from what it has written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+import warnings
+
+import numpy as np
+from rerun.chunk import RrdReader
+from soft_throw_ros.commands.rerun_output import flush, new_stream, save_to
+from soft_throw_ros.recording.rerun_view import Scene
+
+
+class Recording:
+    """What Rerun reads from a file: rows by entity and component, times in [ns]."""
+
+    def __init__(self, path: Path) -> None:
+        with warnings.catch_warnings():
+            warnings.filterwarnings('ignore', 'RRD file has no footer')  # of a stream, as it grows
+            reader = RrdReader(path)
+        self.entities: dict[str, list[Any]] = {}
+        self.rows: dict[str, int] = {}
+        for chunk in reader.stream():
+            self.entities.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
+            if not chunk.is_static:
+                self.rows[chunk.entity_path] = self.rows.get(chunk.entity_path, 0) + chunk.num_rows
+        blueprints = [
+            chunk.to_record_batch().to_pydict()
+            for store in reader.blueprints()
+            for chunk in reader.stream(store=store)
+        ]
+        self.views = [
+            each['ViewBlueprint:display_name'][0][0]
+            for each in blueprints
+            if 'ViewBlueprint:display_name' in each
+        ]
+        self.ranges = [
+            tuple(each['ScalarAxis:range'][0][0])
+            for each in blueprints
+            if 'ScalarAxis:range' in each
+        ]
+
+    def series(
+        self, entity: str, component: str, timeline: str = 'stamp'
+    ) -> tuple[Any, list[Any]]:
+        """Return times and values of a component, by time."""
+        times: list[int] = []
+        values: list[Any] = []
+        for batch in self.entities[entity]:
+            if {timeline, component} <= set(batch.schema.names):
+                times += batch.column(timeline).cast('int64').to_pylist()
+                values += batch.column(component).to_pylist()
+        order = np.argsort(times, kind='stable')
+        return np.array(times)[order], [values[place] for place in order]
+
+    def scalars(self, entity: str, timeline: str = 'stamp') -> tuple[Any, Any]:
+        times, values = self.series(entity, 'Scalars:scalars', timeline)
+        return times, np.array(values)
+
+    def last(self, entity: str, component: str) -> Any:
+        return self.series(entity, component)[1][-1]
+
+    def components(self, entity: str) -> set[str]:
+        return {name for batch in self.entities[entity] for name in batch.schema.names}
+
+
+def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> Recording:
+    """Have a scene written to a file, with what it knows already, and read that."""
+    stream = new_stream()
+    save_to(stream, path, is_live=False)
+    scene.connect(stream)
+    for begin in range(0, len(messages), batch):
+        scene.show(messages[begin : begin + batch])
+    scene.finish(is_waiting=True)
+    assert flush(stream, 10.0)
+    stream.disconnect()
+    scene.connect(None)
+    return Recording(path)
