@@ -165,6 +165,11 @@ class Ticker:
         """Whether the thread runs."""
         return self._thread.is_alive()
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the thread ran, and does not any more."""
+        return self._thread.ident is not None and not self._thread.is_alive()
+
     def start(self) -> None:
         """Tick in a thread of its own."""
         self._thread.start()
