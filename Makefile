@@ -10,6 +10,7 @@
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
+#   make bench-check      measure it, and compare its ratios with those in bench/ratios.json
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
 #   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, README, measured.md
@@ -42,7 +43,8 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw identify demo loop inspect lint bench soak trials figures clean
+.PHONY: install twin throw identify demo loop inspect lint bench bench-check soak trials figures
+.PHONY: clean
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -76,6 +78,9 @@ inspect: $(SHOWABLE) $(KERNELS)
 
 bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
+
+bench-check: $(INSTALLED) $(KERNELS)
+	$(BIN)/python -m bench --check $(ARGS)
 
 soak: $(SHOWABLE) $(KERNELS)
 	$(BIN)/python -m bench.soak $(ARGS)
