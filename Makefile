@@ -11,6 +11,8 @@
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
 #   make bench            measure it;           ARGS are handed on
+#   make bench-check      measure it, and compare its ratios with those in bench/ratios.json
+#   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
 #   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, README, measured.md, design.md
 #   make clean            delete what make made
@@ -42,7 +44,8 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install warm_up twin throw identify demo loop inspect lint bench trials figures clean
+.PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
+.PHONY: figures clean
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -80,6 +83,12 @@ inspect: $(SHOWABLE) $(KERNELS)
 bench: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m bench $(ARGS)
 
+bench-check: $(INSTALLED) $(KERNELS)
+	$(BIN)/python -m bench --check $(ARGS)
+
+soak: $(SHOWABLE) $(KERNELS)
+	$(BIN)/python -m bench.soak $(ARGS)
+
 trials: $(INSTALLED) $(KERNELS)
 	$(BIN)/python -m trials $(ARGS)
 
@@ -99,7 +108,7 @@ test-jazzy: lint $(KERNELS)
 	.venv/jazzy/bin/python -m pytest $(PARALLEL)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
-	.venv/kilted/bin/python -m pytest $(PARALLEL) test/nodes test/test_package.py
+	.venv/kilted/bin/python -m pytest $(PARALLEL) -m 'not once' test/nodes test/test_package.py
 
 # With what apt has on Ubuntu 24.04, whose numba knows no Python after 3.12.
 test-apt:
@@ -113,7 +122,7 @@ test-apt:
 .venv/apt/.tested: .venv/apt/.installed
 	.venv/apt/bin/pip install --quiet -r requirements/apt.txt -e '.[test]'
 	NUMBA_CACHE_DIR=$(CURDIR)/.venv/apt/kernels \
-		.venv/apt/bin/python -m pytest $(PARALLEL) test/core test/nodes
+		.venv/apt/bin/python -m pytest $(PARALLEL) -m 'not once' test/core test/nodes
 
 # As on a machine with nothing to draw with: what takes pictures is skipped, and nothing fails.
 test-without-vulkan: .venv/jazzy/.testable $(KERNELS)

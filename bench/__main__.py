@@ -3,52 +3,67 @@
 Compare with other ways to get the same numbers, in Markdown tables.
 
 Trust the ratios: all that stands in one table ran in turns on one machine. Errors are measured,
-too. It takes a few minutes. PART is one or more of one_throw, landscape, one_second,
-recommendation, smoothing, twin, recorder and start.
+too. It takes a few minutes. What requirements/bench.txt names is compared with if it is installed.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from functools import partial
 import importlib.util
+import json
 import os
 from pathlib import Path
 import platform
+import sys
 
 import numba as nb
 import numpy as np
 import scipy
 
-from bench import nodes, race, sums
+from bench import check, nodes, race, sums
 
 
-def main() -> None:
-    """Run the parts that are asked for, all by default."""
-    of_sums: dict[str, Callable[[], list[str]]] = {
-        name: partial(_rows, make) for name, make in sums.tables()
-    }
-    parts = {**of_sums, **nodes.PARTS}
+def main() -> int:
+    """Run the parts that are asked for, all by default; return 1 if ratios have changed."""
+    of_sums = {make.__name__: make for make in sums.TABLES}
+    parts = [*of_sums, *nodes.PARTS]
     parser = argparse.ArgumentParser(prog='python -m bench', description=__doc__)
-    parser.add_argument('parts', nargs='*', metavar='PART')
-    chosen = parser.parse_args().parts or list(parts)
+    parser.add_argument('parts', nargs='*', metavar='PART', help=f'one of {", ".join(parts)}')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='and write it there as JSON')
+    parser.add_argument('--check', action='store_true', help='compare with bench/ratios.json')
+    parser.add_argument('--store', action='store_true', help='write bench/ratios.json anew')
+    arguments = parser.parse_args()
+    chosen = arguments.parts or parts
     for name in chosen:
         if name not in parts:
             parser.error(f'there is no part {name!r}; there are: {", ".join(parts)}')
     print(_machine())
+    results: dict[str, race.Result] = {}
     for name in chosen:
         before = os.getloadavg()[0]
         if name in nodes.PARTS and importlib.util.find_spec('rclpy') is None:
-            lines = [f'{name}: left out, rclpy is not installed.']
-        else:
-            lines = parts[name]()
-        print('', *lines, '', sep='\n')
+            print(f'\n{name}: left out, rclpy is not installed.')
+            continue
+        results[name] = _run(nodes.PARTS[name] if name in nodes.PARTS else of_sums[name])
+        print('', *results[name].lines(), sep='\n')
         print(f'Load before and after: {before:.1f}, {os.getloadavg()[0]:.1f}.', flush=True)
+    if arguments.json is not None:
+        tables = {name: result._asdict() for name, result in results.items()}
+        text = json.dumps({'machine': _machine(), 'tables': tables}, indent=2)
+        arguments.json.write_text(text + '\n', 'utf-8')
+    ratios = {name: result.ratios for name, result in results.items()}
+    if arguments.store:
+        check.store(ratios)
+    said = check.deviations(ratios) if arguments.check else []
+    print(*said, sep='\n', file=sys.stderr)
+    return 1 if said else 0
 
 
-def _rows(make: Callable[[], race.Table]) -> list[str]:
-    return race.rows(make())
+def _run(make: Callable[[], race.Table | race.Result]) -> race.Result:
+    """Measure a part."""
+    made = make()
+    return race.measure(made) if isinstance(made, race.Table) else made
 
 
 def _machine() -> str:
@@ -63,4 +78,4 @@ def _machine() -> str:
 
 
 if __name__ == '__main__':
-    main()
+    sys.exit(main())

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Twin and recorder against plain nodes that do what anybody would, and how soon the twin is there.
+Twin and recorder against plain nodes that do what anybody would, and many of them at once.
 
 All run as a user runs them, in processes of their own, and are seen from outside: by their topics,
 by what the twin says of itself in `/diagnostics`, by bags, and by the kernel's accounts. Twin and
@@ -9,15 +9,12 @@ timer run in turns; the recorders record the same messages at the same time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 import contextlib
 import importlib
 import os
 from pathlib import Path
-import signal
 import statistics
-import struct
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,17 +22,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.race import head
+from bench.processes import (
+    Process,
+    RATE,
+    recorded_states,
+    running,
+    SECOND,
+    SOFT_THROW,
+    STATES,
+    subscriber,
+    TIMEOUT,
+    usage,
+)
+from bench.race import Result
 
-STATES = '/twin/joint_states'
-RATE = 1000  # of ticks [Hz]
 ROUNDS = 3
 SECONDS = 7.0  # of a round
 SETTLING = 2.0  # [s]
-TIMEOUT = 300.0  # for the first message, since kernels may have to be compiled [s]
-SECOND = 1_000_000_000  # [ns]
-SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
-ROOT = Path(__file__).parents[1]
+TWINS = 16
+LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')
 
 
 class Measured(NamedTuple):
@@ -48,206 +53,166 @@ class Measured(NamedTuple):
     processor: float
 
 
-def twin_rows() -> list[str]:
+def twin() -> Result:
     """Compare the ticks of the twin with those of a plain timer."""
     timer = (sys.executable, __file__, 'timer')
     found: dict[str, list[Measured]] = {'twin': [], 'timer': []}
     for _ in range(ROUNDS):
         for name, command in (('twin', (*SOFT_THROW, 'twin')), ('timer', timer)):
             found[name].append(_measure(command))
-    twin, plain = (
+    ours, plain = (
         Measured(*(statistics.median(values) for values in zip(*rounds, strict=True)))
         for rounds in found.values()
     )
-    lines = head('at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal')
+    result = Result.under(
+        'at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal'
+    )
     for title, place, scale, goal in (
-        ('lateness p50 [us]', 0, 1e6, '-'),
-        ('lateness p99 [us]', 1, 1e6, '100'),
-        ('lateness max [us]', 2, 1e6, '-'),
-        ('messages lost [%]', 3, 100.0, '0'),
-        ('of one core [%]', 4, 100.0, '12'),
+        ('lateness p50 [us]', 0, 1e6, None),
+        ('lateness p99 [us]', 1, 1e6, 100.0),
+        ('lateness max [us]', 2, 1e6, None),
+        ('messages lost [%]', 3, 100.0, 0.0),
+        ('of one core [%]', 4, 100.0, 12.0),
     ):
-        ours, theirs = scale * twin[place], scale * plain[place]
-        ratio = f'{theirs / ours:.3g}' if ours else '-'
-        lines.append(f'| {title} | {ours:.4g} | {theirs:.4g} | {ratio} | {goal} |')
-    return lines
+        ratio = plain[place] / ours[place] if ours[place] else None
+        result.rows.append([title, scale * ours[place], scale * plain[place], ratio, goal])
+    result.ratios['of one core'] = plain.processor / ours.processor
+    return result
 
 
 def _measure(command: tuple[str, ...]) -> Measured:
     """Run a publisher, and see what comes and what it says of its lateness."""
-    with _subscriber() as (wait, stamps, lateness), _children(command) as (child,):
-        wait(TIMEOUT, lambda: bool(stamps))
-        wait(SETTLING)
-        stamps.clear()
-        lateness.clear()
-        before, begin = _processor_time(child), time.monotonic()
-        wait(SECONDS)
-        used, passed = _processor_time(child) - before, time.monotonic() - begin
+    with subscriber() as heard, running(command) as (child,):
+        heard.wait(TIMEOUT, lambda: bool(heard.stamps))
+        heard.wait(SETTLING)
+        heard.clear()
+        (share,) = _shares([child], lambda: heard.wait(SECONDS))
+    stamps = heard.stamps
     expected = round((max(stamps) - min(stamps)) * RATE / SECOND) + 1
+    p50, p99, largest = heard.values(*LATENESS).T
     lost = 1.0 - len(set(stamps)) / expected
-    p50, p99, largest = np.array(lateness).T
     return Measured(
-        float(np.median(p50)), float(np.median(p99)), float(largest.max()), lost, used / passed
+        float(np.median(p50)), float(np.median(p99)), float(largest.max()), lost, share
     )
 
 
-def start_rows() -> list[str]:
+def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
+    """Return the part of one core that each process takes during a wait."""
+    before = [usage(process.pid).processor for process in processes]
+    begin = time.monotonic()
+    wait()
+    passed = time.monotonic() - begin
+    return [
+        (usage(process.pid).processor - earlier) / passed
+        for process, earlier in zip(processes, before, strict=True)
+    ]
+
+
+def start() -> Result:
     """Measure how long it takes until the twin's first state, kernels compiled or not."""
-    lines = head('first start of the twin', 's', 'goal')
+    result = Result.under('first start of the twin', 's', 'goal')
     with tempfile.TemporaryDirectory() as folder:
         for title, goal in (('no kernel compiled', 15.0), ('the next', 1.5)):
-            with _subscriber() as (wait, stamps, _):
+            with subscriber() as heard:
                 begin = time.monotonic()
-                with _children((*SOFT_THROW, 'twin'), NUMBA_CACHE_DIR=folder):
-                    wait(TIMEOUT, lambda stamps=stamps: bool(stamps))
-                    lines.append(f'| {title} | {time.monotonic() - begin:.2f} | {goal:g} |')
-    return lines
+                with running((*SOFT_THROW, 'twin'), NUMBA_CACHE_DIR=folder):
+                    heard.wait(TIMEOUT, lambda heard=heard: bool(heard.stamps))
+                    result.rows.append([title, time.monotonic() - begin, goal])
+    return result
 
 
-def recorder_rows() -> list[str]:
+def recorder() -> Result:
     """Compare the recorder with a plain one that writes in its callbacks."""
-    lines = head('rate [Hz]', 'recorder', 'lost [%]', 'of one core [%]', 'plain / recorder')
+    result = Result.under('recorder', 'rate [Hz]', 'lost [%]', 'of one core [%]', 'cost over ours')
     for rate in (1000, 5000):
         (ours_lost, ours), (plain_lost, plain) = _record(rate)
-        for name, lost, cost in (('ours', ours_lost, ours), ('plain', plain_lost, plain)):
-            ratio = f'{plain / ours:.2g}' if name == 'plain' else '-'
-            lines.append(f'| {rate} | {name} | {100 * lost:.3g} | {100 * cost:.3g} | {ratio} |')
-    return lines
+        result.rows.append(['ours', rate, 100.0 * ours_lost, 100.0 * ours, None])
+        result.rows.append(['plain', rate, 100.0 * plain_lost, 100.0 * plain, plain / ours])
+        result.ratios[f'of one core at {rate} Hz'] = plain / ours
+    return result
 
 
 def _record(rate: int) -> list[tuple[float, float]]:
     """Return the part of the states lost, and the part of one core used, of both recorders."""
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / name for name in ('ours', 'plain')]
-        ours = ('recorder', '--ros-args', '-p', f'folder:={folder}', '-p', 'name:=ours')
         commands = (
-            (*SOFT_THROW, *ours),
+            (*SOFT_THROW, *_recorder_into(folder, 'ours')),
             (sys.executable, __file__, 'plain', str(bags[1])),
             (*SOFT_THROW, 'twin', '--ros-args', '-p', f'rate.state:={rate}.0'),
         )
-        with _subscriber() as (wait, stamps, _), _children(*commands) as children:
-            wait(TIMEOUT, lambda: bool(stamps))
-            wait(SETTLING)
-            before = [_processor_time(child) for child in children[:2]]
-            begin = time.monotonic()
-            wait(SECONDS)
-            used = [_processor_time(child) for child in children[:2]]
-            passed = time.monotonic() - begin
-        recorded = [_stamps(bag) for bag in bags]
+        with subscriber() as heard, running(*commands) as processes:
+            heard.wait(TIMEOUT, lambda: bool(heard.stamps))
+            heard.wait(SETTLING)
+            shares = _shares(processes[:2], lambda: heard.wait(SECONDS))
+        recorded = [recorded_states(bag).stamps for bag in bags]
     first, last = max(map(np.min, recorded)), min(map(np.max, recorded))
     published = np.union1d(*recorded)
     published = published[(published >= first) & (published <= last)]
     return [
-        (1.0 - float(np.isin(published, got).mean()), (after - earlier) / passed)
-        for got, earlier, after in zip(recorded, before, used, strict=True)
+        (1.0 - float(np.isin(published, stamps).mean()), share)
+        for stamps, share in zip(recorded, shares, strict=True)
     ]
 
 
-def _stamps(bag: Path) -> np.ndarray:
-    """Read the stamps of the states in a bag. [ns]"""
-    from mcap.reader import make_reader
-
-    found = []
-    for path in bag.glob('*.mcap'):
-        with path.open('rb') as stream:
-            messages = make_reader(stream).iter_messages(topics=[STATES])
-            found += [_stamp(message.data) for _, _, message in messages]
-    return np.array(found, dtype=np.int64)
+def _recorder_into(folder: str, name: str, *rules: str) -> tuple[str, ...]:
+    words = (f'folder:={folder}', f'name:={name}', *rules)
+    return 'recorder', '--ros-args', *(word for rule in words for word in ('-p', rule))
 
 
-def _stamp(data: bytes) -> int:
-    """Read the stamp of a message that begins with a header. [ns]"""
-    seconds, nanoseconds = struct.unpack_from('<iI', data, 4)
-    return int(seconds * SECOND + nanoseconds)
+def growth_with_subscribers() -> Result:
+    """Measure what the twin costs with more and more subscribers in processes of their own."""
+    result = Result.under('growth with subscribers', 'of one core, the twin [%]', 'over the first')
+    with tempfile.TemporaryDirectory() as folder:
+        for count in (1, 2, 4, 8):
+            python = (sys.executable, '-m', 'bench.soak', '--subscribe')
+            others = [(*python, f'{folder}/{number}') for number in range(1, count)]
+            with subscriber() as heard, running((*SOFT_THROW, 'twin'), *others) as processes:
+                heard.wait(TIMEOUT, lambda heard=heard: bool(heard.stamps))
+                heard.wait(2.0 * SETTLING)
+                (share,) = _shares(processes[:1], lambda heard=heard: heard.wait(SECONDS))
+            first = result.rows[0][1] if result.rows else 100.0 * share
+            result.rows.append([f'{count} subscribers', 100.0 * share, 100.0 * share / first])
+            result.ratios[f'{count} subscribers'] = 100.0 * share / first
+    return result
 
 
-def _processor_time(process: subprocess.Popen[bytes]) -> float:
-    """Return what a process has used so far. [s]"""
-    fields = Path(f'/proc/{process.pid}/stat').read_text('utf-8').rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+def sixteen_twins() -> Result:
+    """Run many twins at 100 Hz each, and one recorder of them all."""
+    names = [f'/rig{number}/twin' for number in range(1, TWINS + 1)]
+    twins = [
+        (*SOFT_THROW, 'twin', '--ros-args', '-r', f'__ns:={name.removesuffix("/twin")}',
+         '-p', 'rate.state:=100.0')
+        for name in names
+    ]  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        everything = (*SOFT_THROW, *_recorder_into(folder, 'bag', "topics:=['/']"))
+        with subscriber() as heard, running(everything, *twins) as processes:
+            reporting: set[str] = set()
 
+            def all_report() -> bool:
+                reporting.update(name for name, values in heard.statuses if LATENESS[0] in values)
+                return len(reporting) == TWINS
 
-@contextlib.contextmanager
-def _children(
-    *commands: tuple[str, ...], **environment: str
-) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Run processes, and end them as Ctrl-C does, the last one first."""
-    variables = {
-        **os.environ,
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}',
-        **environment,
-    }
-    children = [
-        subprocess.Popen(
-            command, env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        for command in commands
+            heard.wait(TIMEOUT, all_report)
+            heard.clear()
+            shares = _shares(processes, lambda: heard.wait(SECONDS))
+        late = heard.values(*LATENESS)
+        recorded = [
+            recorded_states(Path(folder) / 'bag', f'{name}/joint_states') for name in names
+        ]
+    lost = sum(states.lost for states in recorded)
+    count = sum(states.stamps.size for states in recorded)
+    result = Result.under(f'{TWINS} twins at 100 Hz, one recorder', 'found', 'goal')
+    result.rows += [
+        ['states recorded', count, None],
+        ['states lost', lost, 0.0],
+        ['of one core, a twin, median [%]', 100.0 * statistics.median(shares[1:]), None],
+        ['of one core, all twins [%]', 100.0 * sum(shares[1:]), None],
+        ['of one core, the recorder [%]', 100.0 * shares[0], None],
+        ['lateness p99, median [us]', 1e6 * float(np.median(late[:, 1])), None],
     ]
-    try:
-        yield children
-        for child in reversed(children):
-            child.send_signal(signal.SIGINT)
-            child.wait(20.0)
-    finally:
-        for child in children:
-            child.kill()
-            child.wait()
-
-
-@contextlib.contextmanager
-def _subscriber() -> Iterator[tuple[Callable[..., None], list[int], list[tuple[float, ...]]]]:
-    """
-    Subscribe as a recorder would.
-
-    Yields
-    ------
-    wait : callable
-        Takes messages for some seconds, or until a condition holds.
-    stamps : list of int
-        Of the states that came. [ns]
-    lateness : list of tuple
-        Median, 99 % and largest lateness of ticks, as their publisher says every second. [s]
-
-    """
-    from diagnostic_msgs.msg import DiagnosticArray
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import JointState
-
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node('bench', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stamps: list[int] = []
-    lateness: list[tuple[float, ...]] = []
-
-    def on_states(data: bytes) -> None:
-        stamps.append(_stamp(data))
-
-    def on_diagnostics(message: DiagnosticArray) -> None:
-        for status in message.status:
-            values = {pair.key: pair.value for pair in status.values}
-            if 'lateness_p50' in values:
-                names = ('lateness_p50', 'lateness_p99', 'lateness_max')
-                lateness.append(tuple(float(values[name]) for name in names))
-
-    def wait(seconds: float, done: Callable[[], bool] = lambda: False) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and not done():
-            executor.spin_once(timeout_sec=0.1)
-        if seconds >= TIMEOUT and not done():
-            raise TimeoutError(f'nothing on {STATES} after {seconds:g} s')
-
-    node.create_subscription(JointState, STATES, on_states, QoSProfile(depth=1000), raw=True)
-    node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
-    try:
-        yield wait, stamps, lateness
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    return result
 
 
 # What anybody would write; each runs in a process of its own until Ctrl-C.
@@ -322,10 +287,8 @@ def _record_plainly(folder: str) -> None:
             writer.finish()
 
 
-PARTS: Mapping[str, Callable[[], list[str]]] = {
-    'twin': twin_rows,
-    'recorder': recorder_rows,
-    'start': start_rows,
+PARTS: Mapping[str, Callable[[], Result]] = {
+    part.__name__: part for part in (twin, recorder, start, growth_with_subscribers, sixteen_twins)
 }
 """Tables by their names."""
 

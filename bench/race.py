@@ -31,6 +31,44 @@ class Table(NamedTuple):
     error: str  # what the errors are of
     cases: list[Case]
     is_factor: bool = False  # units per second, a real-time factor, not microseconds per unit
+    left_out: tuple[str, ...] = ()
+    close: Callable[[], None] = lambda: None  # when it has been measured
+
+
+class Result(NamedTuple):
+    """
+    A table that was measured.
+
+    Attributes
+    ----------
+    heads : list of str
+        Of the columns.
+    rows : list of list
+        A title, and numbers; None where there is none.
+    ratios : dict of str to float
+        Of costs within this run, which are to stay as they are.
+    left_out : tuple of str
+        What is not compared with, and why.
+
+    """
+
+    heads: list[str]
+    rows: list[list[str | float | None]]
+    ratios: dict[str, float]
+    left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def under(cls, *heads: str) -> Result:
+        """Begin a table with these heads."""
+        return cls(list(heads), [], {})
+
+    def lines(self) -> list[str]:
+        """Write it in Markdown."""
+        lines = head(*self.heads)
+        for title, *cells in self.rows:
+            texts = ['-' if cell is None else f'{cell:.4g}' for cell in cells]
+            lines.append(f'| {title} | {" | ".join(texts)} |')
+        return [*lines, '', *(f'Left out: {reason}.' for reason in self.left_out)]
 
 
 class Times(NamedTuple):
@@ -54,25 +92,27 @@ def race(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
     return {name: Times(min(times), statistics.median(times)) for name, times in seen.items()}
 
 
-def rows(table: Table) -> list[str]:
-    """Measure a table, and return the rows of it in Markdown, the head first."""
+def measure(table: Table) -> Result:
+    """Measure the cases of a table."""
     times = race({case.name: case.call for case in table.cases})
     first = table.cases[0]
     base = times[first.name].least / first.units
-    measure = 'real-time factor' if table.is_factor else f'us per {table.unit}'
-    lines = head(table.title, table.error, f'{measure}, best', 'median', 'time over first', 'goal')
+    kind = 'real-time factor' if table.is_factor else f'us per {table.unit}'
+    result = Result.under(
+        table.title, table.error, f'{kind}, best', 'median', 'time over first', 'goal'
+    )._replace(left_out=table.left_out)
     for case in table.cases:
-        least, median = (
+        shown = [
             1e6 * part / case.units if not table.is_factor else case.units / part
             for part in times[case.name]
-        )
-        error = '-' if case.error is None else f'{case.error(case.call()):.1e}'
-        goal = '-' if case.goal is None else f'{case.goal:g}'
+        ]
+        error = None if case.error is None else case.error(case.call())
         ratio = times[case.name].least / case.units / base
-        lines.append(
-            f'| {case.name} | {error} | {least:.4g} | {median:.4g} | {ratio:.3g} | {goal} |'
-        )
-    return lines
+        result.rows.append([case.name, error, *shown, ratio, case.goal])
+        if case is not first:
+            result.ratios[case.name] = ratio
+    table.close()
+    return result
 
 
 def head(*cells: str) -> list[str]:

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 import math
 import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from mcap.writer import Writer
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +29,18 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.objective import Limits, Robust
 from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.recording.bag_reader import BagReader
 
-from bench import peers
+from bench import others, peers
 from bench.race import Case, Table
 
 Floats = NDArray[np.float64]
 
 TRUE = peers.Release(0.4815082783157032, 3.6373472456471254)
 """First release of the default rig without gravity, with 40 digits and by a second method."""
+
+USABLE_ERROR = 0.01
+"""What is further off than this part is no way to get t_e f. [-]"""
 
 LOOP = 1000
 """Throws in a compiled loop."""
@@ -74,6 +81,12 @@ def one_throw() -> Table:
         )
 
     bar = peers.Bar.of(rig, cells=50, projectile_cells=4)
+    libraries = [
+        ('JiTCDDE, rtol 1e-06', others.jitcdde),
+        ('MuJoCo, a chain of 25 cells', others.mujoco),
+        ('diffrax, Tsit5, 25 cells, rtol 1e-06', others.diffrax),
+    ]
+    thrown, left_out = _installed(libraries, case)
     return _table_of_throws(
         Case('closed form, called from Python', called),
         Case('closed form, in a compiled loop', in_loop, LOOP),
@@ -89,15 +102,36 @@ def one_throw() -> Table:
              partial(peers.elastic_numba, case, bar)),
         Case('solve_ivp, DOP853, 50 cells, rtol 1e-06',
              partial(peers.method_of_lines, case, cells=50, tolerance=1e-6)),
+        *thrown,
+        left_out=left_out,
     )  # fmt: skip
 
 
-def _table_of_throws(*cases: Case) -> Table:
+def _installed(
+    libraries: list[tuple[str, Callable[[peers.Case], others.Throw]]], case: peers.Case
+) -> tuple[list[Case], tuple[str, ...]]:
+    """Return the libraries that are installed and give the right answer, and why others do not."""
+    cases, left_out = [], []
+    for name, prepare in libraries:
+        try:
+            throw = prepare(case)
+            off = abs(throw().ejection_phase / TRUE.ejection_phase - 1.0)
+        except Exception as error:  # noqa: BLE001  whatever a library of others raises
+            left_out.append(f'{name} ({type(error).__name__}: {error})')
+            continue
+        if off < USABLE_ERROR:
+            cases.append(Case(name, throw))
+        else:
+            left_out.append(f'{name} (its t_e f is off by {100.0 * off:.2g} %)')
+    return cases, tuple(left_out)
+
+
+def _table_of_throws(*cases: Case, left_out: tuple[str, ...]) -> Table:
     def error(found: peers.Release) -> float:
         return abs(found.ejection_phase - TRUE.ejection_phase)
 
     with_errors = [case._replace(error=error) for case in cases]
-    return Table('one throw', 'throw', 'error of t_e f', with_errors)
+    return Table('one throw', 'throw', 'error of t_e f', with_errors, left_out=left_out)
 
 
 @nb.njit(error_model='numpy')
@@ -308,7 +342,76 @@ def smoothing() -> Table:
     )  # fmt: skip
 
 
-def tables() -> Iterator[tuple[str, Callable[[], Table]]]:
-    """Give every table by its name."""
-    for make in (one_throw, landscape, one_second, recommendation, smoothing):
-        yield make.__name__, make
+# How cost grows
+
+
+def growth_with_cells() -> Table:
+    """Step a second by more and more cells."""
+    steppers = {count: CellStepper(Rig(), cells=count) for count in (16, 32, 64, 128, 256)}
+    return _growth('cells', 'second', {n: partial(_pass, s, 1.0) for n, s in steppers.items()})
+
+
+def growth_with_crossings() -> Table:
+    """Step for more and more crossings of the wave."""
+    rig = Rig()
+    stepper = WaveStepper(rig)
+    return _growth('crossings', 'run', {
+        count: partial(_pass, stepper, count * rig.crossing_time)
+        for count in (100, 400, 1600)
+    })  # fmt: skip
+
+
+def growth_with_bag_length() -> Table:
+    """Read longer and longer bags."""
+    folder = TemporaryDirectory()
+    paths = {seconds: Path(folder.name) / f'{seconds}.mcap' for seconds in (10, 40, 160)}
+    for seconds, path in paths.items():
+        _record(path, seconds)
+
+    def read(path: Path) -> int:
+        with BagReader(path) as bag:
+            return sum(1 for _ in bag.messages())
+
+    calls = {seconds: partial(read, path) for seconds, path in paths.items()}
+    table = _growth('seconds in a bag', 'bag', calls)
+    return table._replace(close=folder.cleanup)
+
+
+def _growth(what: str, unit: str, calls: dict[int, Callable[[], object]]) -> Table:
+    cases = [Case(f'{count} {what}', call) for count, call in calls.items()]
+    return Table(f'growth with {what}', unit, '-', cases)
+
+
+def _pass(stepper: Any, seconds: float) -> None:
+    """Let a stepper go on for so long, in ticks of 10 ms: they are few for any length."""
+    stepper.reset()
+    for tick in range(1, max(round(100.0 * seconds), 1) + 1):
+        stepper.advance_to(min(tick / 100.0, seconds))
+
+
+def _record(path: Path, seconds: int) -> None:
+    """Write a file of so many seconds of states at 1 kHz, as others would."""
+    states = np.random.default_rng(1).bytes(200 * 1000)
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start('ros2', 'bench')
+        schema = writer.register_schema('sensor_msgs/msg/JointState', 'ros2msg', b'')
+        channel = writer.register_channel('/twin/joint_states', 'cdr', schema)
+        for number in range(seconds * TICKS):
+            place = number % 1000 * 200
+            time = number * 1_000_000
+            writer.add_message(channel, time, states[place : place + 200], time)
+        writer.finish()
+
+
+TABLES = (
+    one_throw,
+    landscape,
+    one_second,
+    recommendation,
+    smoothing,
+    growth_with_cells,
+    growth_with_crossings,
+    growth_with_bag_length,
+)
+"""What makes each table; its name is that of the part."""

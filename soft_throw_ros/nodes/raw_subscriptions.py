@@ -48,6 +48,37 @@ class _NotExecuted(ReentrantCallbackGroup):
         return False
 
 
+class _Run:
+    """
+    Messages of one publisher, as far as its numbers go up.
+
+    Parameters
+    ----------
+    number, when : int
+        Of its first message. [ns] for the time
+
+    """
+
+    def __init__(self, number: int, when: int) -> None:
+        self.gaps = 0
+        self.earlier = number - 1
+        self.last = number
+        self._first_when = self._last_when = when
+
+    def add(self, number: int, when: int) -> None:
+        """Count another message, and those that are missing before it."""
+        self.gaps += number - self.last - 1
+        self.last, self._last_when = number, when
+
+    def began_before(self, began: int) -> bool:
+        """Tell whether the publisher was there at a time, by how often it publishes. [ns]"""
+        count = self.last - self.earlier - 1
+        if count < 1:
+            return True
+        period = (self._last_when - self._first_when) / count
+        return self.earlier * period > self._first_when - began
+
+
 class RawSubscription:
     """
     A subscription to the topic of a channel, for the bytes that come.
@@ -79,8 +110,11 @@ class RawSubscription:
     Notes
     -----
     A publisher numbers its messages from 1 on, so a gap is a loss. If the middleware does not tell
-    the publishers of a topic apart (before ROS 2 Kilted), the numbers of several say nothing; then
-    there is what the middleware says of losses, which knows of less.
+    the publishers of a topic apart (before ROS 2 Kilted), a number that is not above the last one
+    is that of another publisher. That may be one which came after the former, and then each has
+    numbers of its own. Otherwise, and on topics of which it is usual that several nodes publish at
+    once, the numbers say nothing; then there is what the middleware says of losses, which knows of
+    less.
 
     """
 
@@ -92,12 +126,11 @@ class RawSubscription:
         self.is_shared = False
         self._node = node
         self._began = began_ns
-        self._first: tuple[int, int] | None = None  # number and time of the first message
-        self._last = 0, 0
-        self._gaps = 0
-        self._earlier = 0
         self._lost_by_event = 0
-        self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
+        self._publishers: set[bytes] = set()  # of which the middleware has told
+        self._runs: dict[Any, list[_Run]] = {}  # by publisher, None if that is not told
+        known = find_topic(channel.topic, channel.type)
+        self._is_of_one = known is not None and known.topic.name.startswith('~/')
         self._type = load_type(channel.type)
         self._subscription = node.create_subscription(
             self._type,
@@ -126,12 +159,14 @@ class RawSubscription:
         """How many messages did not come, though they were published."""
         if not self._has_numbers:
             return self._lost_by_event
-        return self._gaps + (0 if self._has_joined_late else self._earlier)
+        return sum(run.gaps + (0 if self._is_late(run) else run.earlier) for run in self._all_runs)
 
     @property
     def earlier(self) -> int:
         """How many messages were published before we joined late."""
-        return self._earlier if self._has_numbers and self._has_joined_late else 0
+        if not self._has_numbers:
+            return 0
+        return sum(run.earlier for run in self._all_runs if self._is_late(run))
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -144,9 +179,7 @@ class RawSubscription:
                 if sequence is None or sequence == _UNKNOWN:
                     sequence = 0
                 else:
-                    self._count(sequence, info.get('publisher_gid'))
-                    self._last = sequence, info['source_timestamp']
-                    self._first = self._first or self._last
+                    self._count(sequence, info['source_timestamp'], info.get('publisher_gid'))
                 times = info['received_timestamp'], info['source_timestamp']
                 messages.append(Message(self.channel, data, *times, sequence))
         self.received += len(messages)
@@ -156,6 +189,7 @@ class RawSubscription:
         """Hear from the middleware who publishes, and what it has lost."""
         publishers = self._node.get_publishers_info_by_topic(self.channel.topic)
         self.is_shared |= len(publishers) > 1
+        self._publishers |= {bytes(publisher.endpoint_gid) for publisher in publishers}
         with self._loss_event:
             event = self._loss_event.take_event()
         if event is not None:
@@ -170,26 +204,26 @@ class RawSubscription:
     @property
     def _has_numbers(self) -> bool:
         """Whether the numbers of messages are those of one publisher each."""
-        return not self.is_shared or None not in self._last_numbers
+        if None not in self._runs or not self.is_shared:
+            return True
+        return self._is_of_one and len(self._runs[None]) <= len(self._publishers)
 
     @property
-    def _has_joined_late(self) -> bool:
-        """Whether the publisher was there before we began, by how often it publishes."""
-        if self._began is None or self._first is None or self._last <= self._first:
-            return True
-        (number, when), (last_number, last_when) = self._first, self._last
-        period = (last_when - when) / max(last_number - number, 1)
-        return (number - 1) * period > when - self._began
+    def _all_runs(self) -> list[_Run]:
+        return [run for runs in self._runs.values() for run in runs]
 
-    def _count(self, sequence: int, publisher: Any) -> None:
+    def _is_late(self, run: _Run) -> bool:
+        """Whether we joined after a publisher began, which is also so if nothing tells."""
+        return self._began is None or run.began_before(self._began)
+
+    def _count(self, number: int, when: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
-        last = self._last_numbers.get(publisher)
-        if last is None:
-            self._earlier += sequence - 1
-        elif sequence > last + 1:
-            self._gaps += sequence - last - 1
-        self._last_numbers[publisher] = sequence
+        runs = self._runs.setdefault(publisher, [])
+        if runs and number > runs[-1].last:
+            runs[-1].add(number, when)
+        else:
+            runs.append(_Run(number, when))
 
 
 class RawSubscriptions:

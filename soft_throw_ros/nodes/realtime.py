@@ -165,6 +165,11 @@ class Ticker:
         """Whether the thread runs."""
         return self._thread.is_alive()
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the thread ran, and does not any more."""
+        return self._thread.ident is not None and not self._thread.is_alive()
+
     def describe_standstill(self) -> str:
         """Say why there are no ticks."""
         if isinstance(self._clock(), NodeClock):

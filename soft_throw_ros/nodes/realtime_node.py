@@ -115,7 +115,7 @@ class RealTimeNode(RunnableNode):
     @property
     def exit_code(self) -> int | None:
         """1 if the ticks have come to an end by themselves."""
-        return None if self.ticker.is_alive else 1
+        return 1 if self.ticker.has_ended else None
 
     def prepare(self) -> None:
         """Load all kernels that are there, and let nothing hold up the ticks."""

@@ -1,22 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the bench compares with is right, too: it converges to the exact release."""
 
-import importlib
-from pathlib import Path
-
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 
-ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def peers(monkeypatch):
-    """Import the peers, which are not installed with the package."""
-    monkeypatch.syspath_prepend(str(ROOT))
-    return importlib.import_module('bench.peers')
+from bench import check, peers, race, sums
 
 
 @pytest.mark.parametrize(
@@ -30,7 +20,7 @@ def peers(monkeypatch):
         ('elastic_numba', 100, 1e-4),
     ],
 )
-def test_peer_converges_to_the_exact_release(peers, name, cells, error):
+def test_peer_converges_to_the_exact_release(name, cells, error):
     rig = Rig(gravity=0.0)
     case, throw = peers.Case.of(rig), getattr(peers, name)
     if name == 'elastic_numba':
@@ -44,7 +34,7 @@ def test_peer_converges_to_the_exact_release(peers, name, cells, error):
 
 
 @pytest.mark.parametrize(('name', 'error'), [('cells', 1e-3), ('delay_line', 1e-5)])
-def test_peer_of_a_second_has_gravity_and_goes_on(peers, name, error):
+def test_peer_of_a_second_has_gravity_and_goes_on(name, error):
     rig = Rig()
     case = peers.Case.of(rig)
     arguments = (case.mu, case.omega, case.zeta, case.gravity)
@@ -56,14 +46,43 @@ def test_peer_of_a_second_has_gravity_and_goes_on(peers, name, error):
     assert released == pytest.approx(exact, rel=error)
 
 
-def test_cases_are_compared_with_the_first_and_list_their_error(peers):
-    race = importlib.import_module('bench.race')
+def test_cases_are_compared_with_the_first_and_list_their_error():
     cases = [
         race.Case('one', lambda: 1.0),
         race.Case(
             'two', lambda: sum(range(1000)), units=2.0, error=lambda found: found - 499500.0
         ),
     ]
-    *_, one, two = race.rows(race.Table('sums', 'sum', 'error', cases))
-    assert one.split('|')[5].strip() == '1'
-    assert two.split('|')[2].strip() == '0.0e+00'
+    result = race.measure(
+        race.Table('sums', 'sum', 'error', cases, left_out=('three (too slow)',))
+    )
+    first, second = result.rows
+    assert (first[1], first[4], second[1]) == (None, 1.0, 0.0)
+    assert result.ratios == {'two': second[4]}
+    assert 'Left out: three (too slow).' in result.lines()
+
+
+def test_ratio_that_changes_by_more_than_30_percent_is_said(tmp_path):
+    path = tmp_path / 'ratios.json'
+    check.store({'sums': {'steady': 2.0, 'slow': 2.0, 'gone': 1.0}, 'maps': {'one': 5.0}}, path)
+    check.store({'maps': {'one': 6.0}}, path)  # the others stay
+    assert check.deviations({'maps': {'one': 6.0}}, path) == []
+    found = check.deviations({'sums': {'steady': 1.6, 'slow': 2.7, 'new': 1.0}}, path)
+    assert [line.partition(':')[0] for line in found] == ['sums, gone', 'sums, slow']
+
+
+def test_library_that_does_not_install_or_is_wrong_is_left_out_with_the_reason():
+    def missing(_case):
+        raise ImportError('no such library')
+
+    def wrong(_case):
+        return lambda: peers.Release(0.6, 3.0)
+
+    def right(_case):
+        return lambda: sums.TRUE
+
+    libraries = [('missing', missing), ('wrong', wrong), ('right', right)]
+    found, left_out = sums._installed(libraries, peers.Case(1.0, 1.0))
+    assert [case.name for case in found] == ['right']
+    assert 'no such library' in left_out[0]
+    assert 'off by 25 %' in left_out[1]

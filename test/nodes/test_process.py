@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import Any
@@ -35,6 +36,13 @@ def test_node_ends_well_by_a_signal(start, name, number, line) -> None:
     node.wait_for(line)
     assert node.end(number) == 0
     assert_quiet(node)
+
+
+def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> None:
+    twin = start(*COMMAND, env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
+    twin.wait_for('compiling')
+    assert twin.end(INT) == 0
+    assert_quiet(twin)
 
 
 @pytest.mark.parametrize('number', [INT, TERM, HUP])

@@ -174,6 +174,36 @@ def test_numbers_of_several_publishers_are_not_taken_for_losses(
     assert subscription.lost == 0
 
 
+@pytest.mark.parametrize(
+    ('topic', 'lost'),
+    [('/twin/phase', 7), ('/talk', 0)],  # where one publishes at a time, and where many may
+)
+def test_publisher_that_comes_after_another_one_is_counted_by_itself(
+    ros, talker, listener, topic, lost
+) -> None:
+    # both are there all the time, as one that was killed is for a while
+    publishers = [talker.create_publisher(String, topic, 100) for _ in range(2)]
+    began = time.time_ns()
+    for _ in range(7):
+        publishers[1].publish(String())
+    channel = Channel(topic=topic, type='std_msgs/msg/String', schema='string data')
+    subscription = RawSubscription(listener, channel, QoSProfile(depth=100), began_ns=began)
+    ros.spin_until(lambda: all(p.get_subscription_count() > 0 for p in publishers), 'it')
+    taken: list[Message] = []
+    for publisher in publishers:
+        for _ in range(9):
+            publisher.publish(String())
+        count = len(taken) + 9
+        ros.spin_until(
+            lambda count=count: taken.extend(subscription.drain()) or len(taken) == count
+        )
+    subscription.look_for_losses()
+    is_told = None not in subscription._runs  # by publisher, from Kilted on
+    assert subscription.lost == (7 if is_told else lost)
+    assert subscription.earlier == 0
+    subscription.close()
+
+
 def test_no_more_is_asked_for_than_every_publisher_offers(ros, talker, listener) -> None:
     for profile in (LATCHED, BEST_EFFORT):
         talker.create_publisher(String, '/talk', profile)

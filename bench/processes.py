@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes in processes of their own, as a user runs them, and what the kernel says of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import contextlib
+import os
+from pathlib import Path
+import signal
+import struct
+import subprocess
+import sys
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+STATES = '/twin/joint_states'
+RATE = 1000  # of ticks [Hz]
+SECOND = 1_000_000_000  # [ns]
+TIMEOUT = 300.0
+"""Longest wait for the first message, since kernels may have to be compiled. [s]"""
+
+EXIT_TIMEOUT = 20.0
+"""How long a process may take to end. [s]"""
+
+SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
+ROOT = Path(__file__).parents[1]
+
+Process = subprocess.Popen[bytes]
+
+
+class Usage(NamedTuple):
+    """What a process has used so far: processor time [s], resident memory [bytes], handles."""
+
+    processor: float
+    memory: int
+    handles: int
+
+
+class Heard(NamedTuple):
+    """
+    What a subscriber has heard so far.
+
+    Attributes
+    ----------
+    node : rclpy.node.Node
+        Which listens.
+    wait : callable
+        Takes messages for some seconds, or until a condition holds.
+    stamps : list of int
+        Of the states that came. [ns]
+    statuses : list of tuple
+        Name of a status in `/diagnostics`, and its values as text.
+
+    """
+
+    node: Any
+    wait: Callable[..., None]
+    stamps: list[int]
+    statuses: list[tuple[str, dict[str, str]]]
+
+    def clear(self) -> None:
+        """Forget what came so far."""
+        self.stamps.clear()
+        self.statuses.clear()
+
+    def values(self, *names: str) -> NDArray[np.float64]:
+        """Return the numbers of these names of every status that has them all, in rows."""
+        found = [values for _, values in self.statuses if values.keys() >= set(names)]
+        return np.array([[float(values[name]) for name in names] for values in found])
+
+
+def usage(pid: int) -> Usage:
+    """Ask the kernel what a process has used."""
+    folder = Path(f'/proc/{pid}')
+    fields = (folder / 'stat').read_text('utf-8').rpartition(')')[2].split()
+    processor = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+    memory = int(fields[21]) * os.sysconf('SC_PAGE_SIZE')
+    return Usage(processor, memory, sum(1 for _ in (folder / 'fd').iterdir()))
+
+
+def children_of(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    found = []
+    for path in Path('/proc').glob('[0-9]*/stat'):
+        with contextlib.suppress(OSError):
+            if int(path.read_text('utf-8').rpartition(')')[2].split()[1]) == pid:
+                found.append(int(path.parent.name))
+    return found
+
+
+def stamp_of(data: bytes) -> int:
+    """Read the stamp of a message that begins with a header. [ns]"""
+    seconds, nanoseconds = struct.unpack_from('<iI', data, 4)
+    return int(seconds * SECOND + nanoseconds)
+
+
+def start(
+    command: tuple[str, ...], *, output: Any = subprocess.DEVNULL, **environment: str
+) -> Process:
+    """Start a process that finds this package, and hears nobody on other machines."""
+    variables = {
+        **os.environ,
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}',
+        **environment,
+    }
+    return subprocess.Popen(command, env=variables, stdout=output, stderr=output)
+
+
+def end(process: Process) -> int:
+    """End a process as Ctrl-C does, and return its exit code."""
+    process.send_signal(signal.SIGINT)
+    return process.wait(EXIT_TIMEOUT)
+
+
+@contextlib.contextmanager
+def running(*commands: tuple[str, ...], **environment: str) -> Iterator[list[Process]]:
+    """Run processes, and end them, the last one first."""
+    processes = [start(command, **environment) for command in commands]
+    try:
+        yield processes
+        for process in reversed(processes):
+            end(process)
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def subscriber(states: str = STATES) -> Iterator[Heard]:
+    """Subscribe as a recorder would, in this process."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node('bench', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def wait(seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not done():
+            executor.spin_once(timeout_sec=0.1)
+        if seconds >= TIMEOUT and not done():
+            raise TimeoutError(f'nothing on {states} after {seconds:g} s')
+
+    heard = Heard(node, wait, [], [])
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            heard.statuses.append((status.name, {p.key: p.value for p in status.values}))
+
+    def on_states(data: bytes) -> None:
+        heard.stamps.append(stamp_of(data))
+
+    node.create_subscription(JointState, states, on_states, QoSProfile(depth=5000), raw=True)
+    node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 100)
+    try:
+        yield heard
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+class RecordedStates(NamedTuple):
+    """Of a topic in a bag: stamps, times of publication [ns], and publishers' numbers."""
+
+    stamps: NDArray[np.int64]
+    published: NDArray[np.int64]
+    numbers: NDArray[np.int64]
+
+    @property
+    def lost(self) -> int:
+        """How many are missing, by the publisher's numbers."""
+        return int((np.diff(self.numbers) - 1).sum())
+
+
+def recorded_states(bag: Path, topic: str = STATES) -> RecordedStates:
+    """Read a topic whose messages have stamps, by somebody else's reader."""
+    from mcap.reader import make_reader
+
+    found = []
+    for path in sorted(bag.glob('*.mcap')):
+        with path.open('rb') as stream:
+            found += [
+                (stamp_of(message.data), message.publish_time, message.sequence)
+                for _, _, message in make_reader(stream).iter_messages(topics=[topic])
+            ]
+    return RecordedStates(*np.array(found, dtype=np.int64).reshape(-1, 3).T)
+
+
+def recorded_statuses(bag: Path) -> list[tuple[int, str, dict[str, str]]]:
+    """Read when it was published [ns], name and values of every status in `/diagnostics`."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    found = []
+    for path in sorted(bag.glob('*.mcap')):
+        with path.open('rb') as stream:
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            for decoded in reader.iter_decoded_messages(topics=['/diagnostics']):
+                when = decoded.message.publish_time
+                for status in decoded.decoded_message.status:
+                    values = {pair.key: pair.value for pair in status.values}
+                    found.append((when, status.name, values))
+    return found

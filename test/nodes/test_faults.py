@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What becomes of the others if one process is killed or stopped: the rows of docs/reliability.md.
+
+Whatever happens, two counts are true: what the recorder says is not in its bag is what is missing
+there by the numbers of messages, and the twin says it has skipped no fewer ticks than are missing
+by their stamps.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from soft_throw_ros.commands import recover
+from systems import missing, System
+
+pytestmark = [pytest.mark.once, pytest.mark.timeout(180)]
+
+
+@pytest.fixture
+def system(start, tmp_path):
+    pytest.importorskip('rerun')
+    return System(lambda _name, *command, **kwargs: start(*command, **kwargs), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ('name', 'seconds', 'is_late', 'is_lossy'),
+    [
+        ('subscriber', 2.0, False, False),
+        ('viewer', 2.0, False, False),
+        ('recorder', 2.0, False, False),
+        ('recorder', 8.0, False, True),  # longer than the twin keeps states for it
+        ('twin', 2.0, True, False),
+        ('all', 3.0, True, False),  # as if the machine slept
+    ],
+)
+def test_process_that_is_stopped_and_goes_on(system, name, seconds, is_late, is_lossy):
+    stopped = system.pids(name)
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(seconds)
+    for pid in stopped:
+        os.kill(pid, signal.SIGCONT)
+    outcome = system.end()
+    (states,) = outcome.bags
+    assert missing(states.numbers) == outcome.missing
+    assert (states.lost > 1000) if is_lossy else (states.lost == 0)
+    assert outcome.ticks_missing <= outcome.ticks_skipped
+    assert outcome.ticks_skipped > 1000 * (seconds - 0.2) or not is_late
+    since = outcome.published[outcome.published >= outcome.heard[0]]
+    assert np.isin(since, outcome.heard).all()
+    assert outcome.viewers == 1
+
+
+@pytest.mark.parametrize('name', ['subscriber', 'viewer', 'recorder', 'twin'])
+def test_process_that_is_killed_and_started_again(system, tmp_path, name):
+    (pid,) = system.pids(name)
+    os.kill(pid, signal.SIGKILL)
+    if name != 'viewer':  # which the recorder starts again
+        assert system.running[name].wait() == -signal.SIGKILL
+        system.start(name)
+    if name == 'recorder':
+        killed = system.bags[0]
+        system.bags[0] = tmp_path / 'recovered'
+        recover.main([str(killed), '--to', str(system.bags[0])])
+    system.wait_for_states()
+    outcome = system.end()
+    states = outcome.bags[-1]
+    assert missing(states.numbers) == outcome.missing
+    if name == 'twin':
+        assert (np.diff(states.numbers) < 0).sum() == 1  # one bag has both
+    else:
+        assert all(bag.lost == 0 for bag in outcome.bags)
+        assert outcome.ticks_missing <= outcome.ticks_skipped
+    assert outcome.viewers == (2 if name == 'viewer' else 1)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A twin, a recorder and a subscriber on three hosts, and what a bad cable does to them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+
+from hosts import Cable, Host
+import pytest
+from systems import missing, System
+
+SECOND = 1_000_000_000
+
+pytestmark = [pytest.mark.once, pytest.mark.timeout(240)]
+
+
+@pytest.fixture
+def hosts():
+    made = {}
+    try:
+        for number, name in enumerate(('twin', 'recorder', 'subscriber'), 1):
+            made[name] = Host(number)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f'hosts of its own are not to be had here: {error}')
+    yield made
+    for host in made.values():
+        host.close()
+
+
+def test_states_of_another_host_are_all_there_or_counted(hosts, start, tmp_path):
+    # Memory is shared between namespaces, and would go round the cable.
+    apart = os.environ | {
+        'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
+    }
+
+    def start_on_host(name, *command, **kwargs):
+        return hosts[name].call(start, *command, env=apart, **kwargs)
+
+    with Cable(list(hosts.values()), delay=0.02, loss=0.02) as cable:
+        system = System(start_on_host, tmp_path, sink='none')
+        assert cable.lost > 0
+        time.sleep(3.0)
+        cable.is_cut = True
+        time.sleep(10.0)
+        cable.is_cut = False
+        mended = time.time_ns()
+        system.wait_for_states()
+        system.wait_for_states_of(mended + SECOND)
+        outcome = system.end()
+    (states,) = outcome.bags
+    assert missing(states.numbers) == outcome.missing
+    # What the twin keeps is sent once more after the cut; what is older is lost, and counted.
+    assert 1000 < states.lost < 12_000
+    assert outcome.ticks_missing <= outcome.ticks_skipped + states.lost
+    for stamps in (states.stamps, outcome.heard):
+        assert stamps[-1] > mended + SECOND

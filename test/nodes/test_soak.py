@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A short part of `make soak`, and whether it would notice."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench import soak
+from bench.processes import Usage
+
+
+@pytest.mark.once
+@pytest.mark.timeout(300)
+def test_promises_are_kept_for_half_a_minute(domain_id, tmp_path, capsys):
+    pytest.importorskip('rerun')
+    report = tmp_path / 'soak.json'
+    code = soak.main(['--minutes', '0.5', '--sink', 'file', '--json', str(report)])
+    said = capsys.readouterr().out
+    assert code == 0, said
+    found = json.loads(report.read_text())
+    assert all(row['is_kept'] for row in found['promises'])
+    assert found['processes'].keys() > {'twin', 'recorder', 'subscriber 4'}
+    assert all(row['promise'] in said for row in found['promises'])
+
+
+def test_growth_is_told_after_warm_up_only():
+    times = np.linspace(0.0, 100.0, 101)
+    usages = [Usage(0.2 * t, int(1e8 + 1e6 * min(t, 20.0)), 20) for t in times]
+    found = soak.Course(times.tolist(), usages).summary()
+    assert found['of one core [%]'] == pytest.approx(20.0)
+    assert (found['growth [MB]'], found['growth of handles']) == (0.0, 0)
+    leaking = [Usage(0.2 * t, int(1e8 + 1e5 * t), int(t)) for t in times]
+    found = soak.Course(times.tolist(), leaking).summary()
+    assert found['growth [MB]'] == pytest.approx(6.0, abs=1.0)
+    assert found['growth of handles'] > 50
