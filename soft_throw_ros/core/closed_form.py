@@ -60,6 +60,12 @@ _NOT_WITHIN = 1
 _INACCURATE = 2
 
 _GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 within the box
+# Bounds the error by what it grows from: of 6,000 throws with mu up to 1e10 and kappa up to 1e5,
+# computed once more with 40 digits, none was off by more than a fifth of it
+_ROUNDING = 20.0 * 2.0**-52
+_ACCURACY = 1e-9  # what is promised of alpha
+_LEAST_SPEED = 1e-150  # the square of which is a normal number
+
 _SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
 _THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
@@ -115,8 +121,8 @@ def first_release(
         If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative).
     ThrowUnresolvedError
         If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
-        them worth a search), or rounding would spoil the promised accuracy (strong damping and
-        many crossings).
+        them worth a search), or rounding would spoil the promised accuracy (strong damping or a
+        heavy projectile, and many crossings).
 
     Notes
     -----
@@ -228,7 +234,7 @@ def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> Throw
         return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
     return ThrowUnresolvedError(
         f'the release cannot be computed to 1e-9 in double precision for {case}; '
-        'fewer crossings or less damping can'
+        'fewer crossings, less damping or a lighter projectile can'
     )
 
 
@@ -450,9 +456,21 @@ def _polish(k, low, high, sigma, wave, steady, c):
         if change <= tolerance:  # the next error is of second order in this one
             break
     phase = (2 * k + 1 + sigma) / wave.kappa
-    if not (min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)):
+    is_found = min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)
+    if not is_found or _rounding_error(k, sigma, wave, steady, c) > _ACCURACY * abs(speed):
         return 2.0 * k + 1.0, math.nan, _INACCURATE
     return phase, speed, _RELEASED
+
+
+@inlined
+def _rounding_error(k, sigma, wave, steady, c):
+    """Bound what rounding does to the speed: a heavy projectile is slow in a wave that is not."""
+    total = 0.0
+    for j in range(k + 1):
+        total += abs(c[j])
+    # The steady wave is known relative to its phase; c_j sums the errors of all before it
+    wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
+    return _ROUNDING * (wave_size + (k + 1.0) * total) + _ACCURACY * _LEAST_SPEED
 
 
 @part
