@@ -28,7 +28,7 @@ from soft_throw_ros.commands.output import (
     to_json,
     write_columns,
 )
-from soft_throw_ros.commands.rerun_output import save_recording
+from soft_throw_ros.commands.rerun_output import new_stream, save_recording
 from soft_throw_ros.configuration import motions, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion
@@ -199,9 +199,9 @@ def draw(design: MotionDesign, path: Path) -> None:
 
 def _record(design: MotionDesign, path: Path) -> None:
     """Write the motions side by side as a recording of Rerun."""
-    from soft_throw_ros.recording import motion_canvas, rerun_canvas
+    from soft_throw_ros.recording import motion_canvas
 
-    stream = rerun_canvas.new_stream()
+    stream = new_stream()
     curves = {
         title: (times, motion.position(times), motion.velocity(times))
         for title, times, motion in _curves(design)

@@ -138,7 +138,7 @@ def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the first release as other models predict it, as values of a status."""
     if rig.engine.motion is not None:
         return {}  # they know the motion of the engine alone
-    found = predict_by_other_models(rig, model_of(settings))
+    found = predict_by_other_models(rig, model_of(settings, rig))
     return {
         f'{model}.{name}': value
         for model, release in found.items()
