@@ -9,9 +9,6 @@ every few milliseconds.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import replace
-from importlib import metadata
-import os
 import time
 from typing import Any
 
@@ -23,18 +20,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
-from soft_throw_ros.nodes.conversions import profile_to_qos
+from soft_throw_ros.nodes.conversions import profile_to_dict
 from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
 EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
 
 DEPTH = 10_000
-"""How many messages of a topic may wait to be drained."""
-
-_DISTRIBUTIONS = {'7': 'jazzy', '9': 'kilted'}
+"""How many messages of a topic may wait to be drained: a second of the fastest sensor."""
 
 _UNKNOWN = 2**64 - 1
 """What stands for a number that the middleware does not know."""
@@ -78,9 +73,11 @@ class RawSubscription:
 
     Notes
     -----
-    A publisher numbers its messages from 1 on, so a gap is a loss. If the middleware does not tell
-    the publishers of a topic apart (before ROS 2 Kilted), the numbers of several say nothing; then
-    there is what the middleware says of losses, which knows of less.
+    A publisher numbers its messages from 1 on, so a gap is a loss. What it published before the
+    first one that came was before we began, if that is more than what came in as long a time after
+    it; otherwise it is lost, too. If the middleware does not tell the publishers of a topic apart
+    (before ROS 2 Kilted), the numbers of several say nothing; then there is what the middleware
+    says of losses, which knows of less.
 
     """
 
@@ -97,7 +94,8 @@ class RawSubscription:
         self._gaps = 0
         self._earlier = 0
         self._lost_by_event = 0
-        self._last_numbers: dict[Any, int] = {}  # by publisher, None if that is not told
+        # Number and time of the last message, by publisher, None if that is not told
+        self._previous: dict[Any, tuple[int, int]] = {}
         self._type = load_type(channel.type)
         self._subscription = node.create_subscription(
             self._type,
@@ -144,9 +142,7 @@ class RawSubscription:
                 if sequence is None or sequence == _UNKNOWN:
                     sequence = 0
                 else:
-                    self._count(sequence, info.get('publisher_gid'))
-                    self._last = sequence, info['source_timestamp']
-                    self._first = self._first or self._last
+                    self._count(sequence, info['source_timestamp'], info.get('publisher_gid'))
                 times = info['received_timestamp'], info['source_timestamp']
                 messages.append(Message(self.channel, data, *times, sequence))
         self.received += len(messages)
@@ -170,7 +166,7 @@ class RawSubscription:
     @property
     def _has_numbers(self) -> bool:
         """Whether the numbers of messages are those of one publisher each."""
-        return not self.is_shared or None not in self._last_numbers
+        return not self.is_shared or None not in self._previous
 
     @property
     def _has_joined_late(self) -> bool:
@@ -181,15 +177,21 @@ class RawSubscription:
         period = (last_when - when) / max(last_number - number, 1)
         return (number - 1) * period > when - self._began
 
-    def _count(self, sequence: int, publisher: Any) -> None:
+    def _count(self, number: int, when: int, publisher: Any) -> None:
+        self._first = self._first or (number, when)
+        waited = self._first[1] - (self._began or self._first[1])
+        if self._last[1] <= self._first[1] + waited:  # as long as we had waited for the first
+            self._last = number, when
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
-        last = self._last_numbers.get(publisher)
-        if last is None:
-            self._earlier += sequence - 1
-        elif sequence > last + 1:
-            self._gaps += sequence - last - 1
-        self._last_numbers[publisher] = sequence
+        last, last_when = self._previous.get(publisher, (0, 0))
+        if not last:
+            self._earlier += number - 1
+        elif number > last:
+            self._gaps += number - last - 1
+        elif when > last_when:  # the publisher has begun anew; otherwise it comes once more
+            self._gaps += number - 1
+        self._previous[publisher] = number, when
 
 
 class RawSubscriptions:
@@ -263,7 +265,7 @@ class RawSubscriptions:
             type=types[0],
             schema=schema.text,
             type_hash=schema.type_hash,
-            qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
+            qos=dump_yaml([_offered(topic, types[0], publisher) for publisher in publishers]),
         )
         profile = fitting_profile(publishers)
         return RawSubscription(self._node, channel, profile, began_ns=self._began)
@@ -303,16 +305,10 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     )
 
 
-def distribution() -> str:
-    """Return the name of the ROS distribution, empty if it is not known."""
-    version = metadata.version('rclpy').partition('.')[0]
-    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(version, ''))
-
-
-def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> Qos:
+def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, Any]:
     """Return what a publisher offers; its history is not told to others, but may be ours."""
-    qos = profile_to_qos(publisher.qos_profile)
+    profile = profile_to_dict(publisher.qos_profile)
     known = find_topic(topic, kind)
-    if qos.history != 'unknown' or known is None:
-        return qos
-    return replace(qos, history='keep_last', depth=known.topic.depth)
+    if profile['history'] == 'unknown' and known is not None:
+        profile.update(history='keep_last', depth=known.topic.depth)
+    return profile
