@@ -8,12 +8,23 @@ from pathlib import Path
 import struct
 from typing import Any
 
+from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 
 BEGIN = 1_700_000_000_000_000_000
+
+
+def profiles(*given: dict[str, Any]) -> str:
+    """Write profiles of quality of service, as they stand at a channel."""
+    infinite = {'sec': 9223372036, 'nsec': 854775807}
+    default = {
+        'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
+        'deadline': infinite, 'lifespan': infinite, 'liveliness': 'automatic',
+        'liveliness_lease_duration': infinite, 'avoid_ros_namespace_conventions': False,
+    }  # fmt: skip
+    return dump_yaml([{**default, **profile} for profile in given])
 
 
 def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
@@ -24,7 +35,7 @@ def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channe
         type=kind,
         schema=schema.text,
         type_hash=schema.type_hash,
-        qos=(Qos(**qos),),
+        qos=profiles(qos),
     )
 
 

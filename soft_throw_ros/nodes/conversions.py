@@ -21,9 +21,10 @@ from rclpy.time import Time
 from soft_throw_ros.configuration import rig_of, rig_values
 from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording.message import LATEST
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
+import yaml
 
 _POLICIES = {
     'history': HistoryPolicy,
@@ -33,6 +34,9 @@ _POLICIES = {
 }
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
+
+UNKNOWN_DEPTH = 1000
+"""How many messages a publisher keeps if the bag does not tell. A middleware seldom does."""
 
 
 def msg_to_time(msg: TimeMessage) -> int:
@@ -45,29 +49,50 @@ def time_to_msg(time_ns: int) -> TimeMessage:
     return Time(nanoseconds=time_ns).to_msg()
 
 
-def profile_to_qos(profile: QoSProfile) -> Qos:
-    """Return a profile as it stands in a bag."""
-    return Qos(
-        depth=profile.depth,
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-        **{name: getattr(profile, name).name.lower() for name in _POLICIES},
-        **{name: getattr(profile, name).nanoseconds for name in _TIMES},
-    )
+def profile_to_dict(profile: QoSProfile) -> dict[str, Any]:
+    """Return a profile as rosbag2 writes it into a bag."""
+    return {
+        'history': profile.history.name.lower(),
+        'depth': profile.depth,
+        'reliability': profile.reliability.name.lower(),
+        'durability': profile.durability.name.lower(),
+        'deadline': _time_to_dict(profile.deadline),
+        'lifespan': _time_to_dict(profile.lifespan),
+        'liveliness': profile.liveliness.name.lower(),
+        'liveliness_lease_duration': _time_to_dict(profile.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+    }
 
 
-def qos_to_profile(qos: Qos) -> QoSProfile:
-    """Return the profile that a bag tells of; what it does not know becomes rclpy's default."""
-    named = {name: getattr(qos, name).upper() for name in _POLICIES}
-    return QoSProfile(
-        depth=max(qos.depth, 1),
-        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
-        **{
-            name: _POLICIES[name][value]
-            for name, value in named.items()
-            if value != 'UNKNOWN' and value in _POLICIES[name].__members__
-        },
-        **{name: Duration(nanoseconds=getattr(qos, name)) for name in _TIMES},
-    )
+def text_to_profiles(text: str) -> list[QoSProfile]:
+    """
+    Return the profiles that a bag tells of, as any version of rosbag2 writes them.
+
+    Policies are names, or numbers before version 9; what is not known becomes rclpy's default.
+    A text that tells of none gives none.
+    """
+    try:
+        return [_dict_to_profile(item) for item in yaml.safe_load(text) or []]
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return []
+
+
+def _time_to_dict(time: Duration) -> dict[str, int]:
+    return dict(zip(('sec', 'nsec'), divmod(time.nanoseconds, 10**9), strict=True))
+
+
+def _dict_to_profile(item: Mapping[str, Any]) -> QoSProfile:
+    values: dict[str, Any] = {'depth': int(item.get('depth', 0)) or UNKNOWN_DEPTH}
+    for name, kind in _POLICIES.items():
+        policy = item.get(name, 'unknown')
+        for known in kind:
+            if known.name != 'UNKNOWN' and policy in (known.name.lower(), known.value):
+                values[name] = known
+    for name in _TIMES:
+        if name in item:
+            time = int(item[name]['sec']) * 10**9 + int(item[name]['nsec'])
+            values[name] = Duration(nanoseconds=min(time, LATEST))
+    return QoSProfile(**values)
 
 
 def status_to_msg(

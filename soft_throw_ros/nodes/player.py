@@ -8,7 +8,6 @@ One thread publishes what is due; all else happens in the executor's.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 import sys
 import threading
 import time
@@ -17,16 +16,16 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
-from soft_throw_ros.nodes.conversions import qos_to_profile, time_to_msg
+from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
 from soft_throw_ros.nodes.process import POLL, RunnableNode
 from soft_throw_ros.nodes.realtime import set_realtime_priority
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
-from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -39,9 +38,6 @@ DRAIN_TIMEOUT = 0.5
 
 STOP_TIMEOUT = 0.3
 """Longest wait for the thread to end. [s]"""
-
-DEPTH = 1000
-"""How many messages a publisher keeps if the bag does not tell. A middleware seldom does."""
 
 TERMINAL_PERIOD = 0.1
 """How often progress is shown on a terminal. [s]"""
@@ -190,7 +186,7 @@ class Player(RunnableNode):
             here = ''
         if here and channel.type_hash and here != channel.type_hash:
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
-        return self.create_publisher(kind, channel.topic, qos_to_profile(_offer(channel.qos)))
+        return self.create_publisher(kind, channel.topic, _offer(channel.qos))
 
     def _messages(self) -> Iterator[Message]:
         """Read what is to be played."""
@@ -289,14 +285,16 @@ class Player(RunnableNode):
             _say(text)
 
 
-def _offer(offered: Collection[Qos]) -> Qos:
-    """Return the offer that suits the most subscribers."""
-    qos = max(
-        offered,
-        key=lambda qos: (qos.durability == 'transient_local', qos.reliability == 'reliable'),
-        default=Qos(depth=DEPTH),
+def _offer(text: str) -> QoSProfile:
+    """Return the offer of those in a bag that suits the most subscribers."""
+    return max(
+        text_to_profiles(text),
+        key=lambda each: (
+            each.durability is DurabilityPolicy.TRANSIENT_LOCAL,
+            each.reliability is ReliabilityPolicy.RELIABLE,
+        ),
+        default=QoSProfile(depth=UNKNOWN_DEPTH),
     )
-    return qos if qos.depth else replace(qos, depth=DEPTH)
 
 
 def _say(text: str) -> None:

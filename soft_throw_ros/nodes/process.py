@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
+from soft_throw_ros.nodes.transport import use_transport_profile
 
 POLL = 0.1
 """Longest wait, after which it is looked whether to stop [s]."""
@@ -145,6 +146,7 @@ def _on_signals(handler: Any) -> None:
 def _init(name: str, arguments: Sequence[str], usage: str) -> None:
     """Begin with ROS, or say in one line what is wrong with the arguments."""
     files.read_arguments(arguments)  # for its words, before ROS has its own
+    use_transport_profile()
     set_logger_level('rcl', LoggingSeverity.FATAL)  # it would say the same in a line of its own
     try:
         left = remove_ros_args(args=[name, *arguments])[1:]

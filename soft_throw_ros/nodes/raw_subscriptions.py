@@ -9,9 +9,6 @@ every few milliseconds.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import replace
-from importlib import metadata
-import os
 import time
 from typing import Any
 
@@ -23,18 +20,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
-from soft_throw_ros.nodes.conversions import profile_to_qos
+from soft_throw_ros.nodes.conversions import profile_to_dict
 from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
 EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
 
 DEPTH = 10_000
-"""How many messages of a topic may wait to be drained."""
-
-_DISTRIBUTIONS = {'7': 'jazzy', '9': 'kilted'}
+"""How many messages of a topic may wait to be drained: a second of the fastest sensor."""
 
 _UNKNOWN = 2**64 - 1
 """What stands for a number that the middleware does not know."""
@@ -109,12 +104,13 @@ class RawSubscription:
 
     Notes
     -----
-    A publisher numbers its messages from 1 on, so a gap is a loss. If the middleware does not tell
-    the publishers of a topic apart (before ROS 2 Kilted), a number that is not above the last one
-    is that of another publisher. That may be one which came after the former, and then each has
-    numbers of its own. Otherwise, and on topics of which it is usual that several nodes publish at
-    once, the numbers say nothing; then there is what the middleware says of losses, which knows of
-    less.
+    A publisher numbers its messages from 1 on, so a gap is a loss. What it published before the
+    first one that came was before we began, if that is more than what came in as long a time after
+    it; otherwise it is lost, too. If the middleware does not tell the publishers of a topic apart
+    (before ROS 2 Kilted), a number that is not above the last one is that of another publisher.
+    That may be one which came after the former, and then each has numbers of its own. Otherwise,
+    and on topics of which it is usual that several nodes publish at once, the numbers say nothing;
+    then there is what the middleware says of losses, which knows of less.
 
     """
 
@@ -212,18 +208,14 @@ class RawSubscription:
     def _all_runs(self) -> list[_Run]:
         return [run for runs in self._runs.values() for run in runs]
 
-    def _is_late(self, run: _Run) -> bool:
-        """Whether we joined after a publisher began, which is also so if nothing tells."""
-        return self._began is None or run.began_before(self._began)
-
     def _count(self, number: int, when: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
         runs = self._runs.setdefault(publisher, [])
         if runs and number > runs[-1].last:
             runs[-1].add(number, when)
-        else:
-            runs.append(_Run(number, when))
+        elif not runs or when > runs[-1].last_when:  # otherwise it comes once more
+            runs.append(_Run(number, when, self._began))
 
 
 class RawSubscriptions:
@@ -297,7 +289,7 @@ class RawSubscriptions:
             type=types[0],
             schema=schema.text,
             type_hash=schema.type_hash,
-            qos=tuple(_offered(topic, types[0], publisher) for publisher in publishers),
+            qos=dump_yaml([_offered(topic, types[0], publisher) for publisher in publishers]),
         )
         profile = fitting_profile(publishers)
         return RawSubscription(self._node, channel, profile, began_ns=self._began)
@@ -337,16 +329,10 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     )
 
 
-def distribution() -> str:
-    """Return the name of the ROS distribution, empty if it is not known."""
-    version = metadata.version('rclpy').partition('.')[0]
-    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(version, ''))
-
-
-def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> Qos:
+def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, Any]:
     """Return what a publisher offers; its history is not told to others, but may be ours."""
-    qos = profile_to_qos(publisher.qos_profile)
+    profile = profile_to_dict(publisher.qos_profile)
     known = find_topic(topic, kind)
-    if qos.history != 'unknown' or known is None:
-        return qos
-    return replace(qos, history='keep_last', depth=known.topic.depth)
+    if profile['history'] == 'unknown' and known is not None:
+        profile.update(history='keep_last', depth=known.topic.depth)
+    return profile

@@ -31,12 +31,13 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import distribution, is_wanted, RawSubscriptions
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
+from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.live_stream import LiveStream
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.session import RequestRejected
@@ -78,7 +79,7 @@ class Recording:
         if settings['storage'] == 'mcap':
             self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
-            self.writer.attach('recorder.yaml', text.encode(), 'application/yaml')
+            self._attach(self.writer, 'recorder.yaml', text)
         if settings['rerun.sink'] != 'none':
             self.live_stream = LiveStream(self._inspect_command())
         self._is_stopping = threading.Event()
@@ -127,31 +128,25 @@ class Recording:
         counts = {item.channel.topic: item.earlier for item in self.subscriptions}
         return {topic: count for topic, count in sorted(counts.items()) if count}
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether, after the stop, the bag has no end, or nothing of what came is in it."""
+        lost = sum(self.writer.lost().values()) if self.writer is not None else 0
+        return bool(self.error) or 0 < self.received <= lost
+
     def stop(self) -> None:
-        """
-        Take what has come, and bring bag and viewer to an end.
-
-        Raises
-        ------
-        BagError
-            If the end of the bag could not be written.
-
-        """
+        """Take what has come, and bring bag and viewer to an end; see `error` and `has_failed`."""
         self._is_stopping.set()
         self._thread.join()
         self.subscriptions.close()
-        try:
-            if self.writer is not None:
-                losses = self.losses()
-                self.writer.add_metadata(
-                    'losses', _texts({'total': sum(losses.values()), **losses})
-                )
-                if earlier := self.earlier():
-                    self.writer.add_metadata('published before recording', _texts(earlier))
-                self.writer.close()
-        finally:
-            if self.live_stream is not None:
-                self.live_stream.close()
+        if self.writer is not None:
+            losses = self.losses()
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
+            if earlier := self.earlier():
+                self._note(self.writer, 'published before recording', earlier)
+            self.writer.close()
+        if self.live_stream is not None:
+            self.live_stream.close()
 
     def summary(self) -> str:
         """Say what was recorded, and what was not."""
@@ -216,11 +211,23 @@ class Recording:
         if node not in self._twins:
             name = f'{node.strip("/").replace("/", "_")}.yaml'
             text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
-            writer.attach(name, text.encode(), 'application/yaml')
+            self._attach(writer, name, text)
         if self._twins.get(node) != (settings, versions):
             self._twins[node] = settings, versions
-            writer.add_metadata(f'parameters of {node}', _texts(settings))
-            writer.add_metadata(f'versions of {node}', _texts(versions))
+            self._note(writer, f'parameters of {node}', settings)
+            self._note(writer, f'versions of {node}', versions)
+
+    @staticmethod
+    def _attach(writer: WriterThread, name: str, text: str) -> None:
+        """Put a file of parameters into the bag."""
+        data, now = text.encode(), time.time_ns()
+        writer.call(lambda bag: bag.attach(name, data, 'application/yaml', time=now))
+
+    @staticmethod
+    def _note(writer: WriterThread, name: str, values: Mapping[str, Any]) -> None:
+        """Put named values into the bag."""
+        texts = {key: str(value) for key, value in values.items()}
+        writer.call(lambda bag: bag.add_metadata(name, texts))
 
     def _inspect_command(self) -> list[str]:
         """Return what shows the stream."""
@@ -253,7 +260,7 @@ class Recorder(RunnableNode):
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None
         self.at_end(self.close)
-        self._is_bag_gone = False
+        self._has_failed = False
         self._last = 'nothing has been recorded yet'
         when = ', when recording is started again'
         self.parameters = NodeParameters(
@@ -272,9 +279,9 @@ class Recorder(RunnableNode):
 
     @property
     def exit_code(self) -> int | None:
-        """1 if recording has come to an end by itself, or its bag is gone."""
+        """1 if recording has come to an end by itself, or failed."""
         is_alive = self.recording is None or self.recording.is_alive
-        return 1 if self._is_bag_gone or not is_alive else None
+        return 1 if self._has_failed or not is_alive else None
 
     def start(self) -> None:
         """Record, if that is wanted from the beginning."""
@@ -289,9 +296,7 @@ class Recorder(RunnableNode):
     def close(self) -> None:
         """Finish what is being recorded."""
         if self.recording is not None:
-            bag = self.recording.bag
-            self.end()
-            self._is_bag_gone = bag is not None and not bag.exists()
+            self._has_failed = self.end()
 
     def begin(self) -> None:
         """
@@ -312,17 +317,18 @@ class Recorder(RunnableNode):
         else:
             self.get_logger().info(self._message())
 
-    def end(self) -> None:
-        """Record no more."""
+    def end(self) -> bool:
+        """Record no more, and tell whether that was in vain."""
         recording, self.recording = self.recording, None
         assert recording is not None
-        try:
-            recording.stop()
-        except BagError as error:
-            self.get_logger().error(str(error))
+        recording.stop()
         self._last = recording.summary()
         self._report()
-        self.get_logger().info(self._last)
+        if recording.has_failed:
+            self.get_logger().error(self._last)
+        else:
+            self.get_logger().info(self._last)
+        return recording.has_failed
 
     def _on_start(self) -> str:
         if self.recording is not None:
@@ -423,10 +429,6 @@ def _path(settings: Settings) -> Path:
         return folder / name
     names = [name, *(f'{name}_{number}' for number in range(2, 100))]
     return next((folder / name for name in names if not (folder / name).exists()), folder / name)
-
-
-def _texts(values: Mapping[str, Any]) -> dict[str, str]:
-    return {name: str(value) for name, value in values.items()}
 
 
 main = partial(run, 'recorder', Recorder)

@@ -8,27 +8,16 @@ import heapq
 import itertools
 from pathlib import Path
 import re
-from typing import Any, BinaryIO
+from typing import Any
 import zlib
 
 from mcap import records as mcap
-from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.bag_writer import is_being_written, METADATA_FILE, METADATA_KEY
-from soft_throw_ros.recording.definitions import DamageError, Definitions, Known
-from soft_throw_ros.recording.mcap_file import (
-    Chunk,
-    Gap,
-    McapFile,
-    not_mcap,
-    read_records,
-    unpack,
-)
+from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
+from soft_throw_ros.recording.bag_writer import is_being_written
+from soft_throw_ros.recording.mcap_file import Chunk, CONVERSION, Gap, McapFile, read_stream
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
-from soft_throw_ros.recording.qos import load_yaml
 
-_FILES = 'relative_file_paths'
-
-_SUFFIXES = ('.mcap', '.mcap.zstd')
+__all__ = ['BagReader', 'Gap', 'read_stream']
 
 
 class BagReader:
@@ -37,10 +26,10 @@ class BagReader:
 
     Parameters
     ----------
-    path : file_pathlike
-        A folder with MCAP files, or one such file; both may be compressed as rosbag2 does it.
+    path : path_like
+        A folder with MCAP files, or one such file.
     by_scan : bool
-        Whether to look at every record first, instead of believing the indexes of the files.
+        Whether to look at every record first, instead of believing the ends of the files.
 
     Attributes
     ----------
@@ -73,15 +62,11 @@ class BagReader:
         self._gaps: list[Gap] = []
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
-        mode = str(information.get('compression_mode')).lower()
-        known: Known = {}
+        known: dict[tuple[object, ...], Channel] = {}
         self._files: list[McapFile] = []
         try:
             for file_path in self._paths(information):
-                file = McapFile(
-                    file_path, known, by_scan=by_scan, has_compressed_messages=mode == 'message'
-                )
-                self._files.append(file)
+                self._files.append(McapFile(file_path, known, by_scan=by_scan))
         except BagError:
             self.close()
             raise
@@ -184,14 +169,10 @@ class BagReader:
         """Read `metadata.yaml`; what is not there is left to the files."""
         path = self.path / METADATA_FILE
         try:
-            information = load_yaml(path.read_text(encoding='utf-8'))[METADATA_KEY]
-            return {**information, _FILES: [str(name) for name in information[_FILES]]}
-        except FileNotFoundError:
-            reason = 'the file is missing'
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            reason = f'the file does not describe a bag, {error!r}'
-        self._gaps.append(Gap(path, 0, 0, reason))
-        return {}
+            return read_metadata(path)
+        except ValueError as error:
+            self._gaps.append(Gap(path, 0, 0, str(error)))
+            return {}
 
     def _paths(self, information: Mapping[str, Any]) -> list[Path]:
         """List the files of the bag."""
@@ -200,55 +181,19 @@ class BagReader:
         is_sqlite = any(self.path.glob('*.db3'))
         storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
         if storage != 'mcap':
-            raise BagError(f'{self.path} {not_mcap(f"in {storage}")}')
-        found = sorted(
-            (path for path in self.path.iterdir() if path.name.endswith(_SUFFIXES)), key=_by_number
-        )
-        listed = [self.path / Path(name).name for name in information.get(_FILES, ())]
-        self._gaps += [
-            Gap(path, 0, 0, 'the file is missing') for path in listed if path not in found
-        ]
+            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
+        if str(information.get('compression_mode')).lower() in ('file', 'message'):
+            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
+        found = sorted(self.path.glob('*.mcap'), key=_by_number)
+        listed = [self.path / Path(n).name for n in information.get('relative_file_paths', ())]
+        missing = [path for path in listed if path not in found]
+        self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
         if not found:
             raise BagError(f'{self.path} is no bag, there is no MCAP file in it')
         # What a machine leaves that loses its power is no reason to refuse the others
         empty = [path for path in found if path.is_file() and not path.stat().st_size]
         self._gaps += [Gap(path, 0, 0, 'the file is empty') for path in empty]
         return [path for path in found if path not in empty] or found
-
-
-def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message | mcap.Metadata]:
-    """
-    Yield messages and named texts of an MCAP stream, as they arrive.
-
-    Parameters
-    ----------
-    stream : binary file
-        May be a pipe.
-    name : str
-        What it is called in messages.
-
-    Raises
-    ------
-    BagError
-        Where the stream is no MCAP (any more), after all that came before; not where it ends
-        after a whole record, since a writer may be killed.
-
-    """
-    definitions = Definitions({})
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise BagError(f'{name}: it does not begin as MCAP does')
-    try:
-        for record in read_records(stream):
-            for item in unpack(record) if isinstance(record, mcap.Chunk) else [record]:
-                match item:
-                    case mcap.Message():
-                        yield definitions.message(item)
-                    case mcap.Schema() | mcap.Channel():
-                        definitions.add(item)
-                    case mcap.Metadata():
-                        yield item
-    except DamageError as error:
-        raise BagError(f'{name}: {error}') from None
 
 
 def _by_log_time(

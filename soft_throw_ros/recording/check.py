@@ -12,21 +12,23 @@ up to the first landing: from bounce to bounce a difference grows, often tenfold
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
+import contextlib
 from dataclasses import dataclass, field
 import math
-import struct
 from typing import Any, NamedTuple
 from zlib import crc32
 
+import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
+from soft_throw_ros.recording.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.replay import follow
-from soft_throw_ros.twin.results import Outputs, State
+from soft_throw_ros.twin.results import Floats, Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session
 
 TOLERANCE = 1e-12
@@ -38,7 +40,6 @@ _JOURNAL, _STATES = 'journal', 'joint_states'
 _TEXT, _JOINT_STATE = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState'
 _COMPARED = ('throw', 'result', 'checksum')
 _SAME_OR_LOST = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
-_LATEST = 3_000_000_000  # after the journal tells of a state, in which it may be logged [ns]
 _LONGEST = 3_600_000  # steps from one entry to the next: an hour at the default rate
 _SHOWN = 5  # of what may be many
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
@@ -146,7 +147,7 @@ def check_bag(reader: BagReader) -> list[CheckResult]:
 def _check_twin(reader: BagReader, node: str) -> CheckResult:
     """Check one twin, in one pass over its journal and one over its states."""
     result = CheckResult(twin=node)
-    repetition = _Repetition(result, _RecordedStates(reader, f'{node}/{_STATES}'))
+    repetition = _Repetition(result, _RecordedStates.read(reader, f'{node}/{_STATES}'))
     for message in reader.messages(f'{node}/{_JOURNAL}', by_log_time=False):
         entry = _entry(message)
         if 'line' not in entry:
@@ -156,7 +157,7 @@ def _check_twin(reader: BagReader, node: str) -> CheckResult:
                 f'soft_throw_ros {version}, before there were any'
             )
             return result
-        repetition.take(entry, message.log_time)
+        repetition.take(entry)
     repetition.finish()
     if not repetition.has_begun:
         result.reason = 'cannot be checked: its journal has no start of a throw'
@@ -172,42 +173,32 @@ def _entry(message: Message) -> dict[str, Any]:
         return {'kind': 'unreadable', 'line': -1, 'reason': str(error)}
 
 
-class _RecordedStates:
-    """The states in a bag, by their stamps, until they are asked for."""
+class _RecordedStates(NamedTuple):
+    """The states in a bag, by their stamps."""
 
-    def __init__(self, reader: BagReader, topic: str) -> None:
-        self._messages = reader.messages(topic, by_log_time=False)
-        self._next = next(self._messages, None)
-        self._states: dict[int, bytes] = {}
+    stamps: NDArray[np.int64]  # (n,) ascending [ns]
+    values: Floats  # (n, 6) as in a `State`
 
-    def take(self, stamps: Iterable[int], log_time: int) -> list[bytes | None]:
-        """Return and forget the states of stamps that the journal tells of at a time."""
-        datas = []
-        while self._next is not None and self._next.log_time <= log_time + _LATEST:
-            datas.append(self._next.data)
-            self._next = next(self._messages, None)
-        self._states.update(_read_states(datas))
-        return [self._states.pop(stamp, None) for stamp in stamps]
+    @classmethod
+    def read(cls, reader: BagReader, topic: str) -> _RecordedStates:
+        """Read a topic; what is no message of plate and projectile is left out, and so missing."""
+        stamps, values, read = array('q'), array('d'), JointStateReader().read
+        for message in reader.messages(topic, by_log_time=False):
+            with contextlib.suppress(MessageError):
+                stamp, names, *series = read(message.data)
+                if names == JOINTS and all(len(each) == len(JOINTS) for each in series):
+                    stamps.append(stamp)
+                    for each in series:
+                        values.extend(each)
+        order = np.argsort(np.asarray(stamps), kind='stable')
+        return cls(np.asarray(stamps)[order], np.reshape(values, (-1, len(State._fields)))[order])
 
-
-def _read_states(datas: list[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Decode messages; what cannot be read is left out, and so missing."""
-    if not datas:
-        return
-    try:
-        states = decode_joint_states(datas)
-    except MessageError:
-        if len(datas) > 1:
-            half = len(datas) // 2
-            yield from _read_states(datas[:half])
-            yield from _read_states(datas[half:])
-        return
-    series = (states.position, states.velocity, states.effort)
-    if states.names != JOINTS or any(values.shape[1] != len(JOINTS) for values in series):
-        return
-    for index, stamp in enumerate(states.stamps.tolist()):
-        row = (number for values in series for number in values[index].tolist())
-        yield stamp, STATE.pack(*row)
+    def at(self, stamps: list[int]) -> Floats | None:
+        """Return the states of stamps, None unless all are there."""
+        if not (len(self.stamps) and stamps):
+            return None
+        found = np.searchsorted(self.stamps, stamps).clip(max=len(self.stamps) - 1)
+        return self.values[found] if (self.stamps[found] == stamps).all() else None
 
 
 class _Step(NamedTuple):
@@ -238,7 +229,6 @@ class _Repetition:
         self._recorded_states = recorded_states
         self._session: Session | None = None
         self._line = -1  # the last that was taken
-        self._log_time = 0
         self._throw = 0
         self._recorded: deque[dict[str, Any]] = deque()  # by the journal, not compared yet
         self._repeated: deque[dict[str, Any]] = deque()  # by the repeated session
@@ -247,7 +237,7 @@ class _Repetition:
         self._has_landed = False
         self._versions: dict[str, tuple[str, str]] = {}
 
-    def take(self, entry: dict[str, Any], log_time: int) -> None:
+    def take(self, entry: dict[str, Any]) -> None:
         """Go on to an entry, or begin with it."""
         is_start = entry['kind'] == 'start'
         is_next = entry['line'] == self._line + 1
@@ -256,7 +246,7 @@ class _Repetition:
             self._result.gaps.append(f'{missing} (after throw {self._throw})')
         if is_start or not is_next:
             self.finish()
-        self._line, self._log_time = entry['line'], log_time
+        self._line = entry['line']
         self._throw = entry.get('throw', 0 if is_start else self._throw)
         try:
             if self._session is not None:
@@ -340,78 +330,42 @@ class _Repetition:
 
     def _compare_result(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         """Compare the numbers of a result, and the checksums of its throw."""
-        name = self._first_difference(recorded.get('result'), repeated['result'])
-        stage = f'throw {repeated["result"]["throw"]}, {repeated["result"]["stage"]}'
-        if name:
-            there, here = recorded['result'].get(name), repeated['result'].get(name)
-            self._differ(
-                self._result.results,
-                f'{stage}: {name} is {there!r} in the journal, and {here!r} when repeated',
-            )
-        elif not self._versions and any(
-            recorded.get(k) != repeated.get(k) for k in ('states', 'fields')
-        ):
-            self._differ(self._result.results, f'{stage}: the checksums of its steps')
-        else:
-            self._result.results.same += 1
-
-    def _first_difference(self, recorded: object, repeated: Mapping[str, Any]) -> str:
-        """Return the name of the first number that is not the same, if any."""
-        if not isinstance(recorded, dict):
-            return 'result'
-        for name in {**repeated, **recorded}:
-            there, here = recorded.get(name), repeated.get(name)
-            if self._versions and not isinstance(here, float):
-                continue  # counts and ends may come of bounces
-            if there != here and not (self._versions and _is_near(there, here)):
-                return str(name)
-        return ''
+        there, here = recorded.get('result', {}), repeated['result']
+        reason = _first_difference(there, here, is_exact=not self._versions)
+        if not (reason or self._versions):
+            reason = _first_difference(*(_checksums(e) for e in (recorded, repeated)))
+        self._count(self._result.results, f'throw {here["throw"]}, {here["stage"]}', reason)
 
     def _compare_checksum(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
         """Compare the checksums of some steps, and their states in the bag if all are there."""
         steps = [step for step in self._steps if step.number < repeated['step']]
         del self._steps[: len(steps)]
-        where = f'steps {repeated["first"]} to {repeated["step"] - 1}'
         if self._versions:
             self._result.checksums.unchecked += 1
         else:
-            wrong = [
-                name
-                for name in ('first', 'states', 'fields')
-                if recorded.get(name) != repeated[name]
-            ]
-            if wrong:
-                self._differ(self._result.checksums, f'{where}: checksum, {" and ".join(wrong)}')
-            else:
-                self._result.checksums.same += 1
-        found = self._recorded_states.take((step.due_ns for step in steps), self._log_time)
-        values = [value for value in found if value is not None]
-        if len(values) < len(found):
+            reason = _first_difference(*(_checksums(e) for e in (recorded, repeated)))
+            where = f'steps {repeated["first"]} to {repeated["step"] - 1}'
+            self._count(self._result.checksums, where, reason)
+        values = self._recorded_states.at([step.due_ns for step in steps])
+        if values is None:
             self._result.states.unchecked += 1
             return
-        if not self._versions and crc32(b''.join(values)) == repeated['states']:
-            self._result.states.same += 1
-            return
-        for step, value in zip(steps, values, strict=True):
-            name = self._wrong_number(step, value)
-            if name:
-                self._differ(self._result.states, f'step {step.number}: {name}')
-                return
-        self._result.states.same += 1
+        reason = ''
+        if self._versions or crc32(values.tobytes()) != repeated['states']:
+            for step, row in zip(steps, values.tolist(), strict=True):
+                if not reason and (step.is_before_landing or not self._versions):
+                    states = State(*row)._asdict(), step.state._asdict()
+                    reason = _first_difference(*states, is_exact=not self._versions)
+                    reason = f'step {step.number}: {reason}' if reason else ''
+        self._count(self._result.states, 'states', reason)
 
-    def _wrong_number(self, step: _Step, value: bytes) -> str:
-        """Say which number of a recorded state is wrong, if one is."""
-        if value == STATE.pack(*step.state) or (self._versions and not step.is_before_landing):
-            return ''
-        for name, there, here in zip(State._fields, STATE.unpack(value), step.state, strict=True):
-            is_same = _is_near(there, here) if self._versions else _bits(there) == _bits(here)
-            if not is_same:
-                return f'{name} is {there!r} in the bag, and {here!r} when repeated'
-        return ''
-
-    def _differ(self, count: Count, sentence: str) -> None:
-        count.different += 1
-        self._result.differences.append(sentence)
+    def _count(self, count: Count, what: str, reason: str) -> None:
+        """Count what was compared, and say why it is different if it is."""
+        if reason:
+            count.different += 1
+            self._result.differences.append(f'{what}: {reason}')
+        else:
+            count.same += 1
 
     def _give_up(self, sentence: str) -> None:
         """Note that the session cannot be repeated, up to the next throw."""
@@ -422,12 +376,29 @@ class _Repetition:
         self._session = None
 
 
-_bits = struct.Struct('<d').pack
+def _checksums(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: entry.get(name) for name in ('first', 'states', 'fields')}
 
 
-def _is_near(there: object, here: object) -> bool:
+def _first_difference(
+    recorded: Mapping[str, Any], repeated: Mapping[str, Any], *, is_exact: bool = True
+) -> str:
+    """Say which value is the first that is not the same, if one is not."""
+    for name in {**repeated, **recorded}:
+        there, here = recorded.get(name), repeated.get(name)
+        if is_exact:
+            is_same = repr(there) == repr(here)  # which tells zeros by their signs
+        else:  # counts and ends may come of bounces
+            is_same = not isinstance(here, float) or _is_near(there, here)
+        if not is_same:
+            return f'{name} is {there!r} in the bag, and {here!r} when repeated'
+    return ''
+
+
+def _is_near(there: object, here: float) -> bool:
     """Tell whether numbers are the same but for last bits."""
-    if not (isinstance(there, (int, float)) and isinstance(here, (int, float))):
+    if not isinstance(there, (int, float)):
         return False
-    limit = TOLERANCE * max(1.0, abs(here))
-    return math.isfinite(there) and abs(there - here) <= limit
+    return there == here or (
+        math.isfinite(there) and abs(there - here) <= TOLERANCE * max(1.0, abs(here))
+    )

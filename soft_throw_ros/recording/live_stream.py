@@ -211,7 +211,7 @@ class LiveStream:
         for message in messages:
             channel = message.channel
             self._append(self._stream.define(channel), 0)
-            if any(qos.durability == 'transient_local' for qos in channel.qos):
+            if channel.is_latched:
                 self._latched.setdefault(channel, deque(maxlen=_LATCHED_DEPTH)).append(message)
         self._append(self._stream.block(messages), len(messages))
         if self._process is None:

@@ -2,14 +2,14 @@
 """
 One MCAP file of a bag: which chunks it has, and what is in them.
 
-Records are parsed by the library `mcap`. Its own readers stop at the first damage, so that the
-whole chunks after it are found here.
+Records are parsed by the library `mcap`. Its own readers stop at the first damage, and need the
+end of the file, so that chunks are found here: by going from record to record.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 import contextlib
 from io import BytesIO
 import mmap
@@ -17,17 +17,16 @@ import os
 from pathlib import Path
 import re
 import struct
-import tempfile
 from typing import Any, BinaryIO, NamedTuple
 import zlib
 
 from mcap import records as mcap
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.stream_reader import breakup_chunk, CRCValidationError, StreamReader
+from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.definitions import DamageError, Definitions, Known
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.recording.cdr import decoder_of, MessageError
+from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 import zstandard
 
 LARGEST_RECORD = 256 * 2**20
@@ -42,18 +41,30 @@ _CHUNK_HEAD = re.compile(
 )
 """The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
 
-
 _UNCHUNKED = -1  # instead of the offset of a chunk, for messages that are in none
 
-_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+_OTHERS = {
+    b'SQLite format 3': 'is a bag in sqlite3, not in MCAP',
+    b'#ROSBAG V': 'is a bag of ROS 1, not in MCAP',
+    b'\x28\xb5\x2f\xfd': 'is compressed as a whole',
+}
+"""What files begin with that are no MCAP, and what they are."""
 
-_OTHERS = {b'SQLite format 3': 'in sqlite3', b'#ROSBAG V': 'of ROS 1'}
+CONVERSION = 'convert it, as with rosbags: rosbags-convert --src BAG --dst NEW --dst-storage mcap'
+
+_NAME = r'[A-Za-z]\w*'
+_TYPE = re.compile(rf'{_NAME}/msg/{_NAME}', re.ASCII)
+_TOPIC = re.compile(r'(/[A-Za-z_]\w*)+', re.ASCII)
 
 _LIBRARY_ERRORS = (
     *(McapError, ValueError, LookupError, ArithmeticError, EOFError, MemoryError, TypeError),
     *(OSError, RuntimeError, struct.error, zstandard.ZstdError),
 )
 """What the library raises, where damaged bytes lead it."""
+
+
+class DamageError(ValueError):
+    """Bytes are not what they should be; the message says why."""
 
 
 class Gap(NamedTuple):
@@ -64,7 +75,7 @@ class Gap(NamedTuple):
     offset: int
     size: int
     reason: str  # What is wrong
-    messages: int = 0  # How many messages were in it, as far as is known
+    messages: int = 0  # How many messages are not read for it, as far as is known
 
     def __str__(self) -> str:
         place = f'{self.size} bytes at {self.offset}: ' if self.size else ''
@@ -76,44 +87,128 @@ class Chunk(NamedTuple):
     """Where a chunk of messages is, the span of their log times, and their channels if known."""
 
     offset: int
+    size: int
     first: int
     last: int
     channels: frozenset[int]
+
+
+class Definitions:
+    """
+    The channels of a file or stream, by their numbers in it.
+
+    `known` has the channels of all files of a bag, so that what is the same is one object. With
+    `is_strict`, what has no checksum, and may be damaged, is left out where nobody could tell.
+
+    Attributes
+    ----------
+    doubts : list of str
+        What was left out of channels that are not.
+
+    """
+
+    def __init__(self, known: dict[tuple[object, ...], Channel], *, is_strict: bool) -> None:
+        self.doubts: list[str] = []
+        self._known = known
+        self._is_strict = is_strict
+        self._records: dict[tuple[type, int], tuple[mcap.Schema | mcap.Channel, bool]] = {}
+        self._channels: dict[int, Channel | None] = {}
+
+    def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = True) -> None:
+        """Take a definition; one that has no checksum only if there is no other."""
+        key = (type(record), record.id)
+        if is_checked or key not in self._records:
+            self._records[key] = record, is_checked
+            self._channels.clear()
+
+    def channel(self, number: int) -> Channel | None:
+        """Return a channel, None if it is not defined; BagError if it is not of ROS 2."""
+        if number not in self._channels:
+            record, is_checked = self._records.get((mcap.Channel, number), (None, False))
+            if not isinstance(record, mcap.Channel):
+                return None
+            schema, is_schema_checked = self._records.get(
+                (mcap.Schema, record.schema_id), (None, False)
+            )
+            if not isinstance(schema, mcap.Schema):
+                return None
+            is_trusted = (is_checked and is_schema_checked) or not self._is_strict
+            self._channels[number] = self._make(record, schema, is_trusted=is_trusted)
+        return self._channels[number]
+
+    def all(self) -> dict[int, Channel]:
+        """Return those that are defined."""
+        numbers = [number for kind, number in self._records if kind is mcap.Channel]
+        found = {number: self.channel(number) for number in numbers}
+        return {number: channel for number, channel in found.items() if channel is not None}
+
+    def message(self, record: mcap.Message) -> Message:
+        """Return a message, or raise DamageError."""
+        channel = self.channel(record.channel_id)
+        if channel is None:
+            raise DamageError(f'nothing defines channel {record.channel_id} of a message')
+        if (record.log_time | record.publish_time) > LATEST:
+            raise DamageError('a message has no valid times')
+        return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
+
+    def _make(
+        self, record: mcap.Channel, schema: mcap.Schema, *, is_trusted: bool
+    ) -> Channel | None:
+        text = schema.data.decode(errors='replace')
+        if not is_trusted and not _is_sound(record, schema, text):
+            return None
+        if record.message_encoding != 'cdr':
+            raise BagError(
+                f'{record.topic} has messages in {record.message_encoding!r}, not in '
+                "'cdr' as those of ROS 2 are"
+            )
+        metadata = record.metadata if is_trusted else {}
+        if not is_trusted and record.metadata:
+            self.doubts.append(f'type hash and quality of service of {record.topic}')
+        channel = Channel(
+            topic=record.topic,
+            type=schema.name,
+            schema=text,
+            type_hash=metadata.get('topic_type_hash', ''),
+            qos=metadata.get('offered_qos_profiles', ''),
+            schema_encoding=schema.encoding,
+        )
+        return self._known.setdefault(tuple(vars(channel).values()), channel)
 
 
 class McapFile:
     """
     An MCAP file: which chunks it has, and what is in them.
 
-    Chunks are found by the summary at its end or, if that is missing, damaged or not complete, by
-    looking at all records.
+    Its end tells the channels and how many messages there are. If that is missing, damaged or not
+    true, or `by_scan`, all chunks are unpacked for it.
     """
 
     def __init__(
-        self, path: Path, known: Known, *, by_scan: bool, has_compressed_messages: bool
+        self, path: Path, known: dict[tuple[object, ...], Channel], *, by_scan: bool
     ) -> None:
+        self.definitions = Definitions(known, is_strict=by_scan)
         self.gaps: list[Gap] = []
         self.chunks: list[Chunk] = []
         self.metadata: list[mcap.Metadata] = []
-        self.definitions = Definitions(known)
         self._path = path
-        self._has_compressed_messages = has_compressed_messages
         self._attachments: list[int] = []  # offsets
         self._unchunked: list[mcap.Message] = []
-        self._stream = _open(path, is_lenient=by_scan)
-        self._size = os.fstat(self._stream.fileno()).st_size
+        self._counts: Counter[int] = Counter()  # of messages, by their channels
+        self._told = 0  # how many messages there are, by the end of the file
+        self._file = _open(path, is_lenient=by_scan)
+        self._size = os.fstat(self._file.fileno()).st_size
         try:
-            counts = self._read_summary()
-            if counts is None or by_scan:
-                counts = self._scan()
-            self.counts = self._by_channel(counts)
+            if not self._read_end() or by_scan:
+                self._scan()
+            self.counts = self._count_by_channel()
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
 
     def close(self) -> None:
         """Close the file."""
-        self._stream.close()
+        self._file.close()
 
     def attachments(self) -> Iterator[mcap.Attachment]:
         """Yield files that were written into this one."""
@@ -121,7 +216,7 @@ class McapFile:
             try:
                 record = self._record_at(offset)
             except DamageError as error:
-                self._note(offset, self._stream.tell() - offset, str(error))
+                self._note(offset, self._head(offset)[1] - offset, str(error))
             else:
                 if isinstance(record, mcap.Attachment):
                     yield record
@@ -148,28 +243,14 @@ class McapFile:
                     and record.channel_id in numbers
                     and span.start <= record.log_time < span.stop
                 ):
-                    message = self.definitions.message(record)
-                    if self._has_compressed_messages:
-                        message = message._replace(data=_decompress(message.data))
-                    yield message
+                    yield self.definitions.message(record)
         except DamageError as error:
-            self._note(chunk.offset, self._stream.tell() - chunk.offset, str(error))
+            self._note(chunk.offset, chunk.size, str(error))
 
     def _numbers(self, topics: Collection[str] | None) -> set[int]:
         """Return the numbers of the channels that are wanted."""
         channels = self.definitions.all().items()
         return {number for number, item in channels if topics is None or item.topic in topics}
-
-    def _by_channel(self, counts: Mapping[int, int]) -> dict[Channel, int]:
-        """Name the channels of which there are so many messages."""
-        channels = self.definitions.all()
-        named = dict.fromkeys(channels.values(), 0)
-        for number, count in counts.items():
-            if number in channels:
-                named[channels[number]] += count
-            else:
-                self._note(0, 0, f'nothing that can be trusted defines channel {number}', count)
-        return named
 
     def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
         """Remember what cannot be read, once."""
@@ -177,129 +258,138 @@ class McapFile:
         if gap not in self.gaps:
             self.gaps.append(gap)
 
-    def _record_at(self, offset: int) -> mcap.McapRecord | None:
-        self._stream.seek(offset)
-        return next(read_records(self._stream), None)
+    def _count_by_channel(self) -> dict[Channel, int]:
+        """Name the channels of which there are so many messages."""
+        channels = self.definitions.all()
+        named = dict.fromkeys(channels.values(), 0)
+        for number, count in self._counts.items():
+            if number in channels:
+                named[channels[number]] += count
+            else:
+                self._note(0, 0, f'nothing that can be trusted defines channel {number}', count)
+        return named
 
-    def _read_summary(self) -> Mapping[int, int] | None:
-        """Return the counts of messages; None if the summary is not what it should be."""
-        found: dict[type, list[Any]] = defaultdict(list)  # records, by their types
-        try:
-            self._stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
-            _, _, start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
-            self._stream.seek(start)
-            data = self._stream.read(min(self._size - len(MAGIC) - start, LARGEST_RECORD))
-            if not start or checksum not in (0, zlib.crc32(data[:-4])):
-                return None
-            for record in read_records(BytesIO(data)):
-                found[type(record)].append(record)
-            there = (self._record_at(index.offset) for index in found[mcap.MetadataIndex])
-            metadata = [record for record in there if isinstance(record, mcap.Metadata)]
-        except (OSError, ValueError, struct.error):
+    def _read(self, begin: int, end: int) -> bytes:
+        return os.pread(self._file.fileno(), end - begin, begin)
+
+    def _head(self, offset: int) -> tuple[int, int]:
+        """Return the opcode of a record, and where it ends; DamageError if there is none."""
+        head = self._read(offset, offset + _HEAD.size).ljust(_HEAD.size, b'\0')
+        opcode, length = _HEAD.unpack(head)
+        if opcode not in _OPCODES:
+            raise DamageError(f'no record begins with {opcode:#04x}')
+        if length > LARGEST_RECORD:
+            raise DamageError(f'a record of {length} bytes, which is more than {LARGEST_RECORD}')
+        if offset + _HEAD.size + length > self._size:
+            raise DamageError('it ends within a record')
+        return opcode, offset + _HEAD.size + length
+
+    def _record_at(self, offset: int) -> mcap.McapRecord | None:
+        """Return a record, None if it is of no known kind; DamageError if there is none."""
+        opcode, end = self._head(offset)
+        data = self._read(offset, end)
+        checksum = int.from_bytes(data[-4:], 'little')
+        is_attachment = opcode == Opcode.ATTACHMENT
+        if is_attachment and checksum not in (0, zlib.crc32(data[_HEAD.size : -4])):
+            raise DamageError('the checksum of the attachment there is wrong')
+        if opcode >= 0x80:
             return None
+        try:  # a stream of this one record, so that no length in it leads beyond its end
+            return next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+        except (*_LIBRARY_ERRORS, StopIteration) as error:
+            raise DamageError(f'the record there is damaged, {error!r:.100}') from None
+
+    def _read_end(self) -> bool:
+        """Read what the file says of itself at its end; tell whether that is sound and all."""
+        found: dict[type, list[Any]] = defaultdict(list)  # records, by their types
+        footer = self._read(max(self._size - len(MAGIC) - _FOOTER.size, 0), self._size)
+        try:
+            _, _, begin, _, checksum = _FOOTER.unpack(footer[: -len(MAGIC)])
+            data = self._read(begin, begin + min(self._size - begin, LARGEST_RECORD))
+            if not begin or checksum not in (0, zlib.crc32(data[: -len(MAGIC) - 4])):
+                return False
+            for record in StreamReader(BytesIO(data), skip_magic=True).records:
+                found[type(record)].append(record)
+            there = [self._record_at(index.offset) for index in found[mcap.MetadataIndex]]
+        except _LIBRARY_ERRORS:
+            return False
         for record in found[mcap.Schema] + found[mcap.Channel]:
             self.definitions.add(record, is_checked=bool(checksum))
         if not found[mcap.Statistics]:
-            return None
-        statistics, chunks = found[mcap.Statistics][-1], found[mcap.ChunkIndex]
-        is_complete = (
-            {each.id for each in found[mcap.Channel]} >= statistics.channel_message_counts.keys()
-            and len(chunks) == statistics.chunk_count
-            and bool(chunks or not statistics.message_count)
-            and len(found[mcap.AttachmentIndex]) == statistics.attachment_count
-            and len(metadata) == statistics.metadata_count
-        )
-        if not is_complete:
-            return None
-        self.metadata = metadata
+            return False
+        told: mcap.Statistics = found[mcap.Statistics][-1]
+        self._told = told.message_count
+        self._counts = Counter(told.channel_message_counts)
+        self.metadata = [record for record in there if isinstance(record, mcap.Metadata)]
         self._attachments = [index.offset for index in found[mcap.AttachmentIndex]]
         self.chunks = sorted(
             Chunk(
                 index.chunk_start_offset,
+                index.chunk_length,
                 index.message_start_time,
                 index.message_end_time,
                 frozenset(index.message_index_offsets),
             )
-            for index in chunks
+            for index in found[mcap.ChunkIndex]
         )
-        return dict(statistics.channel_message_counts)
+        return (
+            (told.chunk_count, told.metadata_count, told.attachment_count)
+            == (len(self.chunks), len(self.metadata), len(self._attachments))
+            and bool(self.chunks or not told.message_count)
+            and self.definitions.all().keys() >= self._counts.keys()
+        )
 
-    def _scan(self) -> Mapping[int, int]:
-        """Look at all records, those after damage from the next chunk on; count the messages."""
-        self.chunks, self.metadata, self._attachments = [], [], []
-        counts: Counter[int] = Counter()
-        offset = sound_end = len(MAGIC)  # of the last record, and the last chunk without damage
-        is_complete = is_chunk_lost = False
-        while offset < self._size and not is_complete:
-            self._stream.seek(offset)
+    def _scan(self) -> None:
+        """Go from record to record, after damage from the next whole chunk on."""
+        for found in (self.chunks, self.metadata, self._attachments, self._counts):
+            found.clear()
+        offset, opcode = len(MAGIC), 0
+        while offset < self._size and opcode != Opcode.DATA_END:
             try:
-                for record in read_records(self._stream):
-                    begin, offset = offset, self._stream.tell()
-                    is_complete = isinstance(record, mcap.DataEnd)
-                    if is_complete:
-                        break
-                    if isinstance(record, mcap.Chunk):
-                        found = self._take_chunk(begin, record)
-                        is_chunk_lost = found is None
-                        if found is not None:
-                            sound_end = offset
-                            counts += found
-                    elif isinstance(record, mcap.MessageIndex) and is_chunk_lost:
-                        gap = self.gaps[-1]
-                        self.gaps[-1] = gap._replace(messages=gap.messages + len(record.records))
-                    else:
-                        self._take(begin, record)
+                opcode, end = self._head(offset)
+                self._take(opcode, offset, end)
             except DamageError as error:
-                begin, offset = offset, self._find_chunk(sound_end)
-                sound_end = offset + 1  # so that no chunk is found twice
-                if offset != begin:
-                    self._note(min(begin, offset), max(offset - begin, 0), str(error))
-        if not is_complete or not self._has_end():
+                end = self._find_chunk(offset + 1)
+                self._note(offset, end - offset, str(error))
+            offset = end
+        if opcode != Opcode.DATA_END or self._read(self._size - 8, self._size) != MAGIC:
             self._note(self._size, 0, 'the file has no end')
-        return counts + self._add_messages(_UNCHUNKED, self._unchunked)
+        self._add_chunk(_UNCHUNKED, 0, self._unchunked)
+        missing = self._told - sum(self._counts.values())
+        if missing > 0:
+            self._note(self._size, 0, 'messages are missing that the end tells of', missing)
 
-    def _has_end(self) -> bool:
-        self._stream.seek(-len(MAGIC), os.SEEK_END)
-        return self._stream.read() == MAGIC
-
-    def _take_chunk(self, offset: int, chunk: mcap.Chunk) -> Counter[int] | None:
-        """Take over a chunk; return how many messages of which channels, None if it is damaged."""
-        records: list[mcap.McapRecord] = []
-        is_sound = False
-        try:
-            records, is_sound = unpack(chunk), True
-        except DamageError as error:
-            self._note(offset, self._stream.tell() - offset, str(error))
-            with contextlib.suppress(*_LIBRARY_ERRORS):  # a definition is better than none
-                records = breakup_chunk(chunk)
-        for record in records:
-            if isinstance(record, mcap.Schema | mcap.Channel):
-                self.definitions.add(record, is_checked=is_sound and chunk.uncompressed_crc != 0)
-        return self._add_messages(offset, records) if is_sound else None
-
-    def _take(self, offset: int, record: mcap.McapRecord) -> None:
-        """Take over a record that is in no chunk."""
-        match record:
-            case mcap.Message():
+    def _take(self, opcode: int, offset: int, end: int) -> None:
+        """Take over a record."""
+        if opcode == Opcode.ATTACHMENT:
+            self._attachments.append(offset)
+        if opcode in (Opcode.ATTACHMENT, Opcode.HEADER, Opcode.MESSAGE_INDEX):
+            return  # the latter has very many numbers, and nobody needs them
+        match self._record_at(offset):
+            case mcap.Chunk() as chunk:
+                records = unpack(chunk)
+                for record in records:
+                    if isinstance(record, mcap.Schema | mcap.Channel):
+                        self.definitions.add(record, is_checked=chunk.uncompressed_crc != 0)
+                self._add_chunk(offset, end - offset, records)
+            case mcap.Message() as record:
                 self._unchunked.append(record)
-            case mcap.Metadata():
+            case mcap.Metadata() as record:
                 self.metadata.append(record)
-            case mcap.Attachment():
-                self._attachments.append(offset)
-            case mcap.Schema() | mcap.Channel():
+            case mcap.Schema() | mcap.Channel() as record:
                 self.definitions.add(record, is_checked=False)
 
-    def _add_messages(self, offset: int, records: Iterable[mcap.McapRecord]) -> Counter[int]:
+    def _add_chunk(self, offset: int, size: int, records: Iterable[mcap.McapRecord]) -> None:
         messages = [record for record in records if isinstance(record, mcap.Message)]
         counts = Counter(message.channel_id for message in messages)
+        self._counts += counts
         if messages:
             times = [message.log_time for message in messages]
-            self.chunks.append(Chunk(offset, min(times), max(times), frozenset(counts)))
-        return counts
+            self.chunks.append(Chunk(offset, size, min(times), max(times), frozenset(counts)))
 
     def _find_chunk(self, start: int) -> int:
         """Return where the next chunk that is whole begins, or the file ends."""
-        with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             for match in _CHUNK_HEAD.finditer(data, start):
                 with contextlib.suppress(DamageError):
                     if unpack(self._record_at(match.start())):
@@ -307,29 +397,39 @@ class McapFile:
         return self._size
 
 
-def read_records(stream: BinaryIO) -> Iterator[mcap.McapRecord]:
-    """Yield the records of a stream, chunks as they are; DamageError where that cannot go on."""
-    while head := stream.read(_HEAD.size):
-        opcode, length = _HEAD.unpack(head.ljust(_HEAD.size, b'\0'))
-        if opcode not in _OPCODES:
-            raise DamageError(f'no record begins with {opcode:#04x}')
-        if length > LARGEST_RECORD:
-            raise DamageError(f'a record of {length} bytes, which is more than {LARGEST_RECORD}')
-        body = stream.read(length)
-        if len(head) + len(body) < _HEAD.size + length:
-            raise DamageError('it ends within a record')
-        checksum = int.from_bytes(body[-4:], 'little')
-        if opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(body[:-4])):
-            raise DamageError('the checksum of the attachment there is wrong')
-        try:  # a stream of this one record, so that no length in it leads beyond its end
-            records = StreamReader(BytesIO(head + body), skip_magic=True, emit_chunks=True).records
-            record = next(records, None) if opcode < 0x80 else None
-        except _LIBRARY_ERRORS as error:
-            raise DamageError(f'the record there is damaged, {error!r:.100}') from None
-        if record is not None:
-            yield record
-        if opcode == Opcode.FOOTER:
-            return
+def read_stream(stream: BinaryIO, name: str = 'the stream') -> Iterator[Message | mcap.Metadata]:
+    """
+    Yield messages and named texts of an MCAP stream, as they arrive.
+
+    Parameters
+    ----------
+    stream : binary file
+        May be a pipe.
+    name : str
+        What it is called in messages.
+
+    Raises
+    ------
+    BagError
+        Where the stream is no MCAP (any more), after all that came before; not where it ends,
+        since a writer may be killed.
+
+    """
+    definitions = Definitions({}, is_strict=False)
+    records = StreamReader(stream, validate_crcs=True, record_size_limit=LARGEST_RECORD).records
+    try:
+        for record in records:
+            match record:
+                case mcap.Message():
+                    yield definitions.message(record)
+                case mcap.Schema() | mcap.Channel():
+                    definitions.add(record)
+                case mcap.Metadata():
+                    yield record
+    except EndOfFile:
+        return
+    except _LIBRARY_ERRORS as error:
+        raise BagError(f'{name}: it is damaged, {error!s:.200}') from None
 
 
 def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
@@ -338,18 +438,21 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
         raise DamageError('there is no chunk')
     try:
         return breakup_chunk(chunk, validate_crc=True)
-    except CRCValidationError:
-        raise DamageError('the checksum of the chunk there is wrong') from None
     except _LIBRARY_ERRORS as error:
-        raise DamageError(f'the chunk there cannot be unpacked, {error!r:.100}') from None
+        raise DamageError(f'the chunk there cannot be unpacked, {error!s:.100}') from None
 
 
-def _decompress(data: bytes) -> bytes:
-    """Decompress a message that was compressed by itself."""
+def _is_sound(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
+    """Tell whether others could read a definition that has no checksum."""
+    if not (_TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)):
+        return False
+    if schema.encoding != 'ros2msg' or '\ufffd' in text:
+        return schema.encoding == 'ros2idl'
     try:
-        return zstandard.decompress(data, LARGEST_RECORD)
-    except zstandard.ZstdError as error:
-        raise DamageError(f'a message cannot be decompressed, {error}') from None
+        decoder_of(schema.name, text)
+    except MessageError:
+        return False
+    return True
 
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
@@ -357,40 +460,17 @@ def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
     if path.exists() and not path.is_file():
         raise BagError(f'{path} is no file')
     try:
-        stream: BinaryIO = path.open('rb')
-        if stream.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC:
-            stream = _decompressed(stream)
+        stream = path.open('rb')
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
-    except zstandard.ZstdError as error:
-        raise BagError(f'{path} cannot be decompressed: {error}') from None
-    stream.seek(0)
     begin = stream.read(16)
     reason = '' if begin.startswith(MAGIC) or is_lenient else 'is no MCAP file'
     if not begin:
         reason = 'is empty'
     for magic, kind in _OTHERS.items():
         if begin.startswith(magic):
-            reason = not_mcap(kind)
+            reason = f'{kind}; {CONVERSION}'
     if reason:
         stream.close()
         raise BagError(f'{path} {reason}')
     return stream
-
-
-def _decompressed(stream: BinaryIO) -> BinaryIO:
-    """Return a temporary file with what another one has compressed in it, and close that."""
-    with stream, contextlib.ExitStack() as stack:
-        whole = stack.enter_context(tempfile.TemporaryFile())
-        stream.seek(0)
-        zstandard.ZstdDecompressor().copy_stream(stream, whole)
-        stack.pop_all()
-    return whole
-
-
-def not_mcap(kind: str) -> str:
-    """Say what to do with a bag that is stored otherwise."""
-    return (
-        f'is a bag {kind}, not in MCAP; convert it, as with rosbags: '
-        'rosbags-convert --src BAG --dst NEW_BAG --dst-storage mcap'
-    )

@@ -6,8 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from soft_throw_ros.recording.qos import Qos
-
 LATEST = 2**63 - 1
 """The latest time that ROS knows. [ns]"""
 
@@ -24,9 +22,15 @@ class Channel:
     type: str  # As `sensor_msgs/msg/JointState`
     schema: str  # Definition of the type and of all that it depends on, from `schemas.find_schema`
     type_hash: str = ''  # `RIHS01_...`, or empty
-    qos: tuple[Qos, ...] = ()  # What its publishers offer
+    # What its publishers offer: a list of profiles in YAML, as rosbag2 writes it, or empty
+    qos: str = ''
     # How the schema is written; those of others may be in `ros2idl`
     schema_encoding: str = 'ros2msg'
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether a publisher keeps messages for those who subscribe later."""
+        return 'durability: transient_local' in self.qos
 
 
 class Message(NamedTuple):

@@ -12,6 +12,8 @@ from soft_throw_ros.recording.bag_reader import BagReader, Gap
 from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
 from soft_throw_ros.recording.message import BagError
 
+_BUFFER_SIZE = 2**20  # what waits is written when it has grown beyond this [bytes]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
@@ -39,8 +41,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
     Every chunk is taken that is whole, by its checksum if it has one. The messages keep their
     order, times and numbers; metadata and attachments come first; several files become one. Of
-    definitions that have no sound copy with a checksum, the type hash is left out; those that
-    cannot be what was written are left out with their messages.
+    definitions without a checksum, type hash and quality of service are left out; those that
+    cannot be read are left out with their messages.
 
     Parameters
     ----------
@@ -75,6 +77,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
                     writer.attach(item.name, item.data, item.media_type, time=item.log_time)
                 for message in reader.messages(by_log_time=False):
                     writer.write(message)
+                    if writer.unsaved > _BUFFER_SIZE:
+                        writer.flush()
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise

@@ -84,27 +84,6 @@ def installed_prefixes() -> list[str]:
     return [path for path in paths if path] + [sys.prefix]  # the latter with ROS from PyPI
 
 
-def is_complete(type_name: str, text: str) -> bool:
-    r"""
-    Tell whether a text defines a type with all that it depends on, as `find_schema` finds it.
-
-    Examples
-    --------
-    >>> is_complete('a/msg/A', f'B b\n{"=" * 80}\nMSG: a/B\nint8 x\n')
-    True
-    >>> is_complete('a/msg/A', 'B b\n')
-    False
-
-    """
-    first, *others = re.split(rf'^{_SEPARATOR}\nMSG: (\S+)\n', text, flags=re.MULTILINE)
-    short = type_name.replace('/msg/', '/')
-    parts = {short: first, **dict(zip(others[::2], others[1::2], strict=True))}
-    needed = {short}
-    for name, part in parts.items():
-        needed.update(_dependencies(part, name.partition('/')[0]))
-    return needed == parts.keys() and '\ufffd' not in text and bool(_TYPE.fullmatch(type_name))
-
-
 def _dependencies(text: str, package: str) -> list[str]:
     """List the types that fields have, as `package/Type`, in the order that rosbag2 takes."""
     found = set()

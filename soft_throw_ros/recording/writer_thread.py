@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 import threading
 import time
 
@@ -44,12 +44,12 @@ class WriterThread:
         self.error = ''
         self._open_bag = open_bag
         self._capacity = capacity
+        self._count = 0
         self._dropped: Counter[Channel] = Counter()
         self._waiting: deque[Message | Callable[[BagWriter], None]] = deque()
         # Two sums, each of one thread, and no lock
         self._put_size = 0  # [bytes]
         self._written_size = 0  # [bytes]
-        self._closing_error: BagError | None = None
         self._is_closing = threading.Event()
         self._flush()
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
@@ -62,46 +62,37 @@ class WriterThread:
 
     @property
     def waiting(self) -> int:
-        """How many messages wait to be written."""
-        return len(self._waiting)
+        """How many messages wait for the disk."""
+        kept = sum(self.bag.counts.values()) if self.bag is not None else 0
+        return max(self._count - kept - sum(self.lost().values()), 0)
 
     def put(self, messages: Iterable[Message]) -> None:
         """Have messages written, or dropped if too much waits already."""
+        room = self._capacity - self._put_size + self._written_size
+        room -= self.bag.unsaved if self.bag is not None else 0
         for message in messages:
             size = len(message.data) + _OVERHEAD
-            if self._put_size - self._written_size + size > self._capacity:
+            self._count += 1
+            if size > room:
                 self._dropped[message.channel] += 1
             else:
+                room -= size
                 self._put_size += size
                 self._waiting.append(message)
 
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Have named texts written."""
-        self._waiting.append(lambda bag: bag.add_metadata(name, values))
-
-    def attach(self, name: str, data: bytes, media_type: str) -> None:
-        """Have a file written into the bag."""
-        self._waiting.append(lambda bag: bag.attach(name, data, media_type, time=time.time_ns()))
+    def call(self, act: Callable[[BagWriter], None]) -> None:
+        """Have something else done with the bag, after the messages so far."""
+        self._waiting.append(act)
 
     def lost(self) -> Counter[Channel]:
         """Return how many messages are not in the bag, and will not be, by their channels."""
         bag = self.bag
-        return Counter(self._dropped.copy()) + Counter(bag.lost if bag is not None else {})
+        return self._dropped.copy() + (bag.lost if bag is not None else Counter())
 
     def close(self) -> None:
-        """
-        Write what waits, and finish the bag.
-
-        Raises
-        ------
-        BagError
-            If the end of the bag could not be written.
-
-        """
+        """Write what waits, and finish the bag; if its end could not be written, see `error`."""
         self._is_closing.set()
         self._thread.join()
-        if self._closing_error is not None:
-            raise self._closing_error
 
     def _run(self) -> None:
         next_flush = time.monotonic() + FLUSH_PERIOD
@@ -110,7 +101,7 @@ class WriterThread:
             if time.monotonic() >= next_flush:
                 next_flush = time.monotonic() + FLUSH_PERIOD
                 self._flush()
-        if self.error:
+        if self.bag is None:
             self._flush()
         self._write()
         self._dropped.update(item.channel for item in self._waiting if isinstance(item, Message))
@@ -119,25 +110,21 @@ class WriterThread:
                 self.bag.close()
             except BagError as error:
                 self.error = str(error)
-                self._closing_error = error
+            else:
+                self.error = ''
 
     def _write(self) -> None:
-        """Write what waits, up to the first message that the bag refuses."""
-        waiting, bag = self._waiting, self.bag
-        while waiting and bag is not None and not self.error:
-            item = waiting[0]
-            if isinstance(item, Message):
-                try:
-                    bag.write(item)
-                except BagError as error:
-                    self.error = str(error)
-                    return
-                except ValueError:  # its times are none
-                    self._dropped[item.channel] += 1
-                self._written_size += len(item.data) + _OVERHEAD
-            else:
-                item(bag)
-            waiting.popleft()
+        """Write what waits."""
+        while self._waiting and self.bag is not None:
+            item = self._waiting.popleft()
+            if not isinstance(item, Message):
+                item(self.bag)
+                continue
+            try:
+                self.bag.write(item)
+            except ValueError:  # its times are none
+                self._dropped[item.channel] += 1
+            self._written_size += len(item.data) + _OVERHEAD
 
     def _flush(self) -> None:
         """Have all that is written kept, or, if that could not be done, try again."""

@@ -385,9 +385,13 @@ class Process:
 
     def wait_for(self, text: str) -> None:
         """Wait until it has written a line with `text`."""
+        self.wait_until(lambda lines: any(text in line for line in lines))
+
+    def wait_until(self, is_enough: Callable[[list[str]], bool]) -> None:
+        """Wait until the lines that it has written are enough."""
         with self._said:
-            self._said.wait_for(lambda: self._is_over or self._has(text), PROCESS_TIMEOUT)
-        assert self._has(text), '\n'.join(self.lines)
+            self._said.wait_for(lambda: self._is_over or is_enough(self.lines), PROCESS_TIMEOUT)
+        assert is_enough(self.lines), '\n'.join(self.lines)
 
     def end(self, number: int) -> int:
         """Send a signal, and return the exit code."""
@@ -404,11 +408,9 @@ class Process:
         self.process.kill()
         self.process.wait(PROCESS_TIMEOUT)
         self._thread.join(PROCESS_TIMEOUT)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
-
-    def _has(self, text: str) -> bool:
-        return any(text in line for line in self.lines)
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                pipe.close()
 
     def _read(self) -> None:
         assert self.process.stdout is not None

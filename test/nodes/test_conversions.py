@@ -9,18 +9,20 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2.metadata import dump_qos_v8, dump_qos_v9, parse_qos
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_values,
-    profile_to_qos,
-    qos_to_profile,
+    profile_to_dict,
     status_to_msg,
+    text_to_profiles,
     throw_result_to_msg,
 )
 from soft_throw_ros.nodes.topics import qos_profile
-from soft_throw_ros.recording.qos import Qos
+from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
 
 RESULT = ThrowResult(
@@ -80,20 +82,32 @@ def test_values_come_back_under_the_full_name_of_the_node() -> None:
 
 
 @pytest.mark.parametrize('topic', TWIN_TOPICS, ids=lambda topic: topic.name)
-def test_quality_of_service_comes_back(topic) -> None:
-    qos = profile_to_qos(qos_profile(topic))
-    assert qos.depth == topic.depth
-    assert (qos.reliability == 'reliable') == topic.is_reliable
-    assert (qos.durability == 'transient_local') == topic.is_latched
-    assert profile_to_qos(qos_to_profile(qos)) == qos
+def test_quality_of_service_comes_back_also_as_others_write_it(topic) -> None:
+    profile = qos_profile(topic)
+    text = dump_yaml([profile_to_dict(profile)])
+    (theirs,) = parse_qos(text)
+    assert theirs.depth == topic.depth
+    assert (theirs.reliability is QosReliability.RELIABLE) == topic.is_reliable
+    assert (theirs.durability is QosDurability.TRANSIENT_LOCAL) == topic.is_latched
+    for written in (text, dump_yaml(dump_qos_v9([theirs])), dump_qos_v8([theirs])):
+        assert text_to_profiles(written) == [profile]
+
+
+@pytest.mark.parametrize(
+    ('text', 'count'),
+    [('', 0), ('[]', 0), ('[{depth: 3}]', 1), ('[{}, {depth: 1}]', 2), ('{', 0), ('depth', 0),
+     ('[3]', 0), ('[{depth: many}]', 0), ('[{deadline: {sec: 1}}]', 0), ('[' * 1000, 0)],
+)  # fmt: skip
+def test_text_that_tells_of_no_quality_of_service_gives_none(text, count) -> None:
+    assert len(text_to_profiles(text)) == count
 
 
 def test_quality_of_service_that_is_not_known_in_full_can_be_offered() -> None:
-    qos = Qos(
-        history='unknown', depth=0, durability='transient_local', liveliness='manual_by_node'
+    text = (
+        '[{history: unknown, depth: 3, durability: transient_local, reliability: telepathic, '
+        'liveliness: manual_by_node, deadline: {sec: 99999999999, nsec: 0}}]'
     )
-    profile = qos_to_profile(qos)
+    (profile,) = text_to_profiles(text)
     assert profile.liveliness is LivelinessPolicy.SYSTEM_DEFAULT
-    assert profile.history is HistoryPolicy.KEEP_LAST
-    assert profile.depth == 1
+    assert (profile.history, profile.depth) == (HistoryPolicy.KEEP_LAST, 3)
     assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.nodes.conversions import time_to_msg
+from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg
 from soft_throw_ros.nodes.raw_subscriptions import (
     fitting_profile,
     RawSubscription,
@@ -82,9 +82,10 @@ def test_messages_are_the_bytes_that_were_published(ros, talker, listener, subsc
     assert (channel.topic, channel.type) == ('/talk', 'std_msgs/msg/String')
     assert 'string data' in channel.schema
     assert channel.type_hash.startswith('RIHS01_')
-    assert [(qos.reliability, qos.durability) for qos in channel.qos] == [
-        ('reliable', 'transient_local')
-    ]
+    (profile,) = text_to_profiles(channel.qos)
+    assert profile.reliability is ReliabilityPolicy.RELIABLE
+    assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    assert channel.is_latched
 
 
 def test_topics_of_the_twin_are_known_in_full(ros, talker, listener, subscribe) -> None:
@@ -94,8 +95,9 @@ def test_topics_of_the_twin_are_known_in_full(ros, talker, listener, subscribe) 
     publisher.publish(String())
     subscriptions = subscribe('/rig1')
     (message,) = take(ros, subscriptions, 1)
-    assert message.channel.qos[0].history == 'keep_last'
-    assert message.channel.qos[0].depth == TWIN_TOPICS.joint_states.depth
+    (profile,) = text_to_profiles(message.channel.qos)
+    assert profile.history is HistoryPolicy.KEEP_LAST
+    assert profile.depth == TWIN_TOPICS.journal.depth
 
 
 def test_topics_are_found_when_they_appear(ros, talker, listener, subscribe) -> None:

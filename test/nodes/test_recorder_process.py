@@ -35,7 +35,9 @@ def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
 
     def record(name: str, *rules: str, **kwargs: Any) -> Any:
         words = [f'folder:={tmp_path}', f'name:={name}', *rules]
-        return start(*RECORDER, *[word for rule in words for word in ('-p', rule)], **kwargs)
+        recorder = start(*RECORDER, *[word for rule in words for word in ('-p', rule)], **kwargs)
+        recorder.wait_for('ready')
+        return recorder
 
     return record
 
@@ -102,42 +104,70 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(
         assert len(stamps) > 100
 
 
-@pytest.mark.parametrize('has_room_again', [False, True])
-def test_full_disk_is_told_every_second_and_recording_goes_on_when_there_is_room(
-    record, ros, talk, tmp_path, has_room_again
+def totals(line: str) -> tuple[int, int]:
+    """Return how many messages a last line tells of, and how many of them are lost."""
+    found = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
+    assert found is not None, line
+    return int(found[1]), int(found[2])
+
+
+@pytest.mark.parametrize('rules', [[], ['split.duration:=1.0']], ids=['one file', 'split'])
+@pytest.mark.parametrize('room', ['never', 'at the end', 'meanwhile'])
+def test_full_disk_is_told_every_second_and_the_bag_is_finished_once_there_is_room(
+    record, ros, talk, tmp_path, room, rules
 ) -> None:
-    limit = 150_000
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def let_files_be_small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, limits[1]))
 
-    recorder = record('bag', 'compression:=none', preexec_fn=let_files_be_small)
-    recorder.wait_for('File too large')
-    ros.spin_until(
-        lambda: sum('messages wait' in line for line in recorder.lines) >= 2, 'it again'
-    )
-    if has_room_again:
+    path = tmp_path / 'bag'
+    recorder = record('bag', 'compression:=none', *rules, preexec_fn=let_files_be_small)
+    recorder.wait_until(lambda lines: sum('too large' in line for line in lines) >= 3)
+    assert any(re.search(r'too large; [1-9]\d* messages wait, 0 are', x) for x in recorder.lines)
+    if room != 'never':
         resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, limits)
-        wait_for_states(ros, tmp_path / 'bag', 3000)
-    assert (' 0 lost' in end_well(recorder)) == has_room_again
-    with BagReader(tmp_path / 'bag') as bag:
-        states = [message.sequence for message in bag.messages('/twin/joint_states')]
-        assert bool(bag.damage) != has_room_again
+    if room == 'meanwhile':
+        wait_for_states(ros, path, 3000)
+    code = recorder.end(signal.SIGINT)
+    received, lost = totals(recorder.lines[-1])
+    if room == 'never':
+        assert code == 1
+        assert f'`soft-throw recover {path}`' in recorder.lines[-1]
+        recover.main([str(path), '--to', str(tmp_path / 'whole')])
+        path = tmp_path / 'whole'
+    else:
+        assert (code, lost) == (0, 0)
+    with Reader(path) as bag:
+        assert bag.message_count == received - lost > 100
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+    with BagReader(path) as own:
+        states = [message.sequence for message in own.messages('/twin/joint_states')]
+        assert own.damage == ''
     assert states == list(range(states[0], states[0] + len(states)))
-    assert len(states) > (3000 if has_room_again else 100)
 
 
+@pytest.mark.parametrize('rules', [[], ['split.duration:=1.0']], ids=['one file', 'split'])
 def test_folder_that_is_deleted_is_told_and_nothing_of_it_is_counted_as_recorded(
-    record, ros, talk, tmp_path
+    record, ros, talk, tmp_path, rules
 ) -> None:
-    recorder = record('bag')
-    wait_for_states(ros, tmp_path / 'bag', 100)
+    recorder = record('bag', *rules)
+    wait_for_states(ros, tmp_path / 'bag', 1100)
     shutil.rmtree(tmp_path / 'bag')
-    recorder.wait_for('deleted')
+    recorder.wait_until(lambda lines: sum('deleted' in line for line in lines) >= 3)
     assert recorder.end(signal.SIGINT) == 1
-    received, lost = re.search(r'(\d+) messages in .* s, (\d+) lost', recorder.lines[-1]).groups()
-    assert received == lost
+    received, lost = totals(recorder.lines[-1])
+    assert received == lost > 1100
+
+
+def test_place_that_can_never_be_written_is_told_and_all_is_lost(record, talk, tmp_path) -> None:
+    place = tmp_path / 'place'
+    place.write_text('in the way')
+    recorder = record('bag', f'folder:={place}')
+    recorder.wait_until(lambda lines: sum('messages wait' in line for line in lines) >= 2)
+    assert recorder.end(signal.SIGTERM) == 1
+    received, lost = totals(recorder.lines[-1])
+    assert received == lost > 100
 
 
 def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tmp_path) -> None:

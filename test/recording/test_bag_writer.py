@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-import itertools
 import os
 import resource
 import shutil
 
+from bags import profiles
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 import pytest
@@ -19,7 +19,6 @@ from rosbags.rosbag2.metadata import parse_qos
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
 from soft_throw_ros.recording.message import BagError, Channel, Message
-from soft_throw_ros.recording.qos import Qos, to_yaml
 import yaml
 
 from test.recording.conftest import PLAIN, plain, read, TYPES
@@ -33,16 +32,6 @@ def numbers(messages):
 
 def information(folder):
     return yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-
-
-def write_until_refused(writer, messages):
-    """Return how many messages were written, and why no more."""
-    for number, message in enumerate(messages):
-        try:
-            writer.write(message)
-        except BagError as error:
-            return number, str(error)
-    return len(messages), ''
 
 
 @contextmanager
@@ -76,7 +65,7 @@ def test_rosbags_reads_what_was_written(recording, compression):
     ]
     assert [item[3].position[0] for item in found if item[0] == states.topic] == list(range(3000))
     assert states.digest == TYPES.hash_rihs01('sensor_msgs/msg/JointState')
-    assert states.ext.offered_qos_profiles == parse_qos(to_yaml(recording.states.qos))
+    assert states.ext.offered_qos_profiles == parse_qos(recording.states.qos)
     (qos,) = texts.ext.offered_qos_profiles
     assert qos.durability is QosDurability.TRANSIENT_LOCAL
 
@@ -213,28 +202,25 @@ def test_all_before_a_flush_can_be_read_by_others_at_once(recording, sync):
     assert recording.content(read(recording.folder).messages) == recording.content(messages)
 
 
-def test_full_disk_is_named_and_the_file_goes_on_when_there_is_room_again(tmp_path):
-    writer = BagWriter(tmp_path / 'bag', distribution='', compression='none')
+@pytest.mark.parametrize('max_size', [0, 300_000])
+def test_full_disk_is_named_and_costs_nothing_when_there_is_room_again(tmp_path, max_size):
+    writer = BagWriter(tmp_path / 'bag', distribution='', compression='none', max_size=max_size)
     writer.attach('file', b'content', 'text/plain')
-    messages = [plain(number, size=1000) for number in range(5000)]
-    with largest_file(10**6):
-        written, reason = write_until_refused(writer, messages)
-        assert 'bag_0.mcap: File too large' in reason
-        for _ in range(2):  # and again, while it is full
-            with pytest.raises(BagError, match='File too large'):
-                writer.write(messages[written])
-            with pytest.raises(BagError, match='File too large'):
+    with largest_file(200_000):
+        for number in range(5000):  # several times as much as is written at once
+            writer.write(plain(number, size=1000))
+        for _ in range(2):
+            with pytest.raises(BagError, match=r'bag_0.mcap: File too large'):
                 writer.flush()
+        assert 4_800_000 < writer.unsaved < 5_600_000
+        assert (writer.counts, writer.lost) == ({PLAIN: 0}, {})
         writer.add_metadata('while it was full', {'key': 'value'})
-    writer.flush()
-    for message in messages[written:]:
-        writer.write(message)
     writer.close()
-    assert 0 < written < len(messages)
-    assert writer.lost == {}
+    assert (writer.unsaved, writer.counts, writer.lost) == (0, {PLAIN: 5000}, {})
     bag = read(tmp_path / 'bag')
     assert numbers(bag.messages) == list(range(5000))
     assert [record.name for record in bag.metadata] == ['while it was full']
+    assert (len(list(tmp_path.glob('bag/*.mcap'))) > 5) == (max_size > 0)
     with RosbagsReader(tmp_path / 'bag') as theirs:
         assert theirs.message_count == 5000
 
@@ -258,19 +244,6 @@ def test_disk_that_is_full_at_the_end_is_named_by_close_and_what_was_flushed_is_
             call()
 
 
-def test_next_file_is_begun_as_soon_as_that_can_be_done(tmp_path):
-    writer = BagWriter(tmp_path / 'bag', distribution='', max_duration=1e-6)
-    writer.write(plain(0))
-    writer.flush()
-    with largest_file(600), pytest.raises(BagError, match='File too large'):
-        writer.write(plain(2000))
-    for number in (2000, 4000):
-        writer.write(plain(number))
-    writer.close()
-    assert numbers(read(tmp_path / 'bag').messages) == [0, 2000, 4000]
-    assert len(list(tmp_path.glob('bag/*.mcap'))) == 3
-
-
 @pytest.mark.parametrize('size', [10, 300])
 def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
     with largest_file(size), pytest.raises(BagError, match='File too large'):
@@ -278,21 +251,25 @@ def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(tmp_path):
+@pytest.mark.parametrize('files', [1, 3])
+def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(tmp_path, files):
     writer = BagWriter(tmp_path / 'bag', distribution='')
-    for number in itertools.count():
+    for number in range(45):
         writer.write(plain(number))
         if number % 10 == 9:
             writer.flush()
-        if number == 44:
-            break
+        if number < 10 * (files - 1) and number % 10 == 4:
+            writer.split()
     shutil.rmtree(tmp_path / 'bag')
-    with pytest.raises(BagError, match=r'bag_0\.mcap: .*deleted'):
-        writer.flush()
-    assert writer.lost == {PLAIN: 45}
-    with pytest.raises(BagError, match='deleted'):
-        writer.close()
-    assert (writer.counts, writer.lost) == ({PLAIN: 0}, {PLAIN: 45})
+    for call in (writer.flush, writer.flush, writer.split, writer.flush, writer.close):
+        if call == writer.split:
+            call()
+            writer.write(plain(45))
+            continue
+        with pytest.raises(BagError, match=r'bag_\d\.mcap: .*(deleted|No such file)'):
+            call()
+        assert sum(writer.lost.values()) >= 45
+    assert (writer.counts, writer.lost) == ({PLAIN: 0}, {PLAIN: 46})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -346,7 +323,7 @@ def test_bag_without_messages_is_one(tmp_path, rerun):
 def test_channels_that_are_alike_are_one_when_read_and_others_are_not(tmp_path):
     def channel(**qos):
         return Channel(topic='/a', type='t/msg/T', schema='IDL: ä', schema_encoding='ros2idl',
-                       qos=(Qos(**qos),))  # fmt: skip
+                       qos=profiles(qos))  # fmt: skip
 
     # As if publishers went, came back, and one of them were another
     given_channels = [channel(), channel(), channel(depth=1)]
@@ -354,7 +331,7 @@ def test_channels_that_are_alike_are_one_when_read_and_others_are_not(tmp_path):
         for number, item in enumerate(given_channels):
             writer.write(Message(item, b'', number, number, number))
     bag = read(tmp_path / 'bag')
-    assert [channel.qos for channel in bag.channels] == [(Qos(),), (Qos(depth=1),)]
+    assert [channel.qos for channel in bag.channels] == [profiles({}), profiles({'depth': 1})]
     assert {(item.schema, item.schema_encoding) for item in bag.channels} == {
         ('IDL: ä', 'ros2idl')
     }

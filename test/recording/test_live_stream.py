@@ -9,10 +9,10 @@ import signal
 import sys
 import time
 
+from bags import profiles
 import pytest
 from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.qos import Qos
 
 from test.recording.conftest import PLAIN, wait_until
 
@@ -20,7 +20,7 @@ LATCHED = Channel(
     topic='/latched',
     type='std_msgs/msg/String',
     schema='string data',
-    qos=(Qos(durability='transient_local'),),
+    qos=profiles({'durability': 'transient_local'}),
 )
 
 READER = """

@@ -9,9 +9,8 @@ import shutil
 import threading
 from typing import Any
 
-import pytest
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.writer_thread import WriterThread
 
 from test.recording.conftest import PLAIN, plain, read, TIMEOUT, wait_until
@@ -27,8 +26,8 @@ def numbers(path: Path) -> list[int]:
 
 def test_all_is_written_in_its_order(tmp_path: Path) -> None:
     writer = thread(tmp_path / 'bag')
-    writer.attach('file.txt', b'content', 'text/plain')
-    writer.add_metadata('name', {'key': 'value'})
+    writer.call(lambda bag: bag.attach('file.txt', b'content', 'text/plain'))
+    writer.call(lambda bag: bag.add_metadata('name', {'key': 'value'}))
     for number in range(0, 1000, 10):
         writer.put([plain(n) for n in range(number, number + 10)])
     writer.close()
@@ -45,10 +44,9 @@ def test_bag_that_cannot_be_made_is_tried_again_and_what_waits_is_counted(tmp_pa
     writer, vain = thread(place / 'bag'), thread(place / 'vain')
     assert str(place) in writer.error
     assert writer.bag is None
-    writer.attach('file.txt', b'content', 'text/plain')
     for item in (writer, vain):
         item.put([plain(number) for number in range(7)])
-    assert writer.waiting == 8
+    assert writer.waiting == 7
     vain.close()
     assert (vain.bag, vain.lost()) == (None, {PLAIN: 7})
     place.unlink()
@@ -82,9 +80,9 @@ def test_bag_that_is_deleted_is_named_and_all_is_lost(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / 'bag')
     wait_until(lambda: 'deleted' in writer.error)
     writer.put([plain(number) for number in range(50, 70)])
-    with pytest.raises(BagError, match='deleted'):
-        writer.close()
-    assert writer.lost() == {PLAIN: 70}
+    writer.close()
+    assert 'deleted' in writer.error
+    assert (writer.lost(), writer.waiting) == ({PLAIN: 70}, 0)
 
 
 class SlowBag(BagWriter):

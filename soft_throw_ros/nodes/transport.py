@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How messages get from process to process; `config/fastdds.xml` says what and why."""
+
+from __future__ import annotations
+
+from importlib import metadata, resources
+import os
+
+_KILTED = 9  # version of rclpy
+
+_DISTRIBUTIONS = {'7': 'jazzy', f'{_KILTED}': 'kilted'}
+
+_CHOICES = (
+    'FASTDDS_BUILTIN_TRANSPORTS',
+    'FASTDDS_DEFAULT_PROFILES_FILE',
+    'FASTRTPS_DEFAULT_PROFILES_FILE',
+)
+"""Who sets one of these has chosen."""
+
+
+def distribution() -> str:
+    """Return the name of the ROS distribution, empty if it is not known."""
+    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(_rclpy_version(), ''))
+
+
+def use_transport_profile() -> None:
+    """Have Fast DDS, if that is the middleware, let messages wait for a second; before `init`."""
+    if not any(name in os.environ for name in _CHOICES):
+        is_former = int(_rclpy_version()) < _KILTED  # which would read the other one, too
+        name = f'FAST{"RTPS" if is_former else "DDS"}_DEFAULT_PROFILES_FILE'
+        os.environ[name] = str(resources.files('soft_throw_ros') / 'config' / 'fastdds.xml')
+
+
+def _rclpy_version() -> str:
+    return metadata.version('rclpy').partition('.')[0]

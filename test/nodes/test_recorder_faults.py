@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorder and a publisher as processes, one of which is stopped, killed or comes late."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+from rosbags.rosbag2 import Reader
+from soft_throw_ros.commands import recover
+
+RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
+
+PUBLISHER = """
+import sys, threading, time
+import rclpy
+from rclpy.node import Node
+from soft_throw_ros.configuration.interface import RIG_TOPICS, TWIN_TOPICS
+from soft_throw_ros.nodes.topics import Publishers
+from soft_throw_ros.nodes.transport import use_transport_profile
+
+use_transport_profile()
+rclpy.init()
+node = Node('twin')
+reliable = sys.argv[1] == 'reliable'
+topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_states
+publishers = Publishers(node, [topic])
+(publisher,) = (each for each in node.publishers if 'joint_states' in each.topic_name)
+values = (0.0,) * (6 if reliable else 2)
+for line in sys.stdin:
+    count, period, waits = line.split()
+    while waits == 'wait' and not publisher.get_subscription_count():
+        time.sleep(0.01)
+    for _ in range(int(count)):
+        publishers.send(topic, time.time_ns(), values)
+        time.sleep(float(period))
+    print(f'published {count}', flush=True)
+"""
+
+A_SECOND = 5000
+"""Messages of a second at 5 kHz, the highest rate of a twin."""
+
+
+class Publisher:
+    """A process that publishes when it is told to."""
+
+    def __init__(self, start: Any, kind: str) -> None:
+        self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'
+        command = (sys.executable, '-c', PUBLISHER, kind)
+        self.process = start(*command, stdin=subprocess.PIPE)
+
+    def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
+        """Have so many messages published, if `waits` not before somebody subscribes."""
+        before = len(self.process.lines)
+        stdin = self.process.process.stdin
+        stdin.write(f'{count} {period} {"wait" if waits else "now"}\n')
+        stdin.flush()
+        self.process.wait_until(lambda lines: any('published' in x for x in lines[before:]))
+
+
+@pytest.fixture
+def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
+    """Start a recorder of the topic of a publisher into `bag`."""
+
+    def record(publisher: Publisher) -> Any:
+        rules = [f'folder:={tmp_path}', 'name:=bag', f'topics:=[{publisher.topic}]']
+        recorder = start(*RECORDER, *[word for rule in rules for word in ('-p', rule)])
+        recorder.wait_for('ready')
+        return recorder
+
+    return record
+
+
+def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tuple[int, int, int]:
+    """End a recorder; return what it says: messages, lost, and those before it joined late."""
+    assert recorder.end(number) == code
+    line = recorder.lines[-1]
+    found = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
+    assert found is not None, line
+    late = re.search(r'joined late, after (\d+) messages', line)
+    return int(found[1]), int(found[2]), int(late[1]) if late else 0
+
+
+def count(path: Path) -> int:
+    with Reader(path) as bag:
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+        return int(bag.message_count)
+
+
+@pytest.mark.parametrize('kind', ['reliable', 'best effort'])
+def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
+    start, record, tmp_path, kind
+) -> None:
+    publisher = Publisher(start, kind)
+    recorder = record(publisher)
+    publisher.publish(10)
+    recorder.process.send_signal(signal.SIGSTOP)
+    publisher.publish(A_SECOND)
+    recorder.process.send_signal(signal.SIGCONT)
+    publisher.publish(10, period=0.1)
+    assert last_line(recorder) == (A_SECOND + 20, 0, 0)
+    assert count(tmp_path / 'bag') == A_SECOND + 20
+
+
+@pytest.mark.parametrize('joins_late', [True, False])
+def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_late) -> None:
+    publisher = Publisher(start, 'best effort')
+    if joins_late:
+        publisher.publish(200, period=0.005, waits=False)
+    recorder = record(publisher)
+    publisher.publish(200, period=0.005)
+    recorder.process.send_signal(signal.SIGSTOP)
+    publisher.publish(10 * A_SECOND)  # more than there is room for
+    recorder.process.send_signal(signal.SIGCONT)
+    publisher.publish(10, period=0.1)
+    received, lost, late = last_line(recorder)
+    assert count(tmp_path / 'bag') == received
+    assert late == 200 * joins_late
+    assert lost == 10 * A_SECOND + 210 - received > 0
+
+
+def test_publisher_that_is_killed_and_comes_back_is_recorded_on(start, record, tmp_path) -> None:
+    first = Publisher(start, 'reliable')
+    recorder = record(first)
+    first.publish(100)
+    assert first.process.end(signal.SIGKILL) == -signal.SIGKILL
+    second = Publisher(start, 'reliable')
+    second.publish(100)
+    second.publish(10, period=0.1)
+    assert last_line(recorder) == (210, 0, 0)
+    assert count(tmp_path / 'bag') == 210
+
+
+def test_publisher_that_is_stopped_for_a_while_is_recorded_on(start, record, tmp_path) -> None:
+    publisher = Publisher(start, 'reliable')
+    recorder = record(publisher)
+    publisher.publish(100)
+    process = publisher.process.process
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)
+    process.send_signal(signal.SIGCONT)
+    publisher.publish(100)
+    publisher.publish(10, period=0.1)
+    assert last_line(recorder, signal.SIGTERM) == (210, 0, 0)
+    assert count(tmp_path / 'bag') == 210
+
+
+def test_recorder_that_is_killed_while_it_is_stopped_leaves_what_it_had_flushed(
+    start, record, tmp_path
+) -> None:
+    publisher = Publisher(start, 'reliable')
+    recorder = record(publisher)
+    publisher.publish(1000, period=0.002)  # which takes longer than until the next flush
+    recorder.process.send_signal(signal.SIGSTOP)
+    publisher.publish(1000)
+    assert recorder.end(signal.SIGKILL) == -signal.SIGKILL
+    recover.main([str(tmp_path / 'bag')])
+    assert 300 < count(tmp_path / 'bag_recovered') <= 1000
