@@ -9,7 +9,7 @@ and it ends soon after its input does, whatever the viewer does.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 import contextlib
 from functools import partial
 import itertools
@@ -25,7 +25,7 @@ import sys
 import tempfile
 import threading
 import time
-from typing import BinaryIO, NoReturn, TYPE_CHECKING
+from typing import NoReturn, TYPE_CHECKING
 
 from soft_throw_ros.commands import rerun_output as output
 from soft_throw_ros.commands.output import naming, slow_notice
@@ -46,9 +46,6 @@ FILE_PERIOD = 0.5
 
 EXIT_TIME = 0.7
 """After its input, or a signal, the process ends within this time. [s]"""
-
-_POLL_TIME = 100
-"""Between looks whether the drawing has ended by itself. [ms]"""
 
 _BATCH = 5000
 """Messages of a bag that are drawn at once."""
@@ -272,79 +269,67 @@ def _show_stream(arguments: argparse.Namespace) -> NoReturn:
     """
     Show what comes until input or a signal ends it; the process ends here.
 
-    Another thread draws, since Rerun might wait for a viewer that hangs; this one has an ear for
-    signals and the end of the input.
+    Another thread draws, since Rerun might wait for a viewer that hangs; this one reads, and hears
+    signals.
 
     """
     from soft_throw_ros.recording.rerun_view import Scene
 
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     scene, stream = Scene('live', is_live=True), output.new_stream()
-    check: Callable[[], None] = lambda: None  # noqa: E731
+    connection = None
     if arguments.save:
         with naming(arguments.save):
             output.save_to(stream, arguments.save, is_live=True)
     elif arguments.sink == 'serve':
         _serve(stream, arguments.port)
     else:
-        check = _ViewerConnection(scene, stream, arguments.port).check
-    if arguments.save or arguments.sink == 'serve':
+        connection = _ViewerConnection(scene, stream, arguments.port)
+    if connection is None:
         scene.connect(stream)
-    inbox, end = _Inbox(sys.stdin.buffer), threading.Event()
-    period = FILE_PERIOD if arguments.save else LIVE_PERIOD
+    inbox: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
+    is_over = threading.Event()
 
     def draw() -> None:
-        while not end.is_set():
-            check()
-            is_over = inbox.is_over
-            scene.show(inbox.take())
-            if is_over:
-                break
-            end.wait(period)
-        if inbox.error:
-            _say(inbox.error)
+        is_last = False
+        while not is_last:
+            is_last = is_over.wait(FILE_PERIOD if arguments.save else LIVE_PERIOD)
+            if connection is not None:
+                connection.check()
+            scene.show([inbox.get() for _ in range(inbox.qsize())])
         scene.finish(is_waiting=False)
         if output.flush(stream, EXIT_TIME):
             stream.disconnect()
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     thread = threading.Thread(target=draw, name='drawing', daemon=True)
     thread.start()
-    poll = select.poll()
-    if not arguments.save:  # a file takes all that has come
-        poll.register(sys.stdin.buffer.fileno(), 0)  # which tells all the same when it is closed
+    code, time_left = 0, None if arguments.save else EXIT_TIME  # a file takes all that has come
     try:
-        while thread.is_alive() and not poll.poll(_POLL_TIME):
-            pass
+        for item in read_stream(sys.stdin.buffer, 'standard input'):
+            if isinstance(item, Message):
+                _hand_over(item, inbox)
+    except BagError as error:
+        _say(str(error))
+        code = 2
     except KeyboardInterrupt:
-        end.set()
+        time_left = EXIT_TIME
+    is_over.set()
     with contextlib.suppress(KeyboardInterrupt):  # one is enough
-        thread.join(EXIT_TIME)
-    os._exit(2 if inbox.error and scene.is_empty else 0)
+        thread.join(time_left)
+    os._exit(code if scene.is_empty else 0)
 
 
-class _Inbox:
-    """Messages of a stream, read by a thread of their own."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self.is_over = False
-        self.error = ''
-        self._stream = stream
-        self._messages: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
-        threading.Thread(target=self._run, name='reader', daemon=True).start()
-
-    def take(self) -> list[Message]:
-        """Return what has come."""
-        return [self._messages.get() for _ in range(self._messages.qsize())]
-
-    def _run(self) -> None:
+def _hand_over(message: Message, inbox: queue.Queue[Message]) -> None:
+    """Wait until a message can be shown, but no longer than there is somebody who sends more."""
+    while True:
         try:
-            for item in read_stream(self._stream, 'standard input'):
-                if isinstance(item, Message):
-                    self._messages.put(item)
-        except BagError as error:
-            self.error = str(error)
-        self.is_over = True
+            return inbox.put(message, timeout=EXIT_TIME)
+        except queue.Full:
+            sender = select.poll()
+            sender.register(sys.stdin.buffer.fileno(), 0)  # which tells when it is closed
+            if sender.poll(0):
+                raise KeyboardInterrupt from None
 
 
 class _ViewerConnection:

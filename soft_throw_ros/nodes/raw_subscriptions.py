@@ -51,27 +51,34 @@ class _Run:
     ----------
     number, when : int
         Of its first message. [ns] for the time
+    began : int, optional
+        Since when all its messages were wanted; otherwise since the first one. [ns]
 
     """
 
-    def __init__(self, number: int, when: int) -> None:
+    def __init__(self, number: int, when: int, began: int | None) -> None:
         self.gaps = 0
         self.earlier = number - 1
-        self.last = number
-        self._first_when = self._last_when = when
+        self.last, self.last_when = number, when
+        self._first = number, when
+        self._waited = 0 if began is None else when - began
+        self._counted = number, when  # the last one in as long a time as the first was waited for
 
     def add(self, number: int, when: int) -> None:
         """Count another message, and those that are missing before it."""
         self.gaps += number - self.last - 1
-        self.last, self._last_when = number, when
+        self.last, self.last_when = number, when
+        if self._counted[1] <= self._first[1] + self._waited:
+            self._counted = number, when
 
-    def began_before(self, began: int) -> bool:
-        """Tell whether the publisher was there at a time, by how often it publishes. [ns]"""
-        count = self.last - self.earlier - 1
-        if count < 1:
+    @property
+    def is_late(self) -> bool:
+        """Whether the publisher began before we did, by how often it publishes."""
+        (first, first_when), (last, last_when) = self._first, self._counted
+        if last == first:
             return True
-        period = (self._last_when - self._first_when) / count
-        return self.earlier * period > self._first_when - began
+        period = (last_when - first_when) / (last - first)
+        return self.earlier * period > self._waited
 
 
 class RawSubscription:
@@ -155,14 +162,14 @@ class RawSubscription:
         """How many messages did not come, though they were published."""
         if not self._has_numbers:
             return self._lost_by_event
-        return sum(run.gaps + (0 if self._is_late(run) else run.earlier) for run in self._all_runs)
+        return sum(run.gaps + (0 if run.is_late else run.earlier) for run in self._all_runs)
 
     @property
     def earlier(self) -> int:
         """How many messages were published before we joined late."""
         if not self._has_numbers:
             return 0
-        return sum(run.earlier for run in self._all_runs if self._is_late(run))
+        return sum(run.earlier for run in self._all_runs if run.is_late)
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""

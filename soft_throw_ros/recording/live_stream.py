@@ -17,7 +17,6 @@ import os
 import subprocess
 import threading
 import time
-from typing import NamedTuple
 
 from mcap.writer import IndexType, Writer
 from soft_throw_ros.recording.bag_writer import LIBRARY, PROFILE, register_channel
@@ -110,13 +109,6 @@ class StreamWriter:
         return data
 
 
-class _Block(NamedTuple):
-    """A part of the stream; one without messages is needed by all that follow."""
-
-    data: bytes
-    messages: int
-
-
 class LiveStream:
     """
     A process that shows messages, and is started again if it ends.
@@ -146,11 +138,11 @@ class LiveStream:
         self._command = command
         self._capacity = capacity
         self._incoming: deque[Message] = deque()
+        self._waiting: deque[Message] = deque()
+        self._size = 0  # of these [bytes]
         self._latched: dict[Channel, deque[Message]] = {}
         self._stream = StreamWriter()
-        self._blocks: deque[_Block] = deque()
-        self._size = 0
-        self._rest = memoryview(b'')  # of the block that is being sent
+        self._rest = memoryview(b'')  # of what is being sent
         self._process: subprocess.Popen[bytes] | None = None
         self._restart = 0.0
         self._is_closing = threading.Event()
@@ -198,45 +190,36 @@ class LiveStream:
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         self.starts += 1
         self.error = ''
-        self._drop_all()
-        self._append(self._stream.start(), 0)
+        self._rest = memoryview(self._stream.start())
+        self._drop_beyond(0)
         for messages in self._latched.values():
-            self._append(self._stream.block(messages), len(messages))
+            self._wait(messages)
 
     def _take_messages(self) -> None:
-        """Make a block of what has come."""
+        """Take what has come; if it is too much, the oldest that wait are dropped."""
         messages = [self._incoming.popleft() for _ in range(len(self._incoming))]
-        if not messages:
-            return
         for message in messages:
-            channel = message.channel
-            self._append(self._stream.define(channel), 0)
-            if channel.is_latched:
-                self._latched.setdefault(channel, deque(maxlen=_LATCHED_DEPTH)).append(message)
-        self._append(self._stream.block(messages), len(messages))
-        if self._process is None:
-            self._drop_all()
+            if message.channel.is_latched:
+                kept = self._latched.setdefault(message.channel, deque(maxlen=_LATCHED_DEPTH))
+                kept.append(message)
+        self._wait(messages)
+        self._drop_beyond(0 if self._process is None else self._capacity)
 
-    def _append(self, data: bytes, messages: int) -> None:
-        """Have a block sent, and drop the oldest ones that messages are in if it is too much."""
-        if not data:
-            return
-        self._blocks.append(_Block(data, messages))
-        self._size += len(data)
-        while self._size > self._capacity:
-            oldest = next((block for block in self._blocks if block.messages), None)
-            if oldest is None:
-                return
-            self._blocks.remove(oldest)
-            self._size -= len(oldest.data)
-            self.dropped += oldest.messages
+    def _wait(self, messages: Iterable[Message]) -> None:
+        for message in messages:
+            self._waiting.append(message)
+            self._size += len(message.data)
 
-    def _drop_all(self) -> None:
-        """Drop all that waits."""
-        self.dropped += sum(block.messages for block in self._blocks)
-        self._blocks.clear()
-        self._size = 0
-        self._rest = memoryview(b'')
+    def _next(self) -> Message:
+        message = self._waiting.popleft()
+        self._size -= len(message.data)
+        return message
+
+    def _drop_beyond(self, size: int) -> None:
+        """Drop the oldest that wait, until the rest is not larger than that. [bytes]"""
+        while self._waiting and (self._size > size or not size):
+            self._next()
+            self.dropped += 1
 
     def _send(self) -> bool:
         """Send what the pipe takes; tell whether something is left."""
@@ -244,11 +227,14 @@ class LiveStream:
             return False
         pipe = self._process.stdin.fileno()
         try:
-            while self._rest or self._blocks:
+            while self._rest or self._waiting:
                 if not self._rest:
-                    block = self._blocks.popleft()
-                    self._size -= len(block.data)
-                    self._rest = memoryview(block.data)
+                    end = self._size - _PIPE_SIZE
+                    block = [self._next()]
+                    while self._waiting and self._size > end:
+                        block.append(self._next())
+                    new = [self._stream.define(message.channel) for message in block]
+                    self._rest = memoryview(b''.join(new) + self._stream.block(block))
                 self._rest = self._rest[os.write(pipe, self._rest) :]
         except BlockingIOError:
             return True

@@ -157,24 +157,22 @@ class Scene:
             readers = {topic: partial(read, twin) for topic, read in _READERS.items()}
         for topic, read in readers.items():
             messages = groups.get(topic, ())
-            is_series = topic.type == JOINT_STATE
-            if is_series and len(messages) > 1 and self._attempt(read, messages):
-                continue
-            for message in messages:  # one by one if one is damaged, or unlike the others
-                self._attempt(read, [message] if is_series else message, message)
+            at_once = [messages] if messages and topic.type == JOINT_STATE else messages
+            for data in at_once:
+                self._attempt(read, data)
 
-    def _attempt(
-        self, read: Callable[[Any], None], data: Any, counted: Message | None = None
-    ) -> bool:
-        """Read one message or several; count one that cannot be read."""
+    def _attempt(self, read: Callable[[Any], None], data: Message | Sequence[Message]) -> None:
+        """Read a message, or several, one by one if one is damaged, or unlike the others."""
         try:
             read(data)
         except series.DECODING_ERRORS as error:
-            if counted is not None:
-                self.damaged += 1
-                self.damage = self.damage or f'{counted.channel.topic}: {error}'
-            return False
-        return True
+            if not isinstance(data, Message) and len(data) > 1:
+                for message in data:
+                    self._attempt(read, [message])
+                return
+            message = data if isinstance(data, Message) else data[0]
+            self.damaged += 1
+            self.damage = self.damage or f'{message.channel.topic}: {error}'
 
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log, which is stamped by another clock where time is simulated."""

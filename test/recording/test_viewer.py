@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 import contextlib
 import os
 from pathlib import Path
@@ -24,6 +24,8 @@ from soft_throw_ros.recording.viewer import (
     Viewer,
     ViewerError,
 )
+
+from test.recording.conftest import wait_until
 
 pytest.importorskip('rerun')
 
@@ -72,13 +74,6 @@ def test_connection_ends_with_the_viewer(headless) -> None:
     connection.close()
     with pytest.raises(ViewerError, match='has ended'):
         headless.check()
-
-
-def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize('stays', [False, True])
