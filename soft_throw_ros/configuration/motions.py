@@ -114,7 +114,7 @@ def csv_lines(motion: SampledMotion) -> Iterator[str]:
     """Write a motion as lines of CSV that `read` reads."""
     yield 't [s],z [m],velocity [m/s],acceleration [m/s2]'
     for time, state in zip(motion.times.tolist(), motion.states.tolist(), strict=True):
-        yield ','.join(f'{value:.15g}' for value in (time, *state))
+        yield ','.join(map(repr, (time, *state)))
 
 
 @lru_cache(maxsize=64)

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, PPoly
 from scipy.optimize import minimize_scalar
-from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
@@ -258,7 +257,7 @@ class SampledMotion:
         fewer knots are fitted by least squares; how many, generalised cross-validation tells [1]_,
         which knows neither the noise nor the motion. A smoothing filter would round off the start
         as well, where the acceleration jumps. So the spline begins there, with height and velocity
-        0: at the moment from which it fits best. At the last sample it is at rest again.
+        0: at the moment from which it fits best.
 
         References
         ----------
@@ -281,7 +280,6 @@ class SampledMotion:
         spline = _fit_record(times - start, heights - rest)
         knots = np.unique(spline.t)
         states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
-        states[-1, 1:] = 0.0
         motion = cls(knots, states, 'hold')
         last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
         if last > _FASTEST_END * np.abs(states[:, 1]).max():
@@ -376,13 +374,12 @@ def _lowest(function: Callable[[float], float], low: float, high: float) -> floa
 
 
 def _noise(heights: Floats) -> float:
-    """Estimate the standard deviation of white noise from third differences."""
-    third = np.diff(heights, 3)
-    return float(np.median(np.abs(third))) / (0.6745 * math.sqrt(20.0))
+    """Estimate the standard deviation of white noise from sixth differences."""
+    return float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
 
 
 class _Fit(NamedTuple):
-    """A cubic spline from rest to rest, its sum of squares, and samples less coefficients."""
+    """A cubic spline from rest, its sum of squares, and samples less coefficients."""
 
     spline: BSpline
     misfit: float
@@ -400,12 +397,12 @@ def _fit_record(times: Floats, heights: Floats) -> BSpline:
     after = int((times > 0.0).sum())
     if after < FEWEST_SAMPLES:
         raise ValueError(f'heights after the start must be at least {FEWEST_SAMPLES}, got {after}')
+    if _noise(heights[-after:]) < _CLEAN * np.ptp(heights):
+        return fit(1).spline
     strides = [stride for stride in _KNOT_STRIDES if stride <= after // 4]
     fits = {stride: fit(stride) for stride in strides}
     stride = min(fits, key=lambda stride: fits[stride].misfit / fits[stride].spare ** 2)
     best = fits[stride]
-    if math.sqrt(best.misfit / best.spare) < _CLEAN * np.ptp(heights):
-        return fit(1).spline
     if times[0] < 0.0:
         reach = 0.5 * stride * step
 
@@ -417,25 +414,21 @@ def _fit_record(times: Floats, heights: Floats) -> BSpline:
 
 
 def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
-    """Fit by least squares with a knot at every so many samples, from rest at time 0 to rest."""
-    knots = np.concatenate([[0.0] * 4, times[:-1][stride - 1 :: stride], [times[-1]] * 4])
-    count = knots.size - 4
-    everything = BSpline.design_matrix(times, knots, 3)
+    """Fit by least squares from rest at time 0, with a knot at every so many samples, or all."""
+    inner = times[:-2] if stride == 1 else times[:-1][stride - 1 :: stride]
+    knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
+    basis = BSpline.design_matrix(times, knots, 3).tocsc()
     away = heights[(np.abs(heights) > _FAR * np.abs(heights).max()).argmax()]
     # Height and velocity at the start are 0. Noise must not make it a jump the other way, which
     # would throw the projectile off at once.
     for zeros in (2, 3, 4):
-        free = csr_matrix((
-            np.ones(count - zeros),
-            (np.arange(zeros, count), np.minimum(np.arange(count - zeros), count - zeros - 2)),
-        ))  # fmt: skip
-        basis = everything @ free  # the last two coefficients are the same: it ends at rest
-        coefficients = free @ spsolve((basis.T @ basis).tocsc(), basis.T @ heights)
-        if coefficients[zeros] * away >= 0.0:
+        free = basis[:, zeros:]
+        coefficients = np.append(np.zeros(zeros), spsolve(free.T @ free, free.T @ heights))
+        if coefficients[zeros] * away >= 0.0 or stride == 1:
             break
     spline = BSpline(knots, coefficients, 3)
     misfit = float(np.sum((spline(times) - heights) ** 2))
-    return _Fit(spline, misfit, heights.size - _CAUTION * basis.shape[1])
+    return _Fit(spline, misfit, heights.size - _CAUTION * free.shape[1])
 
 
 def _as_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:

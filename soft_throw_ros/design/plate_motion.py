@@ -49,13 +49,13 @@ from soft_throw_ros.design.objective import Limits
 Floats = NDArray[np.float64]
 
 _COARSE, _FINE = (12, 120), (64, 300)  # pulses in a crossing of the wave, and at most until T
-_WORTH = 2e-3  # part of the speed for which it is not worth to wait longer
+_WORTH = 1e-3  # part of the speed for which it is not worth to wait longer
 _FINER = 2  # times as often as there are pulses the layer has to push
 _PRESSED = 0.2  # part of the weight with which a plate must push, whatever it does, ...
 _PUSH = 1e-3  # and of speed times impedance while the wave is in the layer
 _AS_PROMISED = 0.01  # part of the speed by which a motion may miss what the programme promised
-_FLOORS = (1.0, 3.0, 0.0)  # times these, to be tried in turn if a motion fails, ...
-_LONGER = (1.0, 1.1, 0.7, 0.4)  # and times of release
+_FLOORS = (1.0, 4.0)  # times these, to be tried in turn if a motion fails, ...
+_LONGER = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # and times of release
 _FASTEST_RISE = 1e-3  # of a crossing, which a plate without limit of acceleration takes
 _LAYERS = 7  # along an axis of the grid on which the search for a layer begins
 
@@ -103,16 +103,19 @@ class PlateLimits:
         )
 
     @property
-    def rise_time(self) -> float:
-        """How long it takes to reach the largest speed. [s]"""
-        return self.speed / self.acceleration + self.acceleration_time
+    def peak_acceleration(self) -> float:
+        """The largest on the way to the largest speed; less if the jerk is small. [m/s2]"""
+        return min(self.acceleration, math.sqrt(self.speed * self.jerk))
 
     @property
     def acceleration_time(self) -> float:
         """How long it takes to reach the largest acceleration. [s]"""
-        if self.jerk == math.inf:
-            return 0.0
-        return min(self.acceleration / self.jerk, math.sqrt(self.speed / self.jerk))
+        return self.peak_acceleration / self.jerk if self.jerk < math.inf else 0.0
+
+    @property
+    def rise_time(self) -> float:
+        """How long it takes to reach the largest speed. [s]"""
+        return self.speed / self.peak_acceleration + self.acceleration_time
 
 
 class Pulses(NamedTuple):
@@ -184,26 +187,24 @@ def find_best_motion(
     loads = loads or Limits()
     if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
         model = 'finite_difference'
-    time, _ = _shortest_time(rig, limits, loads, model, cancelled)
-    found: list[Throw] = []
+    time, promised = _shortest_time(rig, limits, loads, model, cancelled)
+    best: Throw | None = None
     for longer in _LONGER:
         programme = _Programme(rig, limits, loads, model, longer * time, _FINE)
         for floor in _FLOORS:
             _check(cancelled)
-            pulses, speed = programme.solve(longer * time, floor)
-            if pulses is None:
-                continue
-            throw = _follow(rig, pulses.motion(), model, loads)
-            if throw is not None:
-                found.append(throw)
-                if throw.ejection_speed > (1.0 - _AS_PROMISED) * speed:
-                    return throw
-    if not found:
+            pulses, _ = programme.solve(longer * time, floor)
+            throw = pulses and _follow(rig, pulses.motion(), model, loads)
+            if throw and (best is None or throw.ejection_speed > best.ejection_speed):
+                best = throw
+            if best and best.ejection_speed > (1.0 - _AS_PROMISED) * promised:
+                return best
+    if best is None:
         raise ThrowUnresolvedError(
             f'no motion of the plate throws within {limits} and strain {loads.max_strain:g}, '
             f'acceleration {loads.max_acceleration:g} m/s2'
         )
-    return max(found, key=lambda throw: throw.ejection_speed)
+    return best
 
 
 def find_best_layer(
@@ -271,22 +272,19 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
 
     Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
     """
-    acceleration_time = max(limits.acceleration_time, 1e-9)
-    ramp = max(limits.rise_time - limits.acceleration_time, 1e-6 * travel / limits.speed)
+    low, high = 0.0, limits.speed
+    while high - low > 1e-9 * high:  # if the travel is short it has to brake before
+        speed = low + 0.5 * (high - low) if low else high
+        slower = replace(limits, speed=speed)
+        is_long = speed**2 / slower.peak_acceleration > travel
+        low, high = (low or 1e-12 * speed, speed) if is_long else (speed, high)
+    limits = replace(limits, speed=low)
     speed = limits.speed
-    if speed * (ramp + limits.acceleration_time) > travel:  # it has to brake before
-        low, high = 0.0, speed
-        for _ in range(60):
-            speed = 0.5 * (low + high)
-            slower = replace(limits, speed=speed)
-            is_long = speed * slower.rise_time > travel
-            low, high = (low, speed) if is_long else (speed, high)
-        acceleration_time = max(slower.acceleration_time, 1e-9)
-        ramp = max(slower.rise_time - slower.acceleration_time, 1e-9)
-    cruise = max(travel / speed - ramp - limits.acceleration_time, 0.0)
-    step = min(ramp, max(cruise, ramp)) / 200.0
-    step = max(step, (2.0 * ramp + cruise + acceleration_time) / 20000.0)
-    times = np.arange(0.0, 2.0 * ramp + cruise + acceleration_time + 2.0 * step, step)
+    ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
+    cruise = max(travel / speed - ramp, 0.0)
+    step = max(0.005 * ramp, 1e-4 * cruise)
+    rounded = max(limits.acceleration_time, 6.0 * step)  # a moving average limits the jerk
+    times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
 
     def path(t: Floats) -> Floats:
         """Integrate the trapezoid of velocities twice."""
@@ -301,7 +299,6 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
             - 0.5 * np.maximum(t - 2.0 * ramp - cruise, 0.0) ** 2
         )
 
-    rounded = max(acceleration_time, 6.0 * step)  # a moving average limits the jerk
     heights = (path(times) - path(times - rounded)) / rounded
     return SampledMotion.from_positions(times, heights, after='hold')
 
@@ -332,7 +329,7 @@ def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
         fall = min(limits.speed / rig.gravity, 1.5 * math.sqrt(limits.travel / rig.gravity))
         longest += fall + limits.rise_time
     yield longest
-    count = max(4, math.ceil(math.log(longest / (0.6 * contact)) / 0.12))
+    count = max(4, math.ceil(math.log(longest / (0.6 * contact)) / 0.04))
     yield from np.geomspace(0.6 * contact, longest, count)[:-1].tolist()
 
 
@@ -402,56 +399,57 @@ class _Programme:
         rig, limits, step = self._rig, self._limits, self._step
         release = min(round(time / step), self._count - 1)
         felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
-        size = felt + math.ceil(1.1 * limits.rise_time / step) + 4
-        # Unknown are the control points of the height, from before the start; pulses are their
-        # differences, and steps and bends of the pulses the next ones.
+        braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
+        size = felt + math.ceil(braking / step) + 6
+        # Unknown are the control points of the height, from before the start, in units of speed
+        # and step; pulses are their differences, and steps and bends those of the pulses.
         rise, steps, bends = (_differences(order, size) for order in (1, 2, 3))
-        force, floor_force = self._pushing(release, size, floor)
-        force = force @ rise[:size] / step
+        rise = rise[:size]
+        force, least = self._pushing(release, size, floor)
         most = min(
             self._loads.max_acceleration * rig.projectile.mass,
             self._loads.max_strain * rig.layer.youngs_modulus * rig.layer.section,
-        )
-        speed = np.full(size, limits.speed * step)
-        slowest = np.where(np.arange(size) < felt, -speed, 0.0)
+        ) / (limits.speed * rig.layer.impedance)
+        slowest = np.where(np.arange(size) < felt, -1.0, 0.0)
         between = [
-            (force, floor_force, np.full(floor_force.shape, most)),
-            (rise[:size], slowest, speed),
+            (force @ rise, least, np.full(least.shape, most)),
+            (rise, slowest, np.ones(size)),
         ]
         for matrix, limit in ((steps, limits.acceleration), (bends, limits.jerk * step)):
-            bound = np.full(matrix.shape[0], limit * step * step)
-            between.append((matrix, -bound, bound))
-        rows = [sign * matrix for matrix, low, high in between for sign in (1.0, -1.0)]
+            if limit < math.inf:
+                bound = np.ones(matrix.shape[0])
+                between.append((matrix * (limits.speed / (limit * step)), -bound, bound))
+        rows = vstack([sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]).tocsr()
         bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
-        matrix = vstack(rows).tocsr()
         goal = np.zeros(size)
         goal[:felt] = -self._velocity[release - np.arange(felt)]
         goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
         is_limit = bounds < math.inf
         found = linprog(
-            goal @ rise[:size] / step,
-            A_ub=matrix[is_limit],
+            goal @ rise,
+            A_ub=rows[is_limit],
             b_ub=bounds[is_limit],
-            bounds=(0.0, limits.travel),
+            bounds=(0.0, limits.travel / (limits.speed * step)),
             method='highs',
         )
         if found.x is None or found.status != 0:
             return None, 0.0
-        pulses = rise[:size] @ found.x / step
+        pulses = limits.speed * (rise @ found.x)
         return Pulses(step, pulses), float(-goal[:felt] @ pulses[:felt])
 
     def _pushing(self, release: int, size: int, floor: float) -> tuple[csr_matrix, Floats]:
         """Return the force on the projectile over time, and how small it may be, against rest."""
         rig, step = self._rig, self._step / _FINER
+        scale = self._limits.speed * rig.layer.impedance
         index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
-        rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0)
-        rows[np.abs(rows) < 1e-9 * np.abs(self._force).max()] = 0.0
-        weight = rig.projectile.mass * rig.gravity
+        rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
+        rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
+        weight = rig.projectile.mass * rig.gravity / scale
         bound = np.full(len(rows), (floor * _PRESSED - 1.0) * weight)
         times = step * np.arange(1, len(rows) + 1)
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
-        bound[inside] += floor * _PUSH * self._limits.speed * rig.layer.impedance
+        bound[inside] += floor * _PUSH
         return csr_matrix(rows), bound
 
 

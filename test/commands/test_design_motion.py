@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `design motion`."""
+
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+from rosbags.typesys import get_typestore, Stores
+from soft_throw_ros.commands import design, throw
+from soft_throw_ros.configuration import motions
+import yaml
+
+COMMAND = (design.main, 'motion')
+QUICK = ('--gravity', 0)
+DATA = Path(__file__).parents[1] / 'data'
+
+
+def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
+    files = [tmp_path / f'best.{ending}' for ending in ('csv', 'yaml', 'png', 'rrd')]
+    printed = command.run(*QUICK, '--output', *files)
+    assert printed.startswith('with the same motor, ')
+    speed = float(command.row(printed, 'ejection speed V_e')[-1])
+    assert float(command.row(printed, 'energy transfer alpha')[-1]) > 4.1
+    assert all(path.stat().st_size > 1000 for path in files)
+    assert throw.main([
+        '--motion', str(files[0]), '--gravity', '0', '--model', 'travelling_wave',
+    ]) == 0  # fmt: skip
+    assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-1]) == speed
+    # read by somebody else
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    message = yaml.safe_load(files[1].read_text())
+    points = [
+        types['trajectory_msgs/msg/JointTrajectoryPoint'](
+            time_from_start=types['builtin_interfaces/msg/Duration'](**point.pop('time_from_start')),
+            **{name: np.array(values) for name, values in point.items()}, effort=np.empty(0),
+        )
+        for point in message['points']
+    ]  # fmt: skip
+    assert message['joint_names'] == ['plate']
+    motion = motions.read(files[0])
+    times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]
+    np.testing.assert_allclose(times, motion.times, atol=1e-9)
+    np.testing.assert_allclose([point.positions[0] for point in points], motion.states[:, 0])
+
+
+def test_json_has_everything_in_si(command):
+    found = command.json(*QUICK, '--vary', 'thickness', '--plate-travel', 0.01)
+    motion = found['motion']
+    assert motion['limits']['travel'] == 0.01
+    assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best', 'both'}
+    assert motion['throws']['both']['ejection_speed'] == motion['ejection_speed']
+    assert np.ptp(np.array(motion['rig']['engine']['motion']['states'])[:, 0]) <= 0.0100001
+
+
+def test_motion_that_was_recorded_is_bettered(command):
+    printed = command.run(*QUICK, '--motion', DATA / 'reference_tracks.csv')
+    assert '% more energy by moving the plate so' in printed
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['--output', 'best.txt'], "must end on .csv, .yaml, .png, .rrd, got 'best.txt'"),
+        (['--output', 'nowhere/best.csv'], 'there is no folder nowhere'),
+        (['--plate-speed', '-1'], 'argument --plate-speed: .*-1'),
+        (['--vary', 'library'], 'library'),
+        (['--motion', 'nosuch.csv'], 'nosuch.csv: No such file'),
+    ],
+)
+def test_bad_arguments_are_refused(command, arguments, message):
+    assert re.search(message, command.refused(*arguments))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motions of a plate from files."""
+
+from bags import BEGIN, channel
+from bags import write as write_bag
+import numpy as np
+import pytest
+from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.recording.cdr import JointStateEncoder
+from soft_throw_ros.recording.message import Message
+
+PLATE = Underdamped.of(Rig().engine)
+TIMES = np.arange(0.0, 0.1, 2e-4)
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a file of a new name; return its path."""
+
+    def write(text, name='motion.csv'):
+        path = tmp_path / name
+        path.write_text(text, encoding='utf-8')
+        return path
+
+    return write
+
+
+def settings_with(path):
+    return TWIN.defaults() | TWIN.change(TWIN.defaults(), {'engine.motion_file': str(path)})
+
+
+def lines(separator=',', start=0.0, scale=1.0):
+    heights = scale * PLATE.position(TIMES - start)
+    return [f'{t:.6f}{separator}{z:.12f}' for t, z in zip(TIMES, heights, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ('head', 'separator', 'scale'),
+    [
+        ('', ',', 1.0),
+        ('', ' ', 1.0),
+        ('# recorded on Monday\n\n', '\t', 1.0),
+        ('t [s];plate [mm]\n', ';', 1e3),
+        ('time,height\n', ',', 1.0),
+    ],
+)
+def test_file_agrees_with_the_motion_that_it_samples(write, head, separator, scale):
+    path = write(head + '\n'.join(lines(separator, start=0.01234, scale=scale)))
+    settings = settings_with(path)
+    assert settings['engine.motion'] == 'file'
+    found, known = simulate(rig_of(settings)), simulate(Rig())
+    frequency, scale = Rig().engine.frequency, Rig().engine.speed_scale
+    assert found.ejection_time * frequency == pytest.approx(
+        known.ejection_time * frequency, abs=1e-4
+    )
+    assert found.ejection_speed / scale == pytest.approx(known.ejection_speed / scale, abs=1e-4)
+
+
+def test_other_columns_are_passed_over(write):
+    rows = [f'{line.split(",")[0]},7,{line.split(",")[1]}' for line in lines()]
+    motion = motions.read(write('\n'.join(['time,temperature,z_plate', *rows])))
+    assert motion.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-4)
+
+
+def test_written_motion_is_read_back_exactly(write):
+    motion = motions.read(write('\n'.join(lines())))
+    again = motions.read(write('\n'.join(motions.csv_lines(motion)), 'again.csv'))
+    np.testing.assert_array_equal(again.times, motion.times)
+    np.testing.assert_allclose(again.states, motion.states, rtol=1e-14, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('', ':.* at least 4'),
+        ('0,0\n1e-3,up\n', r":2: height .* got 'up'"),
+        ('0,0\n1e-3,nan\n', r":2: height .* got 'nan'"),
+        ('0,0\n1e-3\n', r":2: height .* got ''"),
+        ('t,z\n0,0\n0,1\n', r':3: time must increase, got 0 after 0'),
+        ('when,z\n0,0\n', r':1: no column is named t or time, got when, z'),
+        ('t,z [furlong]\n0,0\n', r':1: height must be in m or .*furlong'),
+        ('\n'.join(f'{n},0' for n in range(20)), ': the plate must move, got heights from 0 to 0'),
+        ('\n'.join(f'{n},{n**3}' for n in range(30)), ': the plate must come to rest, got'),
+        ('t,z,velocity,acceleration\n0,0,1,0\n1,1,0,0', ': .* at rest, got 1 and 0 m/s'),
+    ],
+)
+def test_bad_file_is_refused_with_line_and_value(write, text, message):
+    path = write(text)
+    with pytest.raises(ParameterError, match=message) as refused:
+        settings_with(path)
+    assert str(refused.value).startswith(str(path))
+    assert refused.value.names == ('engine.motion_file',)
+
+
+def test_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match=r'nosuch\.csv: No such file'):
+        settings_with(tmp_path / 'nosuch.csv')
+    with pytest.raises(ParameterError, match=r"'file' needs engine\.motion_file"):
+        TWIN.change(TWIN.defaults(), {'engine.motion': 'file'})
+
+
+def test_no_file_makes_the_plate_underdamped_again(write):
+    settings = settings_with(write('\n'.join(lines())))
+    assert TWIN.change(settings, {'engine.motion_file': ''})['engine.motion'] == 'underdamped'
+    assert TWIN.change(settings, {'engine.motion': 'harmonic'})['engine.damping_ratio'] == 0.0
+
+
+def test_journal_carries_the_motion_along(write):
+    path = write('\n'.join(lines()))
+    settings = settings_with(path)
+    known, text = motions.read(path), motions.encode(settings)
+    path.unlink()
+    motions.remember({f'{path}.other': text[str(path)]})
+    again = motions.read(f'{path}.other')
+    np.testing.assert_array_equal(again.states, known.states)
+    with pytest.raises(ValueError, match='no motion of x'):
+        motions.remember({'x': 'not base64'})
+
+
+def test_bag_holds_the_motion_of_its_first_throw(tmp_path):
+    """The plate is put back after the throw, and thrown again."""
+    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
+    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
+    times = np.arange(0.0, 2.0, 2e-4)
+    heights = np.where(times < 1.0, PLATE.position(times - 0.1), PLATE.position(times - 1.1))
+    messages = []
+    for time, height in zip(times, heights.tolist(), strict=True):
+        stamp = BEGIN + round(1e9 * time)
+        data = encoder.encode(stamp, (height, 0.02, 0.0, 0.0, 0.0, 0.0))
+        messages.append(Message(topic, data, stamp, stamp))
+    motion = motions.read(write_bag(tmp_path / 'bag', messages))
+    assert motion.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-3)
+    assert motion.end_time < 0.9

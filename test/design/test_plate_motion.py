@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motions of the plate that throw best."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.design.evaluate import SearchCancelledError
+from soft_throw_ros.design.motion_design import design_motion
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.plate_motion import (
+    find_best_layer,
+    find_best_motion,
+    PlateLimits,
+    Pulses,
+    rest_to_rest,
+)
+
+KNOWN = [
+    (0.278, 0.0, 5.85),
+    (0.46, 0.25, 5.65),
+    (0.60, 0.5, 5.35),
+    (0.84, 1.0, 4.78),
+    (1.08, 1.5, 4.31),
+    (1.96, 2.0, 3.99),
+]
+"""Mass ratio, crossings in which the largest speed is reached, and the most that is known."""
+
+
+def unit_rig(mass_ratio):
+    """Make a rig without gravity and loss whose layer is the unit of everything."""
+    return Rig(
+        engine=Engine(frequency=0.2, amplitude=1.0, damping_ratio=0.0),
+        layer=Layer(thickness=1.0, wave_speed=1.0, density=1.0, diameter=2.0 / math.sqrt(math.pi)),
+        projectile=Projectile(mass=mass_ratio),
+        gravity=0.0,
+    )
+
+
+def limits_with(rise):
+    return PlateLimits(speed=1.0, acceleration=1.0 / rise if rise else math.inf)
+
+
+def excess(motion, limits):
+    """Return the largest part by which a motion exceeds its limits."""
+    times = np.linspace(0.0, motion.end_time, 20001)
+    jerk = np.diff(motion.states[:, 2]) / np.diff(motion.times)  # which is constant between knots
+    return max(
+        np.abs(motion.velocity(times)).max() / limits.speed,
+        np.abs(motion.states[:, 2]).max() / limits.acceleration,
+        np.abs(jerk).max() / limits.jerk,
+        np.ptp(motion.position(times)) / limits.travel,
+    )
+
+
+@pytest.mark.parametrize(('mass_ratio', 'rise', 'alpha'), KNOWN)
+def test_best_motion_is_exact_where_it_is_known(mass_ratio, rise, alpha):
+    throw = find_best_motion(unit_rig(mass_ratio), limits_with(rise))
+    assert throw.ejection_speed**2 == pytest.approx(alpha, rel=5e-3)
+    assert excess(throw.motion, limits_with(rise)) < 1.0 + 1e-5
+
+
+def test_best_layer_is_exact_where_it_is_known():
+    bounds = Limits(thickness_min=0.3, thickness_max=4.0, wave_speed_min=0.5, wave_speed_max=2.0)
+    rig = unit_rig(0.6)
+    # as thick as it may be, or not: at this speed of the wave the known case is at thickness 1
+    found = find_best_layer(rig, limits_with(0.5), 'thickness', loads=bounds)
+    best = find_best_motion(found, limits_with(0.5), loads=bounds)
+    here = find_best_motion(rig, limits_with(0.5))
+    assert best.ejection_speed >= here.ejection_speed * (1.0 - 1e-3)
+    for thickness in (0.7, 1.6):
+        other = replace(rig, layer=replace(rig.layer, thickness=float(thickness)))
+        other_best = find_best_motion(other, limits_with(0.5))
+        assert other_best.ejection_speed <= best.ejection_speed * 1.005
+
+
+@pytest.mark.parametrize(
+    'rig',
+    [
+        Rig(),
+        Rig(gravity=0.0),
+        Rig(layer=Layer(loss_tangent=0.05)),
+        Rig(engine=Engine(frequency=31.1)),
+        Rig(layer=Layer(thickness=5.6e-3)),
+    ],
+)
+def test_best_motion_beats_the_others_within_their_limits(rig):
+    limits = PlateLimits.of(rig.engine)
+    throw = find_best_motion(rig, limits)
+    model = 'finite_difference' if rig.layer.loss_tangent else 'travelling_wave'
+    step = rest_to_rest(limits, travel=limits.travel)
+    assert throw.ejection_speed > simulate(rig, model=model).ejection_speed
+    assert throw.ejection_speed > simulate(rig, step, model=model).ejection_speed
+    assert excess(throw.motion, limits) < 1.0 + 1e-5
+    assert throw.recontacts == 0
+    np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
+    energies = throw.energies
+    assert energies.stored + energies.heat == pytest.approx(energies.plate_work, rel=2e-4)
+
+
+def test_no_random_motion_is_better():
+    """Pulses up and down at random, that keep the same limits of speed and acceleration."""
+    rig, limits = Rig(gravity=0.0), replace(PlateLimits.of(Engine()), travel=0.02)
+    best = find_best_motion(rig, limits).ejection_speed
+    step, random, most = 5e-4, np.random.default_rng(5), 0.0
+    for _ in range(100):
+        changes = random.choice([-1.0, 1.0, 1.0, 1.0], 24) * limits.acceleration * step
+        speeds = [0.0]
+        for change in changes:
+            speeds.append(min(max(speeds[-1] + change, 0.0), limits.speed))
+        motion = Pulses(step, np.array(speeds[1:])).motion()
+        most = max(most, simulate(rig, motion).ejection_speed)
+    assert 0.9 * best < most < best * (1.0 + 1e-3)
+
+
+def test_jerk_is_limited_and_costs_speed():
+    free = PlateLimits.of(Engine())
+    limits = replace(free, jerk=3e5)
+    throw = find_best_motion(Rig(gravity=0.0), limits)
+    assert excess(throw.motion, limits) < 1.0 + 1e-5
+    assert throw.ejection_speed < find_best_motion(Rig(gravity=0.0), free).ejection_speed
+
+
+def test_loads_are_limited():
+    rig = Rig(gravity=0.0)
+    free = find_best_motion(rig, PlateLimits.of(rig.engine))
+    loads = Limits(max_acceleration=0.8 * free.peak_acceleration)
+    throw = find_best_motion(rig, PlateLimits.of(rig.engine), loads=loads)
+    assert throw.peak_acceleration <= 1.002 * loads.max_acceleration
+    assert throw.ejection_speed < free.ejection_speed
+
+
+@pytest.mark.parametrize('jerk', [math.inf, 1e5])
+@pytest.mark.parametrize('travel', [1e-4, 4e-3, 0.05])
+def test_rest_to_rest_is_within_limits_and_arrives(jerk, travel):
+    limits = PlateLimits(speed=0.7, acceleration=300.0, jerk=jerk, travel=travel)
+    motion = rest_to_rest(limits, travel=travel)
+    assert motion.position(motion.end_time) == pytest.approx(travel, rel=1e-3)
+    assert excess(motion, replace(limits, jerk=math.inf)) < 1.02
+
+
+def test_answer_compares_what_it_says():
+    design = design_motion(Rig(gravity=0.0), vary='thickness')
+    energy = {name: throw.kinetic_energy for name, throw in design.throws.items()}
+    assert energy['both'] >= energy['best'] > energy['step'] > 0.0
+    assert energy['layer'] > energy['now']
+    assert energy['best'] > energy['harmonic'] >= energy['now'] * 0.98
+    gain = 100.0 * (energy['best'] / energy['now'] - 1.0)
+    assert design.summary.startswith(f'with the same motor, {gain:.2g} % more energy by moving')
+    assert design.rig.engine.motion is design.motion
+    assert design.values()['now.kinetic_energy'] == energy['now']
+
+
+@pytest.mark.parametrize(
+    ('call', 'error', 'message'),
+    [
+        (lambda: PlateLimits(speed=0.0), ValueError, 'speed .* got 0'),
+        (lambda: PlateLimits(speed=1.0, jerk=-1.0), ValueError, 'jerk .* got -1'),
+        (lambda: design_motion(Rig(), vary='colour'), ValueError, "got 'colour'"),
+        (
+            lambda: design_motion(Rig(), cancelled=lambda: True),
+            SearchCancelledError, 'cancelled',
+        ),
+        (
+            lambda: find_best_motion(
+                Rig(gravity=0.0),
+                PlateLimits(speed=1.0, acceleration=300.0),
+                loads=Limits(max_strain=1e-4),
+            ),
+            ThrowUnresolvedError, 'no motion of the plate',
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
