@@ -297,6 +297,7 @@ def _identify_throws(
             'terms': found.terms(),
             'remarks': found.remarks,
             'layers': found.layers,
+            'intervals': found.intervals,
             'throws': [
                 {
                     'name': throw.name,

@@ -132,6 +132,10 @@ def budget_lines(found: RigFit) -> Iterator[str]:
     """Say what else the fit has found, and of what an error is made that is not mere noise."""
     for name, value in found.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
+    for name, ends in found.intervals.items():
+        shown, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+        low, high = (f'{factor * end:.4g}' for end in ends)
+        yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
     for name in found.estimates():
         if name not in found.fit or found.fit.names.index(name) in found.fit.known:
             continue

@@ -29,6 +29,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import contextlib
 from dataclasses import replace
 import math
 from operator import itemgetter
@@ -44,7 +45,12 @@ from soft_throw_ros.identification.fit_description import (
     values_of,
 )
 from soft_throw_ros.identification.forward import EffortError
-from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
+from soft_throw_ros.identification.least_squares import (
+    Alternative,
+    Fit,
+    FitError,
+    INSEPARABLE,
+)
 from soft_throw_ros.identification.plate_fit import PlateFit
 from soft_throw_ros.identification.plate_modes import find_mode, Mode
 from soft_throw_ros.identification.rig_model import (
@@ -79,6 +85,9 @@ _TRIALS = {  # values by which it is tried whether a term is seen
 _PROVEN = 12.0  # by how much chi squared is larger of layers that do not explain throws
 _PROFILE = np.linspace(-5.0, 5.0, 31)  # errors of sticking at which its profile is computed, ...
 _PROFILE_ROUNDS = 3  # each with the errors of the one before
+_CHI2_95 = 3.84  # that 95 % are below, of one degree of freedom
+_LONGEST = 6.0  # errors that half of an interval may be long
+_HALVES = 8  # in which its end is looked for
 _LAYERS: Mapping[str, Mapping[str, str]] = {
     'without loss': {},
     'with loss': {'layer.loss_tangent': 'free'},
@@ -312,6 +321,19 @@ class _Linear:
         return np.asarray(found / self._sizes)
 
 
+def let_stick(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> tuple[RigModel, Fit]:
+    """Fit how long the layer sticks, too; the same other minima are spanned."""
+    wider = replace(model, description=model.description.see(STICKING))
+    found = wider.fit(wider.start_from(fit, plates))
+    own = wider.places_of(STICKING)
+    others = []
+    for each in fit.alternatives:
+        values = wider.start_from(replace(fit, values=each.values), plates)
+        values[own] = found.values[own]
+        others.append(each._replace(values=values))
+    return wider, found.spanning(others)
+
+
 def spread_sticking(model: RigModel, fit: Fit) -> tuple[Fit, float]:
     """
     Let the covariance span how long the layer may stick, as its profile tells.
@@ -354,6 +376,52 @@ def spread_sticking(model: RigModel, fit: Fit) -> tuple[Fit, float]:
     covariance += np.einsum('k,ki,kj->ij', weights, np.array(changes), np.array(changes))
     unstuck = profile[int(np.argmin(times))] - min(profile)
     return replace(fit, covariance=covariance), unstuck
+
+
+def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float]]:
+    """
+    Find intervals of 95 % of what the covariance is no good for: what is hardly told apart.
+
+    Along such a parameter chi squared is followed to where it is larger by 3.84, while all others
+    are adapted, by steps of Gauss and Newton with the derivatives of the fit.
+    """
+    correlation = np.abs(fit.correlation)
+    found = {}
+    for name in LAYER:
+        if name not in fit.names:
+            continue
+        place = fit.names.index(name)
+        others = [fit.names.index(each) for each in LAYER if each in fit.names and each != name]
+        if correlation[place, others].max(initial=0.0) > INSEPARABLE:
+            with contextlib.suppress(FitError):
+                system = _Linear(model, fit, [place])
+                ends = [_end_of_interval(system, fit, place, sign) for sign in (-1.0, 1.0)]
+                found[name] = (ends[0], ends[1])
+    return found
+
+
+def _end_of_interval(system: _Linear, fit: Fit, place: int, sign: float) -> float:
+    """Find by halves where the profile of a parameter leaves the interval of 95 %."""
+    lowest = float(np.sum(system.project(system.left(fit.values)) ** 2))
+    limit = _CHI2_95 * max(1.0, fit.reduced_chi2)
+    direction = fit.covariance[place] / fit.covariance[place, place]
+
+    def is_inside(distance: float) -> bool:
+        moved = fit.values + sign * distance * direction
+        try:
+            for _ in range(_PROFILE_ROUNDS):
+                moved[system.others] += system.change(system.left(moved))
+            return bool(np.sum(system.project(system.left(moved)) ** 2) - lowest < limit)
+        except EffortError:
+            raise
+        except (FitError, ValueError):
+            return False  # no rig is like that
+
+    inside, outside = 0.0, _LONGEST * fit.errors[place]
+    for _ in range(_HALVES):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
+    return float(fit.values[place] + sign * inside)
 
 
 def compare_layers(

@@ -21,9 +21,9 @@ is so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
@@ -47,7 +47,10 @@ from soft_throw_ros.identification.model_choice import (
     describe_layers,
     find_best_minimum,
     LayerModel,
+    let_stick,
+    profile_intervals,
     spread_sticking,
+    STICKING,
 )
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
 from soft_throw_ros.identification.rig_model import RigModel, START
@@ -82,6 +85,8 @@ class RigFit:
         What had to be assumed to explain these throws, each in a sentence.
     layers : tuple of LayerModel
         How well several kinds of layers explain them.
+    intervals : mapping of str to tuple of float
+        Intervals of 95 % of parameters for which errors are no good, see `profile_intervals`.
 
     """
 
@@ -90,6 +95,7 @@ class RigFit:
     throws: tuple[ThrowTracks, ...]
     remarks: tuple[str, ...] = ()
     layers: tuple[LayerModel, ...] = ()
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     _model: RigModel
 
     def estimates(self) -> dict[str, Estimate]:
@@ -219,6 +225,9 @@ def fit_rig(
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
+    sticks = description.treatment(STICKING).is_varied
+    if sticks:  # a loss looks much alike: first it is seen whether either is needed
+        description = description.change({STICKING: f'{description.text(STICKING)} if seen'})
     throws = _with_like_noise(throws)
     plates = [_fit_plate(throw, description) for throw in throws]
     rig = _with_engine_of(plates, description.prepare(rig), description)
@@ -237,9 +246,12 @@ def fit_rig(
     fit = find_best_minimum(model, plates, fit, others)
     tell('looking for what a bench may add')
     model, fit, more = add_terms(model, plates, fit)
+    if sticks and STICKING not in model.places and model.projectiles:
+        model, fit = let_stick(model, plates, fit)
     fit, unstuck = spread_sticking(model, fit)
     tell('comparing layers')
     layers = compare_layers(model, plates, fit, unstuck)
+    intervals = profile_intervals(model, fit)
     simulator.unbind()
     remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
     kept = {
@@ -256,6 +268,7 @@ def fit_rig(
         throws=throws,
         remarks=tuple(remarks),
         layers=tuple(layers),
+        intervals=intervals,
         _model=model,
     )
 
