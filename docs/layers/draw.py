@@ -93,10 +93,10 @@ def find_best(
         return Stack(
             sheets=tuple(
                 Layer(
-                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=loss,
+                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=tangent,
                     loss=loss,
                 )
-                for thickness, speed, density, loss in values.reshape(-1, 4).tolist()
+                for thickness, speed, density, tangent in values.reshape(-1, 4).tolist()
             )
         )  # fmt: skip
 
@@ -172,8 +172,8 @@ def summary(stacks: Sequence[tuple[int, float, Best]]) -> str:
     free, held = STRAINS
     return (
         f'Two sheets throw with {more[2, held]:.0f} % more energy than the best layer of one '
-        f'material, and three with {more[3, held]:.0f} %,\nif no sheet is to be compressed by more '
-        f'than {1e2 * held:g} %; without that limit with {more[2, free]:.0f} % and '
+        f'material, and three with {more[3, held]:.0f} %,\nif no sheet is to be compressed by '
+        f'more than {1e2 * held:g} %; without that limit with {more[2, free]:.0f} % and '
         f'{more[3, free]:.0f} %.'
     )
 

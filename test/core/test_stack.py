@@ -79,7 +79,7 @@ def test_what_is_derived_cannot_be_replaced():
 
 def test_best_stacks_of_the_page_throw_as_it_says():
     rows = re.findall(
-        r'^\| (\d) \| .* \| `(.*)` \| ([\d.]+) \| (\d+) % \|', PAGE.read_text(), re.M
+        r'^\| (\d) \| .* \| `(.*)` \| ([\d.]+) \| (\d+) % \|', PAGE.read_text(), re.MULTILINE
     )
     assert [int(row[0]) for row in rows] == [1, 2, 3, 1, 2, 3]
     best = {}
