@@ -65,7 +65,11 @@ def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
 
 
 def find_best(
-    low: Sequence[float], high: Sequence[float], *, max_strain: float = math.inf, **material: str
+    low: Sequence[float],
+    high: Sequence[float],
+    *,
+    max_strain: float = math.inf,
+    loss: str = 'kelvin_voigt',
 ) -> Best:
     """
     Find the stack that throws best; alpha jumps, so the search is global, and by random.
@@ -76,8 +80,8 @@ def find_best(
         Bounds of thickness [m], wave speed [m/s], density [kg/m3] and loss tangent of each sheet.
     max_strain : float
         Largest strain of a sheet. [-]
-    **material : str
-        Elasticity and loss of all sheets.
+    loss : str
+        Of all sheets.
 
     """
     ends = np.reshape([low, high], (2, -1, 4))
@@ -89,10 +93,10 @@ def find_best(
         return Stack(
             sheets=tuple(
                 Layer(
-                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=loss,
-                    **material,
+                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=tangent,
+                    loss=loss,
                 )
-                for thickness, speed, density, loss in values.reshape(-1, 4).tolist()
+                for thickness, speed, density, tangent in values.reshape(-1, 4).tolist()
             )
         )  # fmt: skip
 
@@ -164,12 +168,14 @@ def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str
 def summary(stacks: Sequence[tuple[int, float, Best]]) -> str:
     """Say what stacks give beside the best single layer."""
     alpha = {(count, most): best.energy_transfer for count, most, best in stacks}
-    parts = []
-    for most in STRAINS:
-        two, three = (1e2 * (alpha[n, most] / alpha[1, most] - 1.0) for n in (2, 3))
-        strain = 'whatever the strain' if math.isinf(most) else f'with {1e2 * most:g} % of strain'
-        parts.append(f'{strain}, two sheets throw with {two:.0f} % and three with {three:.0f} %')
-    return f'So, {"; ".join(parts)} more energy than the best layer of one material.'
+    more = {key: 1e2 * (value / alpha[1, key[1]] - 1.0) for key, value in alpha.items()}
+    free, held = STRAINS
+    return (
+        f'Two sheets throw with {more[2, held]:.0f} % more energy than the best layer of one '
+        f'material, and three with {more[3, held]:.0f} %,\nif no sheet is to be compressed by '
+        f'more than {1e2 * held:g} %; without that limit with {more[2, free]:.0f} % and '
+        f'{more[3, free]:.0f} %.'
+    )
 
 
 def text_of(layer: Layer) -> str:

@@ -385,8 +385,8 @@ def _prepare(core, nodes, bodies, omega):
             carried += own * s.gravity
         nodes[BURDEN, j] = carried
         if nodes[CURVATURE, j] > 0.0:
-            nodes[ANCHOR, j] = carried
             nodes[STATIC, j] = 1.0 - static_stretch(carried / nodes[CURVATURE, j])
+            nodes[ANCHOR, j] = -nodes[CURVATURE, j] * _tension_of(1.0 - nodes[STATIC, j], 0.0)
         else:
             nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
     for j in range(s.bottom, top):
@@ -411,6 +411,15 @@ def _strain(s, nodes):
         s.strain_heating += _remember(s, nodes)
 
 
+@inlined
+def _tension_of(ratio, least):
+    """Compute the nominal stress of a neo-Hookean rod in E / 3, beyond `least` by its tangent."""
+    held = max(ratio, least)
+    inverse = 1.0 / held
+    square = inverse * inverse
+    return held - square + (ratio - held) * (1.0 + 2.0 * square * inverse)
+
+
 @reduction
 def _strain_curved(s, nodes):
     """Compute the tension of linear and neo-Hookean links; the power of shocks, to a tenth."""
@@ -418,10 +427,7 @@ def _strain_curved(s, nodes):
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
         ratio = 1.0 + stretch * nodes[INVERSE, j] - nodes[STATIC, j]
-        held = max(ratio, nodes[LEAST, j])
-        inverse = 1.0 / held
-        square = inverse * inverse
-        tension = held - square + (ratio - held) * (1.0 + 2.0 * square * inverse)
+        tension = _tension_of(ratio, nodes[LEAST, j])
         closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
         shock = nodes[SHOCK, j] * closing * closing
         tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j] - shock
@@ -1178,8 +1184,6 @@ class CellStepper(Stepper):
         scale = rig.engine.speed_scale
         if isinstance(motion, SampledMotion):
             scale = max(scale, motion.peak_velocity)
-        elif motion == 'measured':  # it may be more than the engine has
-            scale *= 2.0
         if model == 'spring_mass':
             grid = make_massless_grid(rig, step=_spring_step(rig))
         else:

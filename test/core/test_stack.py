@@ -2,13 +2,19 @@
 """Layers of several sheets."""
 
 from dataclasses import replace
+from pathlib import Path
+import re
 
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
+from reference import method_of_lines
+from soft_throw_ros.core.cell_stepper import first_throws
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig, Stack
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
+PAGE = Path(__file__).parents[2] / 'docs' / 'design.md'
 SHARED = (
     'thickness', 'wave_speed', 'density', 'diameter', 'loss_tangent', 'section', 'mass',
     'youngs_modulus', 'impedance', 'stiffness', 'crossing_time',
@@ -69,3 +75,31 @@ def test_bad_sheets_are_refused_with_the_value(sheets, message):
 def test_what_is_derived_cannot_be_replaced():
     with pytest.raises(ValueError, match='thickness'):
         replace(Stack(sheets=(Layer(),)), thickness=0.01)
+
+
+def test_best_stacks_of_the_page_throw_as_it_says():
+    rows = re.findall(
+        r'^\| (\d) \| .* \| `(.*)` \| ([\d.]+) \| (\d+) % \|', PAGE.read_text(), re.MULTILINE
+    )
+    assert [int(row[0]) for row in rows] == [1, 2, 3, 1, 2, 3]
+    best = {}
+    for count, text, alpha, strain in rows:
+        sheets = [map(float, sheet.split()) for sheet in text.split(', ')]
+        layer = Stack(
+            sheets=tuple(
+                Layer(thickness=thickness, wave_speed=speed, density=density)
+                for thickness, speed, density in sheets
+            )
+        )
+        assert len(layer.sheets) == int(count)
+        assert layer.thickness < 0.0501
+        rig = Rig(layer=layer)
+        found = first_throws(**rig.cell_ratios, cells=256)
+        assert found.energy_transfer == pytest.approx(float(alpha), abs=0.02)
+        unit = rig.engine.speed_scale / layer.wave_speed
+        assert 100.0 * found.peak_strain * unit == pytest.approx(float(strain), abs=1.0)
+        best[int(count)] = rig
+    _, speed = method_of_lines.first_release(best[2], cells=300)  # by another method
+    peak = Underdamped.of(best[2].engine).peak_velocity
+    assert (speed / peak) ** 2 == pytest.approx(float(rows[4][2]), rel=5e-3)
+    assert (speed / peak) ** 2 > 1.5 * float(rows[3][2])
