@@ -182,7 +182,7 @@ class NodeParameters:
 
 def shown(value: Any) -> str:
     """Write the value of a parameter for people, who need no 17 digits of 6.789000000000001."""
-    return f'{value:.9g}' if isinstance(value, float) else str(value)
+    return str(float(f'{value:.9g}') if isinstance(value, float) else value)
 
 
 class _ChangeLog:

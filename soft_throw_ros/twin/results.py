@@ -223,7 +223,8 @@ class ThrowResult:
         if self.accuracy is not None:
             text += f' +- {self.accuracy.energy_transfer_error:.3f}'
         if self.last is not None and self.recontacts:
-            text += f', after {self.recontacts} re-contacts {self.last.energy_transfer:.3f}'
+            times = 're-contact' if self.recontacts == 1 else 're-contacts'
+            text += f', after {self.recontacts} {times} {self.last.energy_transfer:.3f}'
         if not self.is_linear:
             strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
             text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import files, ParameterError, RECORDER, Table, TWIN
-from soft_throw_ros.nodes.parameters import NodeParameters
+from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
 
@@ -279,3 +279,11 @@ def test_texts_lists_and_switches_are_parameters_too(ros) -> None:
     refusals = client.set(topics=['/a', 'b!'], start=1, name=2, split__size=7)
     for refusal, value in zip(refusals, ('b!', '1', '2', '7'), strict=True):
         assert value in refusal.partition('got ')[2]
+
+
+@pytest.mark.parametrize(
+    ('value', 'text'),
+    [(7.3 * 0.93, '6.789'), (200.0, '200.0'), (5e-06, '5e-06'), (20, '20'), ('peak', 'peak')],
+)
+def test_people_are_shown_no_digits_that_say_nothing(value, text) -> None:
+    assert shown(value) == text
