@@ -23,8 +23,12 @@ ROS_DISTRO ?= jazzy
 PYTHON ?= python3
 ARGS ?=
 
-# Files of tests go to a process for each core; each has a ROS domain of its own.
-PARALLEL := -n auto --dist loadfile
+# Files of tests go to two processes more than there are cores, since many tests wait for nodes or for
+# time to pass; each has a ROS domain of its own.
+PARALLEL := -n $(shell expr $$(nproc) + 2) --dist loadfile
+
+# What becomes of a process does not depend on the version of numpy.
+PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
 
 VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py recording/test_rerun_view.py \
 	commands/test_inspect_bag.py commands/test_design_map.py)
@@ -122,7 +126,8 @@ test-apt:
 .venv/apt/.tested: .venv/apt/.installed
 	.venv/apt/bin/pip install --quiet -r requirements/apt.txt -e '.[test]'
 	NUMBA_CACHE_DIR=$(CURDIR)/.venv/apt/kernels \
-		.venv/apt/bin/python -m pytest $(PARALLEL) -m 'not once' test/core test/nodes
+		.venv/apt/bin/python -m pytest $(PARALLEL) -m 'not once' $(PROCESS_TESTS) \
+		test/core test/nodes
 
 # As on a machine with nothing to draw with: what takes pictures is skipped, and nothing fails.
 test-without-vulkan: .venv/jazzy/.testable $(KERNELS)

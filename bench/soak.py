@@ -249,28 +249,28 @@ def _reports(bag: Path) -> NDArray[np.float64]:
 
 
 def _subscribe(path: Path) -> None:
-    """Write down the stamps of states, and take layers, until Ctrl-C and no more comes."""
+    """Write down the stamps of states, and take layers, up to Ctrl-C or the last there is."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
     from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 
-    is_over: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _frame: is_over.append(number))
+    asked: list[int] = []  # when it was asked to end [ns]
+    signal.signal(signal.SIGINT, lambda _number, _frame: asked.append(time.time_ns()))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f'subscriber_{path.name}')
     states, layers = (
         RawSubscription.of(node, topic.at('/twin'))
         for topic in (TWIN_TOPICS.joint_states, TWIN_TOPICS.layer_joint_states)
     )
-    is_quiet = False
+    is_done = False
     with path.open('wb', buffering=0) as stream:
-        while not is_over or not is_quiet:
-            time.sleep(QUIET if is_over else DRAIN_PERIOD)
-            messages = states.drain()
+        while not is_done:
+            time.sleep(QUIET if asked else DRAIN_PERIOD)
+            stamps = [stamp_of(message.data) for message in states.drain()]
             layers.drain()
-            is_quiet = not messages
-            stream.write(b''.join(stamp_of(m.data).to_bytes(8, 'little') for m in messages))
+            stream.write(np.array(stamps, dtype='<i8').tobytes())
+            is_done = bool(asked) and (not stamps or stamps[-1] > asked[0])
 
 
 if __name__ == '__main__':
