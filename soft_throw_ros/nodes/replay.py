@@ -20,10 +20,7 @@ from soft_throw_ros.recording.message import BagError
 CLOCK_RATE = 40.0
 """How often `--clock` tells the time, if nothing is said. [Hz]"""
 
-_USAGE = """\
-%(prog)s [--rate R] [--start S] [--duration S] [--topics T ...] [--loop]
-              [--paused] [--clock [HZ]] BAG [--ros-args ...]
-       %(prog)s --check BAG"""
+_USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
 
 
 def main(args: list[str] | None = None) -> int:
@@ -161,7 +158,7 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
         'replay',
         lambda arguments: Player(reader, **options),  # noqa: ARG005  it has no parameters
         arguments,
-        usage=_USAGE % {'prog': 'replay'},
+        usage=_USAGE,
     )
 
 

@@ -9,6 +9,7 @@ go back. Deadlines are absolute: being late once makes nothing late later.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+import itertools
 import math
 from typing import Generic, TypeVar
 
@@ -73,8 +74,6 @@ class PlaybackSchedule(Generic[Item]):
             raise ValueError(f'a rate must be positive and finite, got {rate!r}')
         self.rate = rate
         self.is_paused = is_paused
-        self._items = items
-        self._time_of = time_of
         self._begin = begin_ns
         self._loop_length = end_ns - begin_ns
         if is_looping:  # the beginning comes after the end, not with it
@@ -85,11 +84,8 @@ class PlaybackSchedule(Generic[Item]):
         self._now = now
         self._passed = 0
         self._stepped_to = -math.inf  # what is not later comes while paused
-        self._loop = 0
-        self._coming: Iterator[Item] = iter(items())
-        self._next: Item | None = None
-        self._next_time = 0
-        self._fetch()
+        self._coming = self._repeat(items, time_of)
+        self._next_time, self._next = next(self._coming, (0, None))
 
     @property
     def is_over(self) -> bool:
@@ -119,7 +115,7 @@ class PlaybackSchedule(Generic[Item]):
         if not self.is_paused:
             self._now += max(now - deadline - MAX_CATCH_UP, 0)
         item = self._next
-        self._fetch()
+        self._next_time, self._next = next(self._coming, (self._next_time, None))
         return item
 
     def pause(self, now: int) -> None:
@@ -157,13 +153,14 @@ class PlaybackSchedule(Generic[Item]):
             passed += max(int((now - self._now) * self.rate), 0)
         return max(passed if self.is_over else min(passed, self._next_time), 0)
 
-    def _fetch(self) -> None:
-        """Get the next item, from the next loop if need be."""
-        self._next = next(self._coming, None)
-        if self._next is None and self._is_looping:
-            self._loop += 1
-            self._coming = iter(self._items())
-            self._next = next(self._coming, None)
-        if self._next is not None:
-            since_begin = self._time_of(self._next) - self._begin
-            self._next_time = self._loop * self._loop_length + since_begin
+    def _repeat(
+        self, items: Callable[[], Iterable[Item]], time_of: Callable[[Item], int]
+    ) -> Iterator[tuple[int, Item | None]]:
+        """Yield items with their times since the beginning of the first loop."""
+        for loop in itertools.count():
+            has_any = False
+            for item in items():
+                has_any = True
+                yield loop * self._loop_length + time_of(item) - self._begin, item
+            if not (has_any and self._is_looping):
+                return

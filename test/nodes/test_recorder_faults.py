@@ -47,6 +47,9 @@ for line in sys.stdin:
 A_SECOND = 5000
 """Messages of a second at 5 kHz, the highest rate of a twin."""
 
+LONGEST_STOP = 2.5
+"""A process that is stopped for longer is given up by Fast DDS, with all that waits for it. [s]"""
+
 
 class Publisher:
     """A process that publishes when it is told to."""
@@ -102,8 +105,12 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     recorder = record(publisher)
     publisher.publish(10)
     recorder.process.send_signal(signal.SIGSTOP)
+    began = time.monotonic()
     publisher.publish(A_SECOND)
+    stopped = time.monotonic() - began
     recorder.process.send_signal(signal.SIGCONT)
+    if stopped > LONGEST_STOP:
+        pytest.skip(f'this machine is too busy, the recorder was stopped for {stopped:.1f} s')
     publisher.publish(10, period=0.1)
     assert last_line(recorder) == (A_SECOND + 20, 0, 0)
     assert count(tmp_path / 'bag') == A_SECOND + 20
