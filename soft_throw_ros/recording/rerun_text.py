@@ -108,7 +108,7 @@ def track_text(task: str, status: Any, values: Values) -> str:  # a DiagnosticSt
     text = f'**{task.capitalize()}**: {status.message}'.replace('+-', '±')
     left_out = values.get('samples_jumped') or values.get('outliers')
     if left_out:
-        text += f'; {left_out:g} samples left out, since they jump'
+        text += f'; {left_out:g} samples left out'
     doubts = [str(value) for key, value in values.items() if key.startswith('warning')]
     return '; '.join([text, *doubts])
 
