@@ -29,8 +29,10 @@ Floats = NDArray[np.float64]
 FEWEST_SAMPLES = 8
 """Of the height of a plate, from which its motion can be told."""
 
+FASTEST_END = 0.25
+"""Speed of a plate at the end of a record over its largest, which it must not exceed. [-]"""
+
 _CLEAN = 1e-5  # noise over the range of heights below which samples are taken as they are
-_FASTEST_END = 0.25  # speed at the end of a record over the largest, which it must not exceed
 _SEEN = 6.0  # standard deviations of the noise from which on a plate is seen to move
 _FAR = 0.3  # part of the largest height at which a plate has certainly started
 _CAUTION = 1.4  # by which cross-validation counts a coefficient, since it smooths too little
@@ -282,7 +284,7 @@ class SampledMotion:
         states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
         motion = cls(knots, states, 'hold')
         last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
-        if last > _FASTEST_END * np.abs(states[:, 1]).max():
+        if last > FASTEST_END * np.abs(states[:, 1]).max():
             raise ValueError(
                 f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
             )
@@ -357,7 +359,7 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     t, z = times[: far + 1], heights[: far + 1] - rest
 
     def residual(start: float) -> float:
-        s = np.maximum(t - start, 0.0) / (t[-1] - start)
+        s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
         basis = np.stack([s**2, s**3, s**4, s**5], axis=1)
         return float(np.sum((z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]) ** 2))
 

@@ -21,8 +21,8 @@ Nothing after T less a crossing of the wave can be felt by the projectile; there
 
 References
 ----------
-.. [1] Q. Huangfu, J. A. J. Hall, "Parallelizing the dual revised simplex method", Math. Prog.
-   Comp. 10 (2018): HiGHS, by `scipy.optimize.linprog`.
+.. [1] L. Schork, J. Gondzio, "Implementation of an interior point method with basis
+   preconditioning", Math. Prog. Comp. 12 (2020): of HiGHS, by `scipy.optimize.linprog`.
 
 """
 
@@ -56,7 +56,8 @@ _PUSH = 1e-3  # and of speed times impedance while the wave is in the layer
 _AS_PROMISED = 0.01  # part of the speed by which a motion may miss what the programme promised
 _FLOORS = (1.0, 4.0)  # times these, to be tried in turn if a motion fails, ...
 _LONGER = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # and times of release
-_FASTEST_RISE = 1e-3  # of a crossing, which a plate without limit of acceleration takes
+_OPTIMAL, _INFEASIBLE = 0, 2  # statuses of `linprog`
+_LONGEST = 10.0  # that a programme may take; it takes a second [s]
 _LAYERS = 7  # along an axis of the grid on which the search for a layer begins
 
 
@@ -425,14 +426,20 @@ class _Programme:
         goal[:felt] = -self._velocity[release - np.arange(felt)]
         goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
         is_limit = bounds < math.inf
-        found = linprog(
-            goal @ rise,
-            A_ub=rows[is_limit],
-            b_ub=bounds[is_limit],
-            bounds=(0.0, limits.travel / (limits.speed * step)),
-            method='highs',
-        )
-        if found.x is None or found.status != 0:
+        # The simplex method may take minutes where the jerk is limited, and the interior-point one
+        # does not always get to an end.
+        for method in ('highs-ipm', 'highs-ds'):
+            found = linprog(
+                goal @ rise,
+                A_ub=rows[is_limit],
+                b_ub=bounds[is_limit],
+                bounds=(0.0, limits.travel / (limits.speed * step)),
+                method=method,
+                options={'time_limit': _LONGEST},
+            )
+            if found.status in (_OPTIMAL, _INFEASIBLE):
+                break
+        if found.status != _OPTIMAL:
             return None, 0.0
         pulses = limits.speed * (rise @ found.x)
         return Pulses(step, pulses), float(-goal[:felt] @ pulses[:felt])

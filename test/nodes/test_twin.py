@@ -24,6 +24,7 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
     values_to_rig,
 )
+from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
@@ -323,6 +324,23 @@ def test_layer_picked_from_a_library_can_be_applied(ros, twin, listener, jelly, 
     assert settings['layer.name'] == best.layer == layer
     assert settings['layer.wave_speed'] == 22.0
     assert settings['layer.thickness'] == pytest.approx(best.thickness if is_cast else 0.04)
+
+
+def test_designed_motion_can_be_applied(ros, twin, listener, monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    assert ros.parameters(twin).set(gravity=0.0) == ['']
+    found = recommend_for({**twin.parameters.settings, 'recommendation.vary': 'motion'})
+    best = found.best
+    assert best is not None
+    assert 'more energy by moving the plate so' in found.describe()
+    twin.parameters.apply(found.changes())
+    settings = twin.parameters.settings
+    assert settings['engine.motion'] == 'file'
+    assert Path(settings['engine.motion_file']).parent == tmp_path / 'soft_throw'
+    listener.trigger(TWIN_SERVICES.throw)
+    twin.go(150)
+    (result,) = twin.results
+    assert result.first.speed == pytest.approx(best.ejection_speed, rel=1e-4)
 
 
 def test_aim_can_be_applied_and_reaches_its_height(ros, twin, listener) -> None:

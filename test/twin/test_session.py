@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
@@ -397,3 +398,29 @@ def test_any_run_is_repeated_to_the_bit_from_any_throw(start, same, inputs, data
     again = list(run.repeat(throw))
     assert len(again) == len(run.outputs) - begin
     assert all(map(same, again, run.outputs[begin:]))
+
+
+# motions from files
+
+
+def test_plate_moves_by_a_file_and_the_journal_repeats_it_without(start, replay, tmp_path) -> None:
+    plate = Underdamped(frequency=50.0, amplitude=1e-3, damping_ratio=0.1)
+    times = np.arange(0.0, 0.2, 2e-4)
+    path = tmp_path / 'plate.csv'
+    rows = zip(times.tolist(), plate.position(times).tolist(), strict=True)
+    path.write_text('\n'.join(f'{time},{height}' for time, height in rows))
+    run = start(engine__motion_file=str(path))
+    run.go(1400)
+    other = path.with_name('other.csv')
+    other.write_text(path.read_text())
+    run.session.change({'engine.motion_file': str(other), 'layer.thickness': 0.02})
+    run.go(1600)
+    engine = run.rig.engine
+    assert engine.motion is not None
+    first = simulate(run.rig).ejection_time
+    assert run.results('release')[0].first.time == pytest.approx(first, rel=1e-9)
+    assert run.results('release')[0].models == {}
+    path.unlink()
+    other.unlink()
+    outputs = list(replay(run.journal, until=3000))
+    assert [each.state for each in outputs] == [each.state for each in run.outputs]
