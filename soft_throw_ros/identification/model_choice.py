@@ -113,17 +113,13 @@ class LayerModel(NamedTuple):
     """Whether it was, or chi squared is what a fit would leave to first order."""
 
 
-def find_best_minimum(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit, others: Sequence[Rig]
-) -> Fit:
+def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
     """
     Try what else the layer may be: take what is better, and name what is hardly worse.
 
     Parameters
     ----------
     model : RigModel
-    plates : sequence of PlateFit
-        Of each throw.
     fit : Fit
         Of the model.
     others : sequence of Rig
@@ -135,8 +131,11 @@ def find_best_minimum(
     noise = _noise_of(model, fit)
     starts = _find_valleys(model, fit)
     for rig in others:
-        trial = replace(model, rig=changed_rig(model.rig, values_of(rig, LAYER)))
-        starts.append(trial.start(plates))
+        start = fit.values.copy()
+        for name, value in values_of(rig, LAYER).items():
+            if name in model.places:
+                start[model.places_of(name)] = value
+        starts.append(start)
     found = [fit]
     for start in starts[:_MOST_STARTS]:
         try:
@@ -229,7 +228,7 @@ def add_terms(
             break  # it led elsewhere
         if best.name in _EXPLANATIONS:
             remarks.append(_remark(best, fit, found))
-        model, fit = best.model, find_best_minimum(best.model, plates, found, [])
+        model, fit = best.model, find_best_minimum(best.model, found, [])
     return model, fit, remarks
 
 
@@ -257,10 +256,6 @@ def _try_term(
     parts = WAVES.get(name, (name,))
     start[[place for part in parts for place in wider.places_of(part)]] = 0.0
     base = wider.predict(start)
-    rows = np.repeat(
-        [channel.throw for channel in wider.channels],
-        [channel.track.time.size for channel in wider.channels],
-    )
     columns = []
     for part in parts:
         moved = start.copy()
@@ -268,7 +263,7 @@ def _try_term(
         change = (wider.predict(moved) - base) / _TRIALS[part]
         for place in wider.places_of(part):
             throws = [throw for throw, at in wider.places[part].items() if at == place]
-            columns.append(np.where(np.isin(rows, throws), change, 0.0))
+            columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
     return _Candidate(name, wider, np.stack(columns, axis=1))
 
 
