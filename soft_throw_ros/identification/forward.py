@@ -138,7 +138,9 @@ class ThrowSimulator:
         self, rig: Rig, motion: SampledMotion | None, until: float, samples: int, by_cells: bool
     ) -> Stepper:
         """Make a stepper, and charge what it will cost."""
-        has_cells = by_cells or rig.layer.loss_tangent > 0.0
+        # A layer that is not linear, where the core has such ones, has no travelling waves
+        is_linear = getattr(rig.layer, 'elasticity', 'linear') == 'linear'
+        has_cells = by_cells or rig.layer.loss_tangent > 0.0 or not is_linear
         model = 'finite_difference' if has_cells else 'travelling_wave'
         stepper = make_stepper(rig, motion, model=model, field_points=2)
         cost = stepper.cost * until + _COST_PER_THROW + _COST_PER_SAMPLE * samples
