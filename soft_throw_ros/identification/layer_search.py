@@ -15,7 +15,8 @@ from soft_throw_ros.identification.fit_description import changed_rig, LAYER
 from soft_throw_ros.identification.forward import EffortError
 from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.plate_fit import PlateFit
-from soft_throw_ros.identification.rig_model import OWN, RigModel
+from soft_throw_ros.identification.plate_modes import PlateWithModes
+from soft_throw_ros.identification.rig_model import cut_after, OWN, RigModel, START
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -36,6 +37,14 @@ _REFINED = 6  # of the best candidates, unless ...
 _REFINING_STEPS = 20
 _MAX_RATIO = 20.0  # their sum of squares is so many times that of the best, or ...
 _ALIKE = 5e-3  # they differ by less, relatively
+
+
+class PlateAtWork(NamedTuple):
+    """What the plate of a throw does, and from when on [s]."""
+
+    engine: Engine
+    motion: PlateWithModes
+    start_time: float
 
 
 class LayerCandidate(NamedTuple):
@@ -74,8 +83,11 @@ def find_layers(
     )
     model = replace(model, throws=throws)
     start = model.start_from(of_plates, plates)
-    engines = {throw: model.rig_of(start, throw).engine for throw in used}
-    early = model.cut(plates, _PERIODS / model.rig.engine.frequency)
+    at_work = {}
+    for throw in used:
+        rig, motion = model.motion(start, throw)
+        at_work[throw] = PlateAtWork(rig.engine, motion, model.value(start, START, throw))
+    early = cut_after(model, plates, _PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
     rig = model.rig
@@ -87,7 +99,7 @@ def find_layers(
     candidates = []
     for thickness in _thicknesses(model, plates, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _valleys(early, plates, engines, [changed_rig(rig, each) for each in row])
+        candidates += _valleys(early, at_work, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     if 'layer.thickness' in free:
@@ -98,11 +110,9 @@ def find_layers(
                 {'layer.wave_speed': speed * part**power, 'layer.thickness': thickness * part}
                 for part in _THICKNESSES_NEARBY.tolist()
             ]
-            candidates += _valleys(
-                early, plates, engines, [changed_rig(each.rig, part) for part in row]
-            )
+            candidates += _valleys(early, at_work, [changed_rig(each.rig, part) for part in row])
     # What a projectile does early is much alike on many layers; how it flies then is not
-    seen = model.cut(plates, _fall_time(model, plates))
+    seen = cut_after(model, plates, _fall_time(model, plates))
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
     refined = []
     for candidate in _best_of(candidates, _REFINED):
@@ -150,14 +160,13 @@ def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
 
 def _valleys(
     model: RigModel,
-    plates: Sequence[PlateFit],
-    engines: Mapping[int, Engine],
+    at_work: Mapping[int, PlateAtWork],
     rigs: list[Rig],
 ) -> list[LayerCandidate]:
     """Find rigs in a row that fit better than their neighbours, and of the best the wave speed."""
 
     def mismatch(rig: Rig) -> LayerCandidate:
-        return LayerCandidate(_mismatch(model, plates, engines, rig), rig)
+        return LayerCandidate(_mismatch(model, at_work, rig), rig)
 
     outside = LayerCandidate(math.inf, model.rig)
     row = [outside, *map(mismatch, rigs), outside]
@@ -182,22 +191,22 @@ def _valleys(
 
 def _mismatch(
     model: RigModel,
-    plates: Sequence[PlateFit],
-    engines: Mapping[int, Engine],
+    at_work: Mapping[int, PlateAtWork],
     rig: Rig,
 ) -> float:
     """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
     trial = replace(model, rig=rig)
-    alike: dict[Rig, list[tuple[Floats, Track]]] = {}
+    alike: dict[tuple[Rig, PlateWithModes], list[tuple[Floats, Track]]] = {}
     for throw, _, track in model.projectiles:
-        each = replace(trial.rigs[throw], engine=engines[throw])
-        alike.setdefault(each, []).append((track.time - plates[throw].start_time, track))
+        plate = at_work[throw]
+        each = replace(trial.rigs[throw], engine=plate.engine)
+        alike.setdefault((each, plate.motion), []).append((track.time - plate.start_time, track))
     total = 0.0
-    for each, tracks in alike.items():
+    for (each, motion), tracks in alike.items():
         parts = [slice(None, None, -(-track.time.size // _SAMPLES)) for _, track in tracks]
         times = [since[part] for (since, _), part in zip(tracks, parts, strict=True)]
         try:
-            path = model.simulator.follow(each, np.concatenate(times))
+            path = model.simulator.follow(each, np.concatenate(times), motion=motion)
         except EffortError:
             raise
         except FitError:

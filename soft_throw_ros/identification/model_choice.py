@@ -30,14 +30,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import contextlib
-from dataclasses import replace
+from dataclasses import fields, replace
 import math
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     FitDescription,
@@ -88,13 +88,24 @@ _PROFILE_ROUNDS = 3  # each with the errors of the one before
 _CHI2_95 = 3.84  # that 95 % are below, of one degree of freedom
 _LONGEST = 6.0  # errors that half of an interval may be long
 _HALVES = 8  # in which its end is looked for
-_LAYERS: Mapping[str, Mapping[str, str]] = {
-    'without loss': {},
-    'with loss': {'layer.loss_tangent': 'free'},
-    'that sticks': {STICKING: '+- 2e-4'},
-}
-"""Layers that are compared; what is not named is held at 0."""
 
+
+class LayerKind(NamedTuple):
+    """A kind of layer that is compared with others; what is not named is held at 0."""
+
+    name: str
+    terms: Mapping[str, str] = {}
+    """What is fitted then, and how."""
+    material: Mapping[str, str] = {}
+    """Fields of `core.rig.Layer` that are otherwise; without these fields it is left out."""
+
+
+_KINDS = (
+    LayerKind('without loss'),
+    LayerKind('with loss', {'layer.loss_tangent': 'free'}),
+    LayerKind('that sticks', {STICKING: '+- 2e-4'}),
+    LayerKind('of large strain', material={'elasticity': 'neo_hookean'}),
+)
 _EXPLANATIONS = {
     'plate.ringing': 'a plate that rings before the throw explains these throws',
     'plate.mode': 'a plate with a second mode explains these throws',
@@ -113,17 +124,13 @@ class LayerModel(NamedTuple):
     """Whether it was, or chi squared is what a fit would leave to first order."""
 
 
-def find_best_minimum(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit, others: Sequence[Rig]
-) -> Fit:
+def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
     """
     Try what else the layer may be: take what is better, and name what is hardly worse.
 
     Parameters
     ----------
     model : RigModel
-    plates : sequence of PlateFit
-        Of each throw.
     fit : Fit
         Of the model.
     others : sequence of Rig
@@ -135,8 +142,11 @@ def find_best_minimum(
     noise = _noise_of(model, fit)
     starts = _find_valleys(model, fit)
     for rig in others:
-        trial = replace(model, rig=changed_rig(model.rig, values_of(rig, LAYER)))
-        starts.append(trial.start(plates))
+        start = fit.values.copy()
+        for name, value in values_of(rig, LAYER).items():
+            if name in model.places:
+                start[model.places_of(name)] = value
+        starts.append(start)
     found = [fit]
     for start in starts[:_MOST_STARTS]:
         try:
@@ -229,7 +239,7 @@ def add_terms(
             break  # it led elsewhere
         if best.name in _EXPLANATIONS:
             remarks.append(_remark(best, fit, found))
-        model, fit = best.model, find_best_minimum(best.model, plates, found, [])
+        model, fit = best.model, find_best_minimum(best.model, found, [])
     return model, fit, remarks
 
 
@@ -257,10 +267,6 @@ def _try_term(
     parts = WAVES.get(name, (name,))
     start[[place for part in parts for place in wider.places_of(part)]] = 0.0
     base = wider.predict(start)
-    rows = np.repeat(
-        [channel.throw for channel in wider.channels],
-        [channel.track.time.size for channel in wider.channels],
-    )
     columns = []
     for part in parts:
         moved = start.copy()
@@ -268,7 +274,7 @@ def _try_term(
         change = (wider.predict(moved) - base) / _TRIALS[part]
         for place in wider.places_of(part):
             throws = [throw for throw, at in wider.places[part].items() if at == place]
-            columns.append(np.where(np.isin(rows, throws), change, 0.0))
+            columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
     return _Candidate(name, wider, np.stack(columns, axis=1))
 
 
@@ -441,32 +447,47 @@ def compare_layers(
         rig=changed_rig(model.rig, {'layer.loss_tangent': 0.0}),
     )
     noise = _noise_of(model, fit)
+    # Of what was fitted before it is known already what it leaves
     loss = 'layer.loss_tangent'
+    seen = loss if loss in model.places else STICKING if STICKING in model.places else ''
+    found: list[tuple[LayerKind, float, bool]] = []
     try:
-        plain = simple.fit(
-            simple.start_from(fit, plates), noise=noise, max_evaluations=_EVALUATIONS
-        )
-        found = []
-        for name, changes in _LAYERS.items():
-            chi2, terms = plain.chi2, list(changes)
-            has_loss = loss in model.places
-            is_fitted = not terms or terms == [loss if has_loss else STICKING]
-            if terms and is_fitted:
-                chi2 = fit.chi2 + unstuck * has_loss
-            elif terms:
-                wider = simple.description.change(changes)
-                each = _try_term(simple, plates, plain, terms[0], wider)
-                chi2 -= _gain(simple, plain, each) if each else 0.0
-            found.append((name, chi2, len(terms), is_fitted))
+        start = simple.start_from(fit, plates)
+        plain = simple.fit(start, noise=noise, max_evaluations=_EVALUATIONS)
+        for kind in _KINDS:
+            chi2, is_fitted = plain.chi2, True
+            if kind.material:
+                other = _fit_material(simple, plain, noise, kind)
+                if other is None:
+                    continue
+                chi2 = other.chi2
+            elif seen in kind.terms:
+                chi2 = fit.chi2 + unstuck * (seen == loss)
+            elif kind.terms:
+                wider = simple.description.change(kind.terms)
+                each = _try_term(simple, plates, plain, next(iter(kind.terms)), wider)
+                chi2, is_fitted = chi2 - (_gain(simple, plain, each) if each else 0.0), False
+            found.append((kind, chi2, is_fitted))
     except FitError:
         return []  # it cannot be followed, or not in time
     samples = plain.dof + plain.values.size
-    scale = max(1.0, min(chi2 for _, chi2, *_ in found) / plain.dof)
-    criteria = [chi2 / scale + more * math.log(samples) for _, chi2, more, _ in found]
+    scale = max(1.0, min(chi2 for _, chi2, _ in found) / plain.dof)
+    criteria = [chi2 / scale + len(kind.terms) * math.log(samples) for kind, chi2, _ in found]
     return [
-        LayerModel(name, chi2, plain.dof - more, criterion - min(criteria), is_fitted)
-        for (name, chi2, more, is_fitted), criterion in zip(found, criteria, strict=True)
+        LayerModel(kind.name, chi2, plain.dof - len(kind.terms), each - min(criteria), is_fitted)
+        for (kind, chi2, is_fitted), each in zip(found, criteria, strict=True)
     ]
+
+
+def _fit_material(model: RigModel, fit: Fit, noise: Floats, kind: LayerKind) -> Fit | None:
+    """Fit a layer of another material; None if there is none such, or it takes too long."""
+    if not set(kind.material) <= {each.name for each in fields(Layer)}:
+        return None
+    layer = replace(model.rig.layer, **kind.material)  # type: ignore[arg-type]
+    other = replace(model, rig=replace(model.rig, layer=layer))
+    with contextlib.suppress(FitError):
+        return other.fit(fit.values, noise=noise, max_evaluations=_EVALUATIONS)
+    return None
 
 
 def describe_layers(layers: Sequence[LayerModel], fit: Fit) -> str:

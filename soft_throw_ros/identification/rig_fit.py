@@ -53,7 +53,7 @@ from soft_throw_ros.identification.model_choice import (
     STICKING,
 )
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import RigModel, START
+from soft_throw_ros.identification.rig_model import cut_after, RigModel, shift_of_release, START
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -180,7 +180,7 @@ class RigFit:
                 rigs.append(self._model.rig_of(values))
                 stuck.append(self._model.value(values, 'projectile.sticking', 0))
         found = first_releases(rigs)
-        shift = self._model.release_shift(self.fit.values, 0)
+        shift = shift_of_release(self._model, self.fit.values, 0)
         # A time below 0 stands for as much less of what a layer that sticks does
         slowed = 0.5 * shift.jerk * np.array(stuck) * np.abs(stuck)
         speed = found.speed + shift.speed + slowed
@@ -243,7 +243,7 @@ def fit_rig(
     model, fit = _fit_until_landing(model, plates, of_plates)
     simulator.bound()
     tell('looking for other minima')
-    fit = find_best_minimum(model, plates, fit, others)
+    fit = find_best_minimum(model, fit, others)
     tell('looking for what a bench may add')
     model, fit, more = add_terms(model, plates, fit)
     if sticks and STICKING not in model.places and model.projectiles:
@@ -377,7 +377,7 @@ def _before_landing(model: RigModel, rig: Rig, plates: Sequence[PlateFit]) -> Ri
         float(track.time[-1]) - plates[throw].start_time for throw, _, track in model.projectiles
     )
     landing = model.simulator.landing_time(rig, max(longest, 0.0), by_cells=model.by_cells)
-    seen = seen.cut(plates, _IN_FLIGHT * landing)
+    seen = cut_after(seen, plates, _IN_FLIGHT * landing)
     if not seen.projectiles:
         raise FitError(
             f'the projectile is seen at less than {FEWEST} moments before it lands, '

@@ -24,7 +24,7 @@ from soft_throw_ros.identification.fit_description import (
     TERMS,
     values_of,
 )
-from soft_throw_ros.identification.forward import MAX_COST, ThrowSimulator
+from soft_throw_ros.identification.forward import MAX_COST, ProjectilePath, ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate, Fit, fit_tracks, FitModel
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
@@ -162,6 +162,12 @@ class RigModel:
     def projectiles(self) -> list[Channel]:
         """Tracks of projectiles alone."""
         return [channel for channel in self.channels if channel.body == 'projectile']
+
+    @cached_property
+    def rows(self) -> Integers:
+        """The throw of each sample of all tracks."""
+        sizes = [each.track.time.size for each in self.channels]
+        return np.repeat([each.throw for each in self.channels], sizes)
 
     @cached_property
     def groups(self) -> dict[tuple[str, Hashable], list[int]]:
@@ -303,7 +309,8 @@ class RigModel:
         for (rig, motion, sticking), numbers in alike.items():
             times = np.concatenate([since[number] for number in numbers])
             ends = np.cumsum([since[number].size for number in numbers])[:-1]
-            travel, velocity = self._follow(rig, motion, times, sticking)
+            follow = partial(self.simulator.follow, rig, motion=motion, by_cells=self.by_cells)
+            travel, velocity = _travel(follow(times), rig, times, sticking)
             pieces = zip(np.split(travel, ends), np.split(velocity, ends), strict=True)
             for number, (way, speed) in zip(numbers, pieces, strict=True):
                 throw, body, time = places[number]
@@ -322,36 +329,6 @@ class RigModel:
             mode = Mode(*(self.value(values, part, throw) for part in MODE))
         return rig, PlateWithModes(Underdamped.of(rig.engine), waves, mode)
 
-    def _follow(
-        self, rig: Rig, motion: PlateWithModes, since: Floats, sticking: float
-    ) -> tuple[Floats, Floats]:
-        """Follow a projectile: how far it is from where it rests, and its velocity."""
-        path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
-        travel, velocity = path.position - rest_height(rig), path.velocity
-        left = ejections(path.events)
-        if not sticking or not left:
-            return travel, velocity
-        jerk = _jerk(since, velocity, left[-1], rig.gravity)
-        after = np.maximum(since - left[-1].time, 0.0)
-        held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
-        travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
-        return travel, velocity + 0.5 * jerk * held**2
-
-    def release_shift(self, values: Floats, throw: int) -> ReleaseShift:
-        """How waves of the plate change time and speed of leaving, and what sticking would."""
-        rig, motion = self.motion(values, throw)
-        time = np.linspace(0.0, _RELEASED / rig.engine.frequency, _TRIED)
-        follow = partial(self.simulator.follow, rig, time, by_cells=self.by_cells)
-        path = follow(motion=motion)
-        plain, found = ejections(follow().events), ejections(path.events)
-        if not plain or not found:
-            return ReleaseShift(0.0, 0.0, 0.0)
-        return ReleaseShift(
-            found[0].time - plain[0].time,
-            found[0].velocity - plain[0].velocity,
-            _jerk(time, path.velocity, found[0], rig.gravity),
-        )
-
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record. [m]"""
         plate = self.throws[throw].plate
@@ -369,8 +346,8 @@ class RigModel:
 
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
         """Differentiate `predict` by all parameters, or some of them."""
+        rows = self.rows
         sizes = [each.track.time.size for each in self.channels]
-        rows = np.repeat([each.throw for each in self.channels], sizes)
         is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
         velocity = np.concatenate([path.velocity for path in self.paths(values)])
         jacobian = np.zeros((rows.size, values.size))
@@ -380,12 +357,12 @@ class RigModel:
             if name in (START, 'projectile.delay'):
                 slope = -velocity * (1.0 if name == START else ~is_plate)
             else:
-                slope = self._slope(values, name, rows)
+                slope = self._slope(values, name)
             for throw, place in by_throw.items():
                 jacobian[rows == throw, place] = slope[rows == throw]
         return jacobian
 
-    def _slope(self, values: Floats, name: str, rows: Integers) -> Floats:
+    def _slope(self, values: Floats, name: str) -> Floats:
         """Take a central difference by a parameter, which changes in all throws."""
         places = self.places_of(name)
         low, high = _BOUNDS.get(name, _ANYTHING)
@@ -398,7 +375,7 @@ class RigModel:
         width = np.ones(len(self.throws))
         for throw, place in self.places[name].items():
             width[throw] = ends[0][place] - ends[1][place]
-        return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[rows])
+        return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
 
     def start(self, plates: Sequence[PlateFit]) -> Floats:
         """Find where to start from, given fits of the plates alone."""
@@ -480,17 +457,49 @@ class RigModel:
         share = _SHARE_OF_FIT * MAX_COST * len(self.throws)
         return max(_FEWEST_EVALUATIONS, int(share / max(cost, 1e-9)))
 
-    def cut(self, plates: Sequence[PlateFit], after: float) -> RigModel:
-        """Leave out what the projectiles do later than so long after the start. [s]"""
-        throws = []
-        for throw, plate in zip(self.throws, plates, strict=True):
-            projectile = throw.projectile
-            if projectile is not None:
-                end = plate.start_time + after
-                is_seen = int((projectile.time <= end).sum()) >= FEWEST
-                projectile = projectile.between(-math.inf, end) if is_seen else None
-            throws.append(replace(throw, projectile=projectile))
-        return replace(self, throws=tuple(throws))
+
+def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigModel:
+    """Leave out what the projectiles do later than so long after the start. [s]"""
+    throws = []
+    for throw, plate in zip(model.throws, plates, strict=True):
+        projectile = throw.projectile
+        if projectile is not None:
+            end = plate.start_time + after
+            is_seen = int((projectile.time <= end).sum()) >= FEWEST
+            projectile = projectile.between(-math.inf, end) if is_seen else None
+        throws.append(replace(throw, projectile=projectile))
+    return replace(model, throws=tuple(throws))
+
+
+def _travel(
+    path: ProjectilePath, rig: Rig, since: Floats, sticking: float
+) -> tuple[Floats, Floats]:
+    """Compute how far a projectile is from where it rests, and its velocity, if it is held."""
+    travel, velocity = path.position - rest_height(rig), path.velocity
+    left = ejections(path.events)
+    if not sticking or not left:
+        return travel, velocity
+    jerk = _jerk(since, velocity, left[-1], rig.gravity)
+    after = np.maximum(since - left[-1].time, 0.0)
+    held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
+    travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
+    return travel, velocity + 0.5 * jerk * held**2
+
+
+def shift_of_release(model: RigModel, values: Floats, throw: int) -> ReleaseShift:
+    """How waves of the plate change time and speed of leaving, and what sticking would."""
+    rig, motion = model.motion(values, throw)
+    time = np.linspace(0.0, _RELEASED / rig.engine.frequency, _TRIED)
+    follow = partial(model.simulator.follow, rig, time, by_cells=model.by_cells)
+    path = follow(motion=motion)
+    plain, found = ejections(follow().events), ejections(path.events)
+    if not plain or not found:
+        return ReleaseShift(0.0, 0.0, 0.0)
+    return ReleaseShift(
+        found[0].time - plain[0].time,
+        found[0].velocity - plain[0].velocity,
+        _jerk(time, path.velocity, found[0], rig.gravity),
+    )
 
 
 def _jerk(time: Floats, velocity: Floats, release: Event, gravity: float) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.identification import model_choice
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -387,6 +388,19 @@ def test_loss_is_seen_without_being_asked_for():
     assert best.chi2 == pytest.approx(found.fit.chi2)
     loss = found.estimates()['layer.loss_tangent']
     assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
+
+
+def test_layers_of_other_materials_are_compared_if_there_are_such(make_throw, monkeypatch):
+    kinds = (
+        model_choice.LayerKind('as it is'),
+        model_choice.LayerKind('twice as heavy', material={'density': 2000.0}),
+        model_choice.LayerKind('of nothing known', material={'nothing': 'known'}),
+    )
+    monkeypatch.setattr(model_choice, '_KINDS', kinds)
+    found = fit_rig([make_throw(Rig(), rate=1000.0, duration=0.06)], Rig(), EXACT)
+    assert [layer.name for layer in found.layers] == ['as it is', 'twice as heavy']
+    assert found.layers[1].criterion > 10.0
+    assert 'one twice as heavy' in found.remarks[-1]
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
