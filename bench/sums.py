@@ -8,6 +8,7 @@ from functools import partial
 import math
 import os
 from pathlib import Path
+import sys
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -33,6 +34,10 @@ from soft_throw_ros.recording.bag_reader import BagReader
 
 from bench import others, peers
 from bench.race import Case, Table
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
+
+from reference.method_of_lines import first_release as first_release_by_lines
 
 Floats = NDArray[np.float64]
 
@@ -132,6 +137,25 @@ def _table_of_throws(*cases: Case, left_out: tuple[str, ...]) -> Table:
 
     with_errors = [case._replace(error=error) for case in cases]
     return Table('one throw', 'throw', 'error of t_e f', with_errors, left_out=left_out)
+
+
+def one_gel() -> Table:
+    """List ways to one first release from a neo-Hookean layer with a constant loss tangent."""
+    rig = Rig(layer=Layer(elasticity='neo_hookean', loss='constant', loss_tangent=0.05))
+    true, _ = first_release_by_lines(rig, cells=400)
+
+    def many() -> float:
+        return float(first_throws(**rig.cell_ratios).ejection_phase) / rig.engine.frequency
+
+    return Table(
+        'one throw from a gel', 'throw', 'error of t_e, relative',
+        [
+            Case('cells, to the release', many, error=lambda time: abs(time / true - 1.0)),
+            Case('solve_ivp, RK45, 64 cells',
+                 lambda: first_release_by_lines(rig, cells=64)[0],
+                 error=lambda time: abs(time / true - 1.0)),
+        ],
+    )  # fmt: skip
 
 
 @nb.njit(error_model='numpy')
@@ -265,6 +289,22 @@ def one_second() -> Table:
     elastic = CellStepper(rig, model='finite_difference_elastic')
     with_heat = CellStepper(lossy, cells=64)
     of_loss = partial(error, true=with_loss.ejection_time)
+    gels = {
+        name: Rig(layer=Layer(**layer))
+        for name, layer in {
+            'constant loss': {'loss_tangent': 0.05, 'loss': 'constant'},
+            'large strain': {'elasticity': 'neo_hookean'},
+            'large strain and loss': {'elasticity': 'neo_hookean', 'loss_tangent': 0.05},
+            'large strain and constant loss': {
+                'elasticity': 'neo_hookean', 'loss_tangent': 0.05, 'loss': 'constant',
+            },
+        }.items()
+    }  # fmt: skip
+
+    def of_gel(gel: Rig) -> Callable[[float], float]:
+        fine = simulate(gel, model='finite_difference', max_events=1, cells=1024)
+        return partial(error, true=fine.ejection_time)
+
     cases = [
         Case('waves, 200 steps per crossing, one call', partial(run, waves, 1, reads=False),
              goal=2000.0),
@@ -275,6 +315,12 @@ def one_second() -> Table:
              goal=300.0),
         Case('64 cells with loss, the same', partial(run, with_heat, TICKS, reads=True),
              error=of_loss, goal=150.0),
+        *(
+            Case(f'64 cells with {name}, the same',
+                 partial(run, CellStepper(gel, cells=64), TICKS, reads=True),
+                 error=of_gel(gel), goal=100.0)
+            for name, gel in gels.items()
+        ),
         Case('elastic projectile, default cells, the same',
              partial(run, elastic, TICKS, reads=True)),
         Case('a plain delay line, 200 steps per crossing, numba', delay_line),
@@ -406,6 +452,7 @@ def _record(path: Path, seconds: int) -> None:
 
 TABLES = (
     one_throw,
+    one_gel,
     landscape,
     one_second,
     recommendation,

@@ -50,18 +50,17 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads
 from soft_throw_ros.core.cells import (
     ANCHOR,
-    BODY,
     BURDEN,
     crossing_time,
     CURVATURE,
     cut,
     DISPLACEMENT,
     factorise,
-    fastest_waves,
     FORCE,
     INVERSE,
     LARGEST,
     LEAST,
+    make_bodies,
     make_grid,
     make_massless_grid,
     MASS,
@@ -84,17 +83,11 @@ from soft_throw_ros.core.cells import (
     VISCOSITY,
 )
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, reduction
-from soft_throw_ros.core.material import (
-    Relaxation,
-    relaxation,
-    RELAXATION_RATES,
-    static_stretch,
-    strain_bounds,
-)
+from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion
 from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
-from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.rig import Rig, Stack
 from soft_throw_ros.core.stepper import (
     BACKWARDS,
     BEYOND_HORIZON,
@@ -1026,42 +1019,6 @@ def first_throws(
     return FirstThrows.collect(found.T, ratios, shape, unresolved, f'{MAX_PERIODS:g} periods')
 
 
-def _sheets(rows: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
-    """Make rows of `cells.BODY` without units for every throw and sheet, and their crossings."""
-    sheets = stack.sheets if stack else (Layer(),)
-    whole = stack or sheets[0]
-    mu, kappa, loss, strain, is_constant = (rows[:, k, None] for k in (0, 1, 4, 6, 7))
-    gravity = rows[:, 3, None] * (2.0 * math.pi / kappa) ** 2
-    mass = np.array([sheet.mass for sheet in sheets]) / whole.mass
-    crossing = np.array([sheet.crossing_time for sheet in sheets]) / whole.crossing_time
-    share = np.ones(len(sheets))
-    if whole.loss_tangent > 0.0:
-        share = np.array([sheet.loss_tangent for sheet in sheets]) / whole.loss_tangent
-    part = np.array([sheet.thickness for sheet in sheets]) / whole.thickness
-    stiffness = mass / crossing**2
-    omega = 2.0 * math.pi / kappa
-    losses = loss * share
-    fits = [
-        relaxation(each) if constant else Relaxation()
-        for each, constant in zip(
-            losses.ravel().tolist(), np.broadcast_to(is_constant, losses.shape).flat, strict=True
-        )
-    ]
-    moduli = np.array([(fit.relaxed, *fit.strengths) for fit in fits])
-    moduli = moduli.reshape(*losses.shape, 4)
-    # In units of the amplitude, so that one over the thickness is the strain of a displacement
-    depth = np.where(strain > 0.0, omega / np.where(strain > 0.0, strain, 1.0), 1.0)
-    softer = (1.0 / stiffness).sum() * stiffness * part  # its modulus over that of the whole
-    static = mu * gravity / (stiffness * part * depth)
-    bound = np.where(strain > 0.0, strain_bounds(strain / softer, mu, static), 0.0)
-    bodies = np.zeros((*losses.shape, len(BODY)))
-    for n, values in enumerate((part * depth, mass, stiffness)):
-        bodies[..., 1 + n] = values
-    bodies[..., 4] = np.where(is_constant > 0.0, 0.0, losses / omega)
-    bodies[..., 5], bodies[..., 6:] = bound, moduli
-    return bodies, crossing / fastest_waves(bodies)
-
-
 def _throw_all(
     rows: Floats,
     stack: Stack | None,
@@ -1076,7 +1033,7 @@ def _throw_all(
         least = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
         while (too_few := (wanted < least) & (wanted < _MOST_FOR_BATCH)).any():
             wanted[too_few] *= 2
-    bodies, crossings = _sheets(rows, stack)
+    bodies, crossings = make_bodies(rows, stack)
     steps = crossings.sum(axis=1) / wanted
     counts = np.maximum(1, (crossings / steps[:, None] * (1.0 + 1e-9)).astype(np.int64))
     bodies[..., 0] = counts

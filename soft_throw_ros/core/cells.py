@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import inlined, part
-from soft_throw_ros.core.material import Relaxation, relaxation, strain_bounds
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.material import relaxation, strain_bounds
+from soft_throw_ros.core.rig import Layer, Rig, Stack
 
 Floats = NDArray[np.float64]
 
@@ -161,27 +161,71 @@ def fastest_waves(bodies: Floats) -> Floats:
     return np.asarray(np.sqrt(tangent) * (1.0 + _DAMPED * bound))
 
 
-def _sheet(rig: Rig, sheet: Layer, peak_speed: float) -> Floats:
-    """Return a row of `BODY` for a sheet, without the number of its cells."""
-    is_constant, bound = sheet.loss == 'constant', 0.0
-    relaxed = relaxation(sheet.loss_tangent) if is_constant else Relaxation()
-    if sheet.elasticity == 'neo_hookean':
-        # The sheets carry one force, so the soft ones are compressed most
-        ratio = peak_speed / rig.layer.wave_speed
-        ratio *= rig.layer.youngs_modulus / sheet.youngs_modulus
-        static = rig.projectile.mass * rig.gravity / (sheet.youngs_modulus * sheet.section)
-        bound = float(strain_bounds(ratio, rig.mass_ratio, static))
-    lag = 0.0 if is_constant else sheet.loss_tangent / rig.engine.angular_frequency
-    row = (0, sheet.thickness, sheet.mass, sheet.stiffness, lag, bound, relaxed.relaxed)
-    return np.array([*row, *relaxed.strengths])
+def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
+    """
+    Make the sheets of layers in units of layer mass, crossing time and amplitude.
+
+    Parameters
+    ----------
+    ratios : ndarray, shape (n, 8)
+        Those of `cell_stepper.first_throws`, in its order. [-]
+    stack : Stack, optional
+        Of which the layers are.
+
+    Returns
+    -------
+    bodies : ndarray, shape (n, sheets, 10)
+        Rows of `BODY` without numbers of cells; the thickness is such that strains are true ones
+        if the layer is not linear, and otherwise a part of the whole.
+    crossings : ndarray, shape (n, sheets)
+        What the fastest wave needs through each.
+
+    """
+    sheets = stack.sheets if stack else (Layer(),)
+    whole = stack or sheets[0]
+    mu, kappa, gravity, loss, strain, is_constant = (
+        ratios[:, k, None] for k in (0, 1, 3, 4, 6, 7)
+    )
+    values = np.array([
+        (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent) for sheet in sheets
+    ]).T  # fmt: skip
+    parts = np.array([whole.thickness, whole.mass, whole.crossing_time, whole.loss_tangent or 1.0])
+    thickness, mass, crossing, share = values / parts[:, None]
+    stiffness, omega = mass / crossing**2, 2.0 * math.pi / kappa
+    losses = loss * (share if whole.loss_tangent > 0.0 else 1.0)
+    losses = np.broadcast_to(losses, (len(ratios), len(sheets)))
+    bodies = np.zeros((*losses.shape, len(BODY)))
+    is_curved = strain > 0.0
+    thickness = thickness * np.where(is_curved, omega / np.where(is_curved, strain, 1.0), 1.0)
+    modulus = stiffness * thickness
+    # The sheets carry one force, so the soft ones are compressed most
+    softness = thickness.sum(axis=1, keepdims=True) / (1.0 / stiffness).sum() / modulus
+    bound = strain_bounds(strain * softness, mu, mu * gravity * omega**2 / modulus)
+    for n, column in enumerate((
+        thickness, mass, stiffness, np.where(is_constant > 0.0, 0.0, losses / omega),
+        np.where(is_curved, bound, 0.0),
+    )):  # fmt: skip
+        bodies[..., 1 + n] = column
+    bodies[..., 6] = 1.0
+    for throw in np.flatnonzero(is_constant):
+        fits = [relaxation(each) for each in losses[throw].tolist()]
+        bodies[throw, :, 6:] = [(fit.relaxed, *fit.strengths) for fit in fits]
+    return bodies, crossing / fastest_waves(bodies)
 
 
 def _sheets(rig: Rig, peak_speed: float | None) -> tuple[Floats, Floats]:
     """Return a row of `BODY` for each sheet, and what its fastest wave needs through it. [s]"""
-    scale = rig.engine.speed_scale if peak_speed is None else peak_speed
-    rows = np.array([_sheet(rig, sheet, scale) for sheet in rig.layer.sheets])
-    crossings = np.array([sheet.crossing_time for sheet in rig.layer.sheets])
-    return rows, crossings / fastest_waves(rows)
+    layer, time, ratios = rig.layer, rig.crossing_time, rig.cell_ratios
+    stack = ratios.pop('stack')
+    if peak_speed is not None:
+        ratios['strain_ratio'] *= peak_speed / rig.engine.speed_scale
+    row = [*ratios.values()]
+    row.insert(5, 0.0)  # the projectile is cut by itself
+    bodies, crossings = make_bodies(np.array([row], dtype=np.float64), stack)
+    units = np.array([1.0, 1.0, layer.mass, layer.mass / time**2, time, *[1.0] * 5])
+    rows = bodies[0] * units
+    rows[:, 1] = [sheet.thickness for sheet in layer.sheets]
+    return rows, crossings[0] * time
 
 
 def crossing_time(rig: Rig, peak_speed: float | None = None) -> float:

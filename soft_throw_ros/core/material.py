@@ -47,8 +47,6 @@ BAND = (0.25, 16.0)
 RELAXATION_RATES = (0.2, 2.0, 20.0)
 """Of the Maxwell elements, over the plate's angular frequency."""
 
-_MARGIN = 1.15  # of strains for which neo-Hookean layers are stepped, over those of linear ones
-
 
 Floats = NDArray[np.float64]
 
@@ -111,11 +109,12 @@ def strain_bounds(
     Returns
     -------
     ndarray
-        More than any linear throw up to the first release has, at most `LARGEST_STRAIN`. [-]
+        More than any linear throw has up to the first release, from 1.5 crossings of
+        the wave per plate period on; at most `LARGEST_STRAIN`. [-]
 
     """
     largest = np.asarray(strain_ratio) * (1.0 + 0.8 * np.sqrt(mass_ratio))
-    return np.minimum(LARGEST_STRAIN, np.asarray(static_strain) + _MARGIN * largest)
+    return np.minimum(LARGEST_STRAIN, np.asarray(static_strain) + largest)
 
 
 @part

@@ -186,7 +186,7 @@ class Stack(Layer):
     Parameters
     ----------
     sheets : sequence of Layer
-        Of one diameter, the first one on the plate.
+        Of one diameter, elasticity and kind of loss, the first one on the plate.
 
     Attributes
     ----------
@@ -201,12 +201,12 @@ class Stack(Layer):
     loss_tangent : float
         Of the whole when it is squeezed slowly. [-]
     elasticity, loss : str
-        'linear' if all sheets are, and 'constant' if that of one sheet is.
+        Of all sheets.
 
     Raises
     ------
     ValueError
-        If there is no sheet, or their diameters differ.
+        If there is no sheet, or they differ in what they must have in common.
 
     Examples
     --------
@@ -234,11 +234,12 @@ class Stack(Layer):
         if not sheets:
             raise ValueError('layer.sheets must be one or more, got none')
         for sheet in sheets[1:]:
-            if sheet.diameter != sheets[0].diameter:
-                raise ValueError(
-                    'layer.sheets must be of one diameter, '
-                    f'got {sheets[0].diameter:g} m and {sheet.diameter:g} m'
-                )
+            for name, unit in (('diameter', ' m'), ('elasticity', ''), ('loss', '')):
+                first, other = getattr(sheets[0], name), getattr(sheet, name)
+                if first != other:
+                    raise ValueError(
+                        f'layer.sheets must be of one {name}, got {first}{unit} and {other}{unit}'
+                    )
         thickness = sum(sheet.thickness for sheet in sheets)
         compliances = [1.0 / sheet.stiffness for sheet in sheets]
         lost = sum(
@@ -252,8 +253,8 @@ class Stack(Layer):
             ('diameter', sheets[0].diameter),
             ('density', sum(sheet.density * sheet.thickness for sheet in sheets) / thickness),
             ('loss_tangent', lost / sum(compliances)),
-            ('elasticity', max((sheet.elasticity for sheet in sheets), key=ELASTICITIES.index)),
-            ('loss', max((sheet.loss for sheet in sheets), key=LOSSES.index)),
+            ('elasticity', sheets[0].elasticity),
+            ('loss', sheets[0].loss),
         ):
             object.__setattr__(self, name, value)
 

@@ -44,7 +44,7 @@ def test_what_is_almost_a_liquid_is_refused():
 
 def test_bound_of_strains_holds_for_random_throws():
     random = np.random.default_rng(3)
-    mu, kappa = np.exp(random.uniform(np.log([[0.02], [1.0]]), np.log([[30.0], [60.0]]), (2, 600)))
+    mu, kappa = np.exp(random.uniform(np.log([[0.02], [1.5]]), np.log([[30.0], [60.0]]), (2, 600)))
     throws = first_throws(mass_ratio=mu, speed_ratio=kappa, unresolved='nan')
     bound = strain_bounds(np.full(600, 1e-3), mu, 0.0)
     assert np.nanmax(1e-3 * throws.peak_strain / bound) < 1.0

@@ -65,7 +65,11 @@ def test_rig_takes_a_stack_and_waves_refuse_it():
 
 @pytest.mark.parametrize(
     ('sheets', 'message'),
-    [((), 'none'), ((Layer(), Layer(diameter=0.02)), r'0\.012 m and 0\.02 m')],
+    [
+        ((), 'none'),
+        ((Layer(), Layer(diameter=0.02)), r'0\.012 m and 0\.02 m'),
+        ((Layer(), Layer(loss='constant')), 'one loss, got kelvin_voigt and constant'),
+    ],
 )
 def test_bad_sheets_are_refused_with_the_value(sheets, message):
     with pytest.raises(ValueError, match=message):
