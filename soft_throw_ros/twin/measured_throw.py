@@ -325,8 +325,10 @@ class MeasuredThrow(OngoingThrow):
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time, once, when the plate is known for long enough or no more."""
-        release, known = self.first_release, self._times[-1] if self._times else 0.0
-        if self._has_shown_field or not (release or self.ended_by):
+        if self._has_shown_field or not self._times:  # it may end before anything is known
+            return None
+        release, known = self.first_release, self._times[-1]
+        if not (release or self.ended_by):
             return None
         length = THROW_FIELD_LENGTH * release.time if release else known
         if self._follows_engine or (length > known and not self.ended_by):

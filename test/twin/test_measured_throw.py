@@ -451,6 +451,25 @@ def test_intervals_of_predictions_hold_the_truth_as_often_as_they_say(
     assert min(leads) > 1.5e-3
 
 
+@pytest.mark.parametrize('factor', [1.0, 1.5])
+def test_throw_that_is_lost_at_any_moment_ends_with_what_is_known(start, rigs, factor) -> None:
+    exact = start(**MEASURED).rig
+    engine = replace(exact.engine, frequency=factor * exact.engine.frequency)
+    samples = rigs['measured_throw'](
+        replace(exact, engine=engine), begin_ns=start.begin_ns, noise=5e-6, duration=0.07
+    )
+    for seen in range(1, 40, 2):  # samples after the onset
+        run = start(**MEASURED)
+        run.send(samples[: 250 + seen])
+        run.receive()
+        run.go(1200)  # which is longer than samples may be late
+        assert run.session.throws in (0, 1)
+        assert [final.ended_by for final in run.results('final')] == ['gap'] * run.session.throws
+        fields = [outputs.throw_field for outputs in run.outputs if outputs.throw_field]
+        assert len(fields) <= run.session.throws
+    assert run.session.throws == 1
+
+
 # from throw to throw
 
 
