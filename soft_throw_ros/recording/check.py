@@ -22,7 +22,7 @@ from zlib import crc32
 
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.replay import follow
@@ -44,7 +44,7 @@ _SHOWN = 5  # of what may be many
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
 
 
-class CheckError(ValueError):
+class CheckError(BagError):
     """There is nothing in a bag that could be checked."""
 
 
