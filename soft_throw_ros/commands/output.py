@@ -14,7 +14,7 @@ import math
 import os
 import sys
 import threading
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -43,6 +43,14 @@ def run_command(
         With exit code 2 if something is refused, after a line that says what.
 
     """
+    error_of = parser.error
+
+    def refuse(text: str) -> NoReturn:
+        error_of(
+            ' '.join(text.splitlines())
+        )  # an argument that is quoted may have line ends in it
+
+    parser.error = refuse  # type: ignore[assignment, method-assign]
     arguments = parser.parse_args(args)
     try:
         exit_code = run(arguments)

@@ -139,6 +139,8 @@ class Treatment(NamedTuple):
         word, value, error = (given.get(name) for name in ('word', 'value', 'error'))
         if (word is None) == (value is None and error is None):
             raise ValueError(f'must be {TREATMENTS}, got {text!r}')
+        if value is not None and not math.isfinite(float(value)):
+            raise ValueError(f'must have a value that is finite, got {text!r}')
         if error is not None and not 0.0 < float(error) < math.inf:
             raise ValueError(f'must have an error that is finite and positive, got {text!r}')
         is_varied, is_per_throw = word == 'free' or error is not None, given['own'] is not None

@@ -12,8 +12,9 @@ an edge that is blurred by the lens is found within some hundredths of a pixel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+import logging
 import mimetypes
 from pathlib import Path
 import re
@@ -30,6 +31,7 @@ Floats = NDArray[np.float64]
 _SMOOTHING = 1.0  # of lines, to find out what is dark [px]
 _SIDE = 1  # columns on either side of a line that are averaged with it
 _MAX_CHANNELS = 4  # of a picture at most; a stack has more
+_MAX_PIXELS = 2**24  # of a picture: the largest that high-speed cameras take has half of it
 _OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')
 """Files that FFmpeg reads though the system has no type for them; the first is Phantom's."""
 _DEEP = re.compile(r'(?:9|1[0-6])(?:le|be)?$')
@@ -69,13 +71,13 @@ def read_pictures(path: str) -> Iterator[Picture]:
         for picture in _pictures(path):
             count += 1
             yield picture
-    except (OSError, ValueError, RuntimeError, SyntaxError) as error:
-        if isinstance(error, TrackError):
-            raise
-        reason = getattr(error, 'strerror', None) or str(error).partition('\n')[0]
+    except TrackError:
+        raise
+    except Exception as error:  # noqa: BLE001  whatever damaged bytes lead the libraries to
+        reason = getattr(error, 'strerror', None) or str(error) or repr(error)
         raise TrackError(
             f'cannot be read after {count} pictures, or is none of what FFmpeg and Pillow '
-            f'read: {reason}'
+            f'read: {" ".join(reason.split())}'
         ) from None
     if not count:
         raise TrackError('there is no picture in it')
@@ -99,20 +101,38 @@ def _pictures(path: str) -> Iterator[Picture]:
         if not files:
             raise TrackError('there is no picture in this folder')
         for file in sorted(files, key=_by_number):
-            yield from _grey(imageio.imread(file))
+            yield from _grey(_read_picture(file))
     elif _kind(path) == 'video':
         with imageio.imopen(path, 'r', plugin='pyav') as video:
             depth = str(video.metadata().get('video_format', ''))
             # Phantom's pictures are upside down in memory, which PyAV does not notice unless they
             # are converted, if only to bytes in another order
+            _check_size(video.properties(format='gray').shape)
             deep = 'gray16be' if path.lower().endswith('.cine') else 'gray16le'
             pixels = deep if _DEEP.search(depth) or deep == 'gray16be' else 'gray'
             for picture in video.iter(format=pixels):
                 yield from _grey(picture)
     elif _kind(path) == 'image':
-        yield from _grey(imageio.imread(path))
+        yield from _grey(_read_picture(Path(path)))
     else:
         raise TrackError('must be a video or a folder of pictures')
+
+
+def _read_picture(path: Path) -> Picture:
+    """Read a picture, or a stack, if it is no larger than it can be."""
+    from imageio import v3 as imageio
+
+    logging.getLogger('tifffile').setLevel(logging.CRITICAL)  # what is damaged is said in one line
+    _check_size(imageio.improps(path).shape)
+    picture: Picture = imageio.imread(path)
+    return picture
+
+
+def _check_size(shape: Sequence[int]) -> None:
+    """Refuse a picture, of a stack or in colours or not, that would fill the memory."""
+    rows, columns = shape[-3:-1] if shape[-1] <= _MAX_CHANNELS else shape[-2:]
+    if rows * columns > _MAX_PIXELS:
+        raise TrackError(f'a picture may have {_MAX_PIXELS} pixels, got {columns} x {rows}')
 
 
 def _kind(path: str) -> str:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, JointStateReader, MessageError
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.results import Floats, Outputs, State
@@ -45,7 +45,7 @@ _SHOWN = 5  # of what may be many
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
 
 
-class CheckError(ValueError):
+class CheckError(BagError):
     """There is nothing in a bag that could be checked."""
 
 

@@ -11,7 +11,14 @@ LATEST = 2**63 - 1
 
 
 class BagError(ValueError):
-    """A bag cannot be read or written; the message names its path, and what would be right."""
+    """
+    A bag cannot be read or written; the message names its path, and what would be right.
+
+    It is one line, whatever is quoted of the bag.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(' '.join(message.split('\n')))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -163,3 +163,7 @@ def test_dask_that_is_not_installed_is_said(monkeypatch):
         open_with('--dask', 'x'),
     ):
         pass
+
+
+def test_refusal_of_an_argument_with_line_ends_is_one_line(command):
+    assert command.refused('recommend', '--bogus=1\n2').endswith('--bogus=1 2')

@@ -85,6 +85,7 @@ def test_file_says_what_python_says(tmp_path):
         ('parameters:\n  layer.colour: free', 2, "'layer.colour'"),
         ('parameters:\n  layer.thickness: often', 2, "'often'"),
         ('parameters:\n  layer.thickness: 1 +- 0', 2, "'1 +- 0'"),
+        ('parameters:\n  layer.thickness: 1e400 +- 1 %', 2, "'1e400 +- 1 %'"),
         ('parameters:\n  layer.thickness: held per throw', 2, "'held per throw'"),
         ('parameters:\n  layer.thickness: held if seen', 2, "'held if seen'"),
         ('throws:\n  a.csv:\n    layer.thickness: often', 3, "'often'"),

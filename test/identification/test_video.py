@@ -84,6 +84,13 @@ def test_file_that_is_no_video_is_refused(tmp_path, name, content, message):
         list(read_pictures(str(path)))
 
 
+def test_picture_that_claims_to_be_huge_is_refused(tmp_path):
+    path = tmp_path / 'huge.gif'
+    path.write_bytes(b'GIF89a' + b'\xff' * 4 + b'\0\0\0,' + b'\0' * 4 + b'\xff' * 4 + b'\0\2\0;')
+    with pytest.raises(TrackError, match=r'pixels'):
+        list(read_pictures(str(path)))
+
+
 def test_empty_folder_is_refused(tmp_path):
     with pytest.raises(TrackError, match='no picture in this folder'):
         list(read_pictures(str(tmp_path)))

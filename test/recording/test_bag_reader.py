@@ -232,6 +232,17 @@ def test_messages_that_are_not_those_of_ros_are_refused(tmp_path):
         BagReader(tmp_path / 'theirs.mcap')
 
 
+def test_refusal_is_one_line_whatever_the_topic_is_called(tmp_path):
+    with (tmp_path / 'theirs.mcap').open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema('t/T', 'jsonschema', b'{}')
+        writer.add_message(writer.register_channel('/a\n/b', 'json', schema), 0, b'{}', 0)
+        writer.finish()
+    with pytest.raises(BagError, match=r'^[^\n]*/a /b[^\n]*$'):
+        BagReader(tmp_path / 'theirs.mcap')
+
+
 # Streams
 
 

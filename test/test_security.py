@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What SECURITY.md promises of the sources: nothing is run, unpickled or loaded unsafely."""
+
+import ast
+from pathlib import Path
+import re
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted((ROOT / 'soft_throw_ros').rglob('*.py'))
+MODULES = {'pickle', 'cPickle', 'dill', 'shelve', 'marshal', 'joblib', 'cloudpickle'}
+CALLS = {'eval', 'exec', 'compile', '__import__', 'os.system', 'os.popen', 'yaml.load',
+         'yaml.full_load', 'yaml.unsafe_load', 'yaml.load_all', 'np.load', 'numpy.load',
+         'tempfile.mktemp', 'subprocess.getoutput', 'subprocess.getstatusoutput'}  # fmt: skip
+
+
+def nodes_of(path):
+    return ast.walk(ast.parse(path.read_text('utf-8'), str(path)))
+
+
+def dangers(nodes):
+    """List what could run or load what a file says."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in MODULES)
+        elif isinstance(node, ast.ImportFrom) and node.module in MODULES:
+            yield node.module
+        elif isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            if called in CALLS:
+                yield called
+            for keyword in node.keywords:
+                if (
+                    keyword.arg in {'shell', 'allow_pickle'}
+                    and ast.unparse(keyword.value) != 'False'
+                ):
+                    yield f'{called}({keyword.arg}=...)'
+        elif isinstance(node, ast.Attribute) and ast.unparse(node) in {
+            'yaml.Loader', 'yaml.UnsafeLoader', 'yaml.FullLoader', 'yaml.CLoader',
+        }:  # fmt: skip
+            yield ast.unparse(node)
+
+
+@pytest.mark.parametrize('path', SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_source_runs_and_unpickles_nothing(path):
+    assert list(dangers(nodes_of(path))) == []
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'import pickle', 'from marshal import loads', 'eval("1")', 'yaml.load(text)',
+        'yaml.load(text, Loader=yaml.Loader)', 'subprocess.run("ls", shell=True)',
+        'np.load(path, allow_pickle=True)',
+    ],
+)  # fmt: skip
+def test_what_is_dangerous_is_noticed(text):
+    assert list(dangers(ast.walk(ast.parse(text))))
+
+
+def test_addresses_in_the_sources_are_of_this_machine():
+    found = {
+        (path.name, address)
+        for path in SOURCES
+        for node in nodes_of(path)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for address in re.findall(r'\b\d{1,3}(?:\.\d{1,3}){3}\b', node.value)
+    }
+    # the address of a scheduler stands in a help text as an example
+    assert {address for _, address in found} <= {'127.0.0.1', '10.0.0.1'}
+    assert {name for name, address in found if address == '10.0.0.1'} <= {'options.py'}
