@@ -25,6 +25,8 @@ def store(ratios: Ratios, path: Path = STORED) -> None:
 
 def deviations(ratios: Ratios, path: Path = STORED) -> list[str]:
     """Say which ratios are too far from those stored, and which are stored and not measured."""
+    if not path.exists():
+        return [f'{path} is not there yet; make bench ARGS=--store writes it']
     stored = json.loads(path.read_text('utf-8'))
     said = []
     for table, found in ratios.items():

@@ -204,14 +204,14 @@ def sixteen_twins() -> Result:
     lost = sum(states.lost for states in recorded)
     count = sum(states.stamps.size for states in recorded)
     result = Result.under(f'{TWINS} twins at 100 Hz, one recorder', 'found', 'goal')
-    result.rows += [
+    result.rows.extend([
         ['states recorded', count, None],
         ['states lost', lost, 0.0],
         ['of one core, a twin, median [%]', 100.0 * statistics.median(shares[1:]), None],
         ['of one core, all twins [%]', 100.0 * sum(shares[1:]), None],
         ['of one core, the recorder [%]', 100.0 * shares[0], None],
         ['lateness p99, median [us]', 1e6 * float(np.median(late[:, 1])), None],
-    ]
+    ])  # fmt: skip
     return result
 
 

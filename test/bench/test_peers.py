@@ -64,6 +64,7 @@ def test_cases_are_compared_with_the_first_and_list_their_error():
 
 def test_ratio_that_changes_by_more_than_30_percent_is_said(tmp_path):
     path = tmp_path / 'ratios.json'
+    assert 'not there' in check.deviations({}, path)[0]
     check.store({'sums': {'steady': 2.0, 'slow': 2.0, 'gone': 1.0}, 'maps': {'one': 5.0}}, path)
     check.store({'maps': {'one': 6.0}}, path)  # the others stay
     assert check.deviations({'maps': {'one': 6.0}}, path) == []
