@@ -9,7 +9,7 @@ from pathlib import Path
 import runpy
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -380,7 +380,7 @@ def test_errors_of_a_measured_throw_and_words_on_its_track_are_shown(tmp_path) -
     assert 'Measured track' in recording.views
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_damaged_messages_are_counted_and_the_rest_is_shown(twin, path, data) -> None:
     messages = list(twin.messages[:60])
