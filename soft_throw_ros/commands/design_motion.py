@@ -193,7 +193,7 @@ def draw(design: MotionDesign, path: Path) -> None:
         textcoords='offset points', xytext=(-4, 0), ha='right',
     )  # fmt: skip
     above.legend(frameon=False, title='motion: ejection speed')
-    figure.suptitle(design.summary, fontsize='medium')
+    figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
 
 
