@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification import model_choice
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -26,9 +25,7 @@ from soft_throw_ros.identification.least_squares import (
 )
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
-from soft_throw_ros.identification.throw_analysis import ejection_of
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
-from soft_throw_ros.twin.imperfect_rig import Imperfections, throw
 
 KNOWN = Rig(
     engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),  # nonsense, which is no guess
@@ -155,11 +152,6 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     known = replace(rig, layer=Layer(thickness=2.6e-3))
     found = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
     fit = found.fit
-    for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
-        low, high = found.intervals[name]
-        assert low < truth < high
-        # What the valley bends makes one side longer than the other
-        assert high - low == pytest.approx(2.0 * 1.96 * fit[name].error, rel=0.5)
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
@@ -314,41 +306,6 @@ def test_second_mode_of_a_plate_is_seen_and_said():
     assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
 
 
-def imperfect_throw(imperfections, *, seed=0, noise=2e-5):
-    """Tracks of a throw by small cells, which share nothing with what is fitted."""
-    thrown = throw(Rig(), imperfections, until=0.07, start=-0.016, cells=128)
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, 0.08, 2e-4)
-    heights = thrown.plate(time - 0.0153), thrown.projectile(time - 0.0153)
-    plate, projectile = (
-        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
-    )
-    return ThrowTracks(name='imperfect', plate=plate, projectile=projectile), thrown.changes[0]
-
-
-def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
-    tracks, release = imperfect_throw(Imperfections(sticking=2e-4))
-    found = ejection_of(fit_rig([tracks], Rig()))
-    for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
-        assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
-    assert 5e-5 < found.time.error < 4e-4
-    held = ejection_of(fit_rig([tracks], Rig(), FitDescription({'projectile.sticking': 'held'})))
-    assert held.time.error < found.time.error
-
-
-@pytest.mark.parametrize('phase', [0.5, 3.5])
-def test_plate_that_rings_before_leads_to_no_other_minimum(phase):
-    tracks, release = imperfect_throw(Imperfections(ringing=0.02, ringing_phase=phase))
-    found = fit_rig([tracks], KNOWN)
-    assert 'a plate that rings' in found.remarks[0]
-    assert found.fit.warnings() == []
-    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), USUAL).values())) < 3.5
-    peak = found.peak_plate_speed(0)  # which averages go by, too
-    truth = Underdamped.of(Rig().engine).peak_velocity
-    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
-    assert ejection_of(found).speed.value == pytest.approx(release.velocity, rel=0.02)
-
-
 def test_other_minimum_is_named_and_spanned():
     values = np.array([16.9, 1.0])
     residual = TrackResidual(
@@ -383,24 +340,12 @@ def test_loss_is_seen_without_being_asked_for():
     (remark,) = found.remarks
     assert 'a layer with loss explains these throws' in remark
     assert 'one without loss' in remark
+    assert 'does not' in remark
     best = min(found.layers, key=lambda layer: layer.criterion)
     assert (best.name, best.criterion, best.is_fitted) == ('with loss', 0.0, True)
     assert best.chi2 == pytest.approx(found.fit.chi2)
     loss = found.estimates()['layer.loss_tangent']
     assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
-
-
-def test_layers_of_other_materials_are_compared_if_there_are_such(make_throw, monkeypatch):
-    kinds = (
-        model_choice.LayerKind('as it is'),
-        model_choice.LayerKind('twice as heavy', material={'density': 2000.0}),
-        model_choice.LayerKind('of nothing known', material={'nothing': 'known'}),
-    )
-    monkeypatch.setattr(model_choice, '_KINDS', kinds)
-    found = fit_rig([make_throw(Rig(), rate=1000.0, duration=0.06)], Rig(), EXACT)
-    assert [layer.name for layer in found.layers] == ['as it is', 'twice as heavy']
-    assert found.layers[1].criterion > 10.0
-    assert 'one twice as heavy' in found.remarks[-1]
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
