@@ -25,7 +25,9 @@ from soft_throw_ros.identification.least_squares import (
 )
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.throw_analysis import ejection_of
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
+from soft_throw_ros.twin.imperfect_rig import Imperfections, throw
 
 KNOWN = Rig(
     engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),  # nonsense, which is no guess
@@ -304,6 +306,25 @@ def test_second_mode_of_a_plate_is_seen_and_said():
     assert frequency.value == pytest.approx(310.0, abs=3.5 * frequency.error)
     assert found.fit.warnings() == []
     assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+
+
+def imperfect_throw(imperfections, *, seed=0, noise=2e-5):
+    """Tracks of a throw by small cells, which share nothing with what is fitted."""
+    thrown = throw(Rig(), imperfections, until=0.07, start=-0.016, cells=128)
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 0.08, 2e-4)
+    heights = thrown.plate(time - 0.0153), thrown.projectile(time - 0.0153)
+    plate, projectile = (
+        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
+    )
+    return ThrowTracks(name='imperfect', plate=plate, projectile=projectile), thrown.changes[0]
+
+
+def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
+    tracks, release = imperfect_throw(Imperfections(sticking=2e-4))
+    found = ejection_of(fit_rig([tracks], Rig()))
+    for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
+        assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
 
 
 def test_other_minimum_is_named_and_spanned():
