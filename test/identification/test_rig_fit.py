@@ -154,6 +154,11 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     known = replace(rig, layer=Layer(thickness=2.6e-3))
     found = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
     fit = found.fit
+    for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
+        low, high = found.intervals[name]
+        assert low < truth < high
+        # What the valley bends makes one side longer than the other
+        assert high - low == pytest.approx(2.0 * 1.96 * fit[name].error, rel=0.5)
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
