@@ -497,7 +497,7 @@ def describe_layers(layers: Sequence[LayerModel], fit: Fit) -> str:
     found = f'a layer {best.name} explains these throws' + ' best' * fit.is_mismatch
     found += f' (chi squared {best.chi2 / best.dof:.3g} per degree of freedom)'
     if worse:
-        listed = ' and '.join(f'{each.name} ({each.chi2 / each.dof:.3g})' for each in worse)
+        listed = ' or one '.join(f'{each.name} ({each.chi2 / each.dof:.3g})' for each in worse)
         found += f'; one {listed} does not'
     if fit.is_mismatch:
         off = max(fit.residuals, key=lambda residual: residual.reduced_chi2)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification import model_choice
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -331,22 +330,6 @@ def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
     found = ejection_of(fit_rig([tracks], Rig()))
     for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
         assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
-    assert 5e-5 < found.time.error < 4e-4
-    held = ejection_of(fit_rig([tracks], Rig(), FitDescription({'projectile.sticking': 'held'})))
-    assert held.time.error < found.time.error
-
-
-@pytest.mark.parametrize('phase', [0.5, 3.5])
-def test_plate_that_rings_before_leads_to_no_other_minimum(phase):
-    tracks, release = imperfect_throw(Imperfections(ringing=0.02, ringing_phase=phase))
-    found = fit_rig([tracks], KNOWN)
-    assert 'a plate that rings' in found.remarks[0]
-    assert found.fit.warnings() == []
-    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), USUAL).values())) < 3.5
-    peak = found.peak_plate_speed(0)  # which averages go by, too
-    truth = Underdamped.of(Rig().engine).peak_velocity
-    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
-    assert ejection_of(found).speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
 def test_other_minimum_is_named_and_spanned():
@@ -383,24 +366,12 @@ def test_loss_is_seen_without_being_asked_for():
     (remark,) = found.remarks
     assert 'a layer with loss explains these throws' in remark
     assert 'one without loss' in remark
+    assert 'does not' in remark
     best = min(found.layers, key=lambda layer: layer.criterion)
     assert (best.name, best.criterion, best.is_fitted) == ('with loss', 0.0, True)
     assert best.chi2 == pytest.approx(found.fit.chi2)
     loss = found.estimates()['layer.loss_tangent']
     assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
-
-
-def test_layers_of_other_materials_are_compared_if_there_are_such(make_throw, monkeypatch):
-    kinds = (
-        model_choice.LayerKind('as it is'),
-        model_choice.LayerKind('twice as heavy', material={'density': 2000.0}),
-        model_choice.LayerKind('of nothing known', material={'nothing': 'known'}),
-    )
-    monkeypatch.setattr(model_choice, '_KINDS', kinds)
-    found = fit_rig([make_throw(Rig(), rate=1000.0, duration=0.06)], Rig(), EXACT)
-    assert [layer.name for layer in found.layers] == ['as it is', 'twice as heavy']
-    assert found.layers[1].criterion > 10.0
-    assert 'one twice as heavy' in found.remarks[-1]
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):

@@ -123,31 +123,6 @@ def test_twin_finds_out_what_rig_it_is_and_has_it_throw_better(start, ros) -> No
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
 
 
-def test_calibrator_finds_a_rig_whose_sensors_and_plate_are_at_fault(start, ros) -> None:
-    said = hear_identification(ros)
-    twin = run(start, 'twin', engine__motion='measured', layer__wave_speed=9.5)
-    calibrator = run(start, 'calibrator', throws=2)
-    for process in (twin, calibrator):
-        process.wait_for('ready')
-    faults = {'missing_rate': 0.01, 'outlier_rate': 0.003, 'outlier_size': 2e-3}
-    faults |= {'drift': 2e-4, 'projectile_scale': 1.002, 'projectile_delay': 5e-5}
-    faults |= {'ringing': 0.01}
-    rig = run(
-        start, 'rig',
-        rate=2500.0, throw__period=1.0, layer__wave_speed=7.8,
-        **{f'faults__{name}': value for name, value in faults.items()},
-    )  # fmt: skip
-    try:
-        ros.spin_until(lambda: said and 'identified' in said[-1].message, 'identification')
-    except AssertionError:
-        pytest.fail('\n'.join(calibrator.lines + twin.lines + rig.lines))
-    found = {item.key: item.value for item in said[-1].values}
-    assert float(found['layer.wave_speed'].split()[0]) == pytest.approx(7.8, rel=0.03)
-    assert int(found['outliers']) > 0
-    for process in (rig, calibrator, twin):
-        assert process.end(signal.SIGINT) == 0
-
-
 def test_calibrator_leaves_a_twin_alone_that_is_true_to_its_rig(start, ros) -> None:
     results = listen(ros)
     twin = run(start, 'twin', engine__motion='measured')
