@@ -137,6 +137,7 @@ _SLOWEST = 8.0  # projectile in real time, whose waves take so many times longer
 _UPDATE_COST = 4e-9  # of a cell in a step, of a processor [s]
 _SPRING_STEPS = 1000.0  # of a layer without mass, per period of plate or projectile
 _MOST_FOR_BATCH = 1024  # cells that `first_throws` chooses
+_FASTEST = 0.05  # shock in a cell, in cells per step, so that what is explicit is stable
 _THROWS_PER_THREAD = 16
 
 _NOISE = 1e-11  # of the plate's speed, as a wave: a force below it is rounding, and no pull
@@ -156,6 +157,7 @@ _CORE = np.dtype(
         ('is_viscous', '?'),
         ('is_massless', '?'),
         ('is_curved', '?'),  # whether a sheet is neo-Hookean
+        ('fastest_shock', 'f8'),  # change of velocity in a cell up to which viscosity grows
         ('remembers', '?'),  # whether there are Maxwell elements
         ('relaxation', 'f8', (3,)),  # their rates,
         ('keep', 'f8', (3,)),  # and what they keep of their stretch, and take of a new one
@@ -330,7 +332,7 @@ def _prepare(core, nodes, bodies, omega):
     cut(nodes, bodies, s.bottom, s.cells, s.mass, s.step)
     last, joint, top = nodes.shape[1] - 1, s.joint, s.bottom + s.cells
     s.rate = 2.0 / s.step
-    s.event_time = math.inf
+    s.event_time = s.fastest_shock = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     s.is_massless = joint > 0 and nodes[MASS, joint] == 0.0
     for j in range(last):
@@ -379,6 +381,7 @@ def _prepare(core, nodes, bodies, omega):
         nodes[BURDEN, j] = carried
         if nodes[CURVATURE, j] > 0.0:
             nodes[STATIC, j] = 1.0 - static_stretch(carried / nodes[CURVATURE, j])
+            s.fastest_shock = min(s.fastest_shock, _FASTEST / (nodes[INVERSE, j] * s.step))
             nodes[ANCHOR, j] = -nodes[CURVATURE, j] * _tension_of(1.0 - nodes[STATIC, j], 0.0)
         else:
             nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
@@ -422,7 +425,7 @@ def _strain_curved(s, nodes):
         ratio = 1.0 + stretch * nodes[INVERSE, j] - nodes[STATIC, j]
         tension = _tension_of(ratio, nodes[LEAST, j])
         closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
-        shock = nodes[SHOCK, j] * closing * closing
+        shock = nodes[SHOCK, j] * closing * max(closing, -s.fastest_shock)
         tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j] - shock
         nodes[stress, j] = nodes[STIFFNESS, j] * stretch + tension
         total -= shock * closing

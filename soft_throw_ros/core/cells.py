@@ -107,7 +107,7 @@ _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
 _SHORTEST = 16  # row of coupled nodes that is worth four chains
-_DAMPED = 0.15  # of the strain, by which artificial viscosity shortens the step
+_DAMPED = 1.055  # by which artificial viscosity shortens the step
 _SHOCK = 1.0  # of the density: the artificial viscosity
 
 
@@ -158,7 +158,7 @@ def fastest_waves(bodies: Floats) -> Floats:
     """Compute largest speeds of waves over those of slow and weak ones, of rows of `BODY`. [-]"""
     bound, relaxed = bodies[..., 5], bodies[..., 6]
     tangent = relaxed * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0 + bodies[..., 7:].sum(axis=-1)
-    return np.asarray(np.sqrt(tangent) * (1.0 + _DAMPED * bound))
+    return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _DAMPED, 1.0))
 
 
 def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[Floats, Floats]:

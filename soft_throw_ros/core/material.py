@@ -9,6 +9,7 @@ or that of a neo-Hookean one, :math:`\frac{E}{3} (\lambda - \lambda^{-2})`. Wher
 faster than strain, compression waves steepen into shocks. They are resolved by an artificial
 viscosity (von Neumann and Richtmyer, [1]_), a stress :math:`2 \rho (\Delta v)^2` in cells that are
 being compressed, which is of second order where waves are smooth; what it takes counts as heat.
+In very strong shocks it grows in proportion only, so that every throw can be stepped.
 
 A constant loss tangent is that of a spring beside a few Maxwell elements,
 

@@ -506,6 +506,15 @@ def test_no_throw_is_too_large_to_be_followed(amplitude):
     assert found.leaves_linear_range is (amplitude > 0.02)
 
 
+@pytest.mark.parametrize(('amplitude', 'wave_speed'), [(2e-3, 5.0), (0.1, 2.0), (0.1, 20.0)])
+def test_empty_layer_in_resonance_and_plates_faster_than_waves_stay_finite(amplitude, wave_speed):
+    layer = Layer(thickness=0.02, wave_speed=wave_speed, elasticity='neo_hookean')
+    stepper = CellStepper(Rig(engine=Engine(amplitude=amplitude), layer=layer), cells=32)
+    stepper.advance_to(0.08)
+    assert np.isfinite(stepper.state).all()
+    assert np.isfinite(stepper.stored_energy() + stepper.heat)
+
+
 def test_sheets_of_one_material_are_the_uniform_layer():
     stack = Stack(sheets=(Layer(thickness=16.8e-3 / 4),) * 4)
     one, other = (throw(Rig(layer=layer), cells=128).events()[0] for layer in (stack, Layer()))
