@@ -15,7 +15,9 @@ PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding='utf-8')
     for path in (ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *(ROOT / 'docs').glob('*.md'))
 }
-LINKS = [(page, link) for page in PAGES for link in re.findall(r'\]\(([^)#]+)\)', PAGES[page])]
+LINKS = [
+    (page, link) for page in PAGES for link in re.findall(r'\]\(((?!http)[^)#]+)\)', PAGES[page])
+]
 COMMANDS = [
     (page, command)
     for page, text in PAGES.items()
