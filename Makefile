@@ -9,6 +9,7 @@
 #   make inspect          show a bag in Rerun;  ARGS='BAG'
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
+#   make fuzz             bad input, 100,000 cases by chance; CASES=1000, SEED=7
 #   make bench            measure it;           ARGS are handed on
 #   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, README, measured.md
@@ -19,6 +20,7 @@
 ROS_DISTRO ?= jazzy
 PYTHON ?= python3
 ARGS ?=
+CASES ?= 100000
 
 # Files of tests go to a process for each core; each has a ROS domain of its own.
 PARALLEL := -n auto --dist loadfile
@@ -41,7 +43,7 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
-.PHONY: install twin throw identify demo loop inspect lint bench trials figures clean
+.PHONY: install twin throw identify demo loop inspect lint bench trials figures clean fuzz
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -95,6 +97,13 @@ test-jazzy: lint $(KERNELS)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
 	.venv/kilted/bin/python -m pytest $(PARALLEL) test/nodes test/test_package.py
+
+# hypothesis prints its seed; SEED repeats a run, with as many CASES.
+fuzz: SEED := $(or $(SEED),$(shell date +%s))
+fuzz: .venv/jazzy/.testable $(KERNELS)
+	@echo 'to repeat it: make fuzz CASES=$(CASES) SEED=$(SEED)'
+	FUZZ_CASES=$(CASES) .venv/jazzy/bin/python -m pytest $(PARALLEL) test/fuzz --timeout 0 \
+		--hypothesis-profile=random --hypothesis-seed=$(SEED)
 
 # With what apt has on Ubuntu 24.04, whose numba knows no Python after 3.12.
 test-apt:
