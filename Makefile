@@ -10,6 +10,7 @@
 #   make inspect          show a bag in Rerun;  ARGS='BAG'
 #   make test             check everything, on Jazzy and Kilted
 #   make lint             check the form only, which takes seconds
+#   make fuzz             bad input, 100,000 cases by chance; CASES=1000, SEED=7
 #   make bench            measure it;           ARGS are handed on
 #   make bench-check      measure it, and compare its ratios with those in bench/ratios.json
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
@@ -22,6 +23,7 @@
 ROS_DISTRO ?= jazzy
 PYTHON ?= python3
 ARGS ?=
+CASES ?= 100000
 
 # Files of tests go to two processes more than there are cores, since many tests wait for nodes or for
 # time to pass; each has a ROS domain of its own.
@@ -49,7 +51,7 @@ endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
-.PHONY: figures clean
+.PHONY: figures fuzz clean
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -113,6 +115,13 @@ test-jazzy: lint $(KERNELS)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
 	.venv/kilted/bin/python -m pytest $(PARALLEL) -m 'not once' test/nodes test/test_package.py
+
+# hypothesis prints its seed; SEED repeats a run, with as many CASES.
+fuzz: SEED := $(or $(SEED),$(shell date +%s))
+fuzz: .venv/jazzy/.testable $(KERNELS)
+	@echo 'to repeat it: make fuzz CASES=$(CASES) SEED=$(SEED)'
+	FUZZ_CASES=$(CASES) .venv/jazzy/bin/python -m pytest $(PARALLEL) test/fuzz --timeout 0 \
+		--hypothesis-profile=random --hypothesis-seed=$(SEED)
 
 # With what apt has on Ubuntu 24.04, whose numba knows no Python after 3.12.
 test-apt:

@@ -9,6 +9,8 @@ import pytest
 
 # The same examples in every run, and no deadline, for a first call compiles.
 hypothesis.settings.register_profile('repeatable', deadline=None, derandomize=True)
+# `make fuzz` has other examples in every run, and a failure says how to repeat it.
+hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
 
 

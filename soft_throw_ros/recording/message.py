@@ -18,7 +18,7 @@ class BagError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(' '.join(message.split('\n')))
+        super().__init__(' '.join(message.splitlines()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags and streams that are cut, damaged, or say what is not so."""
+
+from __future__ import annotations
+
+import functools
+import io
+from pathlib import Path
+import shutil
+import tempfile
+from typing import Any
+
+from bags import channel
+from fuzzing import assert_refusal, bounded, datas, fuzzed, run, texts, WORDS
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+from soft_throw_ros.commands import identify, recover
+from soft_throw_ros.configuration.interface import FRAME, JOINTS
+from soft_throw_ros.nodes import replay
+from soft_throw_ros.recording.bag_reader import BagReader, read_stream
+from soft_throw_ros.recording.cdr import JointStateEncoder
+from soft_throw_ros.recording.message import BagError, Message
+
+BEGIN = 1_700_000_000_000_000_000
+COMPRESSIONS = ('none', 'lz4', 'zstd')
+TOPICS = ['/twin/joint_states', '/twin/journal', '/measured_joint_states', *WORDS]
+
+
+@functools.cache
+def bag(compression: str) -> tuple[bytes, str]:
+    """Write a bag of a twin that has a journal; return its file, and its metadata.yaml."""
+    from bags import text
+    from soft_throw_ros.configuration import TWIN
+    from soft_throw_ros.recording.bag_writer import BagWriter
+    from soft_throw_ros.twin.session import Session
+    from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+    journal = channel('/twin/journal')
+    states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
+    encode = JointStateEncoder(FRAME, JOINTS).encode
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / 'bag'
+        with BagWriter(folder, distribution='jazzy', compression=compression) as writer:
+            lines: list[str] = []
+            session = Session({**TWIN.defaults(), 'throw.period': 0.05}, on_entry=lines.append)
+            session.set_tick_schedule(TickSchedule(step=0, time_ns=BEGIN, rate=session.rate))
+            for step in range(60):
+                state = session.advance().state
+                time = BEGIN + 1_000_000 * step
+                for line in lines:
+                    writer.write(Message(journal, text(line), time, time, 0))
+                lines.clear()
+                writer.write(Message(states, encode(time, state), time, time, step + 1))
+                if step % 20 == 19:
+                    writer.flush()
+        metadata = (folder / 'metadata.yaml').read_text('utf-8')
+        return (folder / 'bag_0.mcap').read_bytes(), metadata
+
+
+def assert_readable(path: Path) -> None:
+    """Check that what there is can be read, or is refused, whichever way."""
+    for by_scan in (False, True):
+        try:
+            with BagReader(path, by_scan=by_scan) as reader:
+                count = sum(1 for _ in reader.messages())
+                assert count <= 10_000
+                assert '\n' not in reader.damage
+        except BagError as error:
+            assert_refusal(error)
+
+
+@st.composite
+def bags(draw: Any, folder: Path) -> Path:
+    """Write a bag that is damaged into a new folder."""
+    content, metadata = bag(draw(st.sampled_from(COMPRESSIONS)))
+    path = folder / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir()
+    (path / 'bag_0.mcap').write_bytes(draw(st.just(content) | datas(content)))
+    if draw(st.booleans()):
+        damaged = draw(texts(metadata, metadata.replace('bag_0.mcap', '../../etc/passwd')))
+        (path / 'metadata.yaml').write_bytes(damaged.encode('utf-8', 'replace'))
+    return path
+
+
+@fuzzed(0.12)
+@given(data=st.data())
+def test_bag_is_read_or_refused(tmp_path: Path, data: Any) -> None:
+    path = data.draw(bags(tmp_path))
+    with bounded(tmp_path):
+        assert_readable(path)
+
+
+@fuzzed(0.02)
+@given(data=st.data())
+def test_bag_is_recovered_checked_and_identified_or_refused(tmp_path: Path, data: Any) -> None:
+    path = data.draw(bags(tmp_path))
+    target = tmp_path / 'new'
+    shutil.rmtree(target, ignore_errors=True)
+    with bounded(tmp_path):
+        run(replay.main, ['--check', str(path)])
+        run(identify.main, [str(path)])
+        code, _, _ = run(recover.main, [str(path), '--to', str(target)])
+        assert target.exists() == (code != 2)
+        if target.exists():
+            with BagReader(target) as reader:
+                assert not reader.damage
+                assert reader.message_count > 0
+
+
+@st.composite
+def foreign_bags(draw: Any) -> bytes:
+    """Write an MCAP file, whole, in which schemas, topics, times and messages may be anything."""
+    stream = io.BytesIO()
+    writer = Writer(
+        stream, chunk_size=2000, compression=CompressionType.NONE, index_types=IndexType.ALL
+    )
+    writer.start(draw(st.sampled_from(['ros2', '', 'x'])))
+    states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
+    message = JointStateEncoder(FRAME, JOINTS).encode(BEGIN, [0.0] * 6)
+    for _ in range(draw(st.integers(1, 3))):
+        schema = writer.register_schema(
+            draw(st.sampled_from([states.type, 'std_msgs/msg/String', 'x', *WORDS])),
+            draw(st.sampled_from(['ros2msg', 'ros2msg', 'ros2idl', 'protobuf', ''])),
+            draw(texts(states.schema, 'string data')).encode('utf-8', 'replace'),
+        )
+        topic = draw(st.sampled_from(TOPICS))
+        number = writer.register_channel(
+            topic, draw(st.sampled_from(['cdr', 'cdr', 'cdr', 'json', ''])), schema,
+            {'offered_qos_profiles': draw(texts('- {history: 1, depth: 3, reliability: 2}'))},
+        )  # fmt: skip
+        for _ in range(draw(st.integers(0, 20))):
+            time = draw(
+                st.sampled_from([0, BEGIN, 2**63 - 1, 2**63, 2**64 - 1]) | st.integers(0, 9)
+            )
+            writer.add_message(number, time, draw(st.just(message) | datas(message)), time, 1)
+    writer.finish()
+    return stream.getvalue()
+
+
+@fuzzed(0.06)
+@given(content=foreign_bags())
+def test_bag_of_others_is_read_or_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / 'other.mcap'
+    path.write_bytes(content)
+    with bounded(tmp_path):
+        assert_readable(path)
+        run(replay.main, ['--check', str(path)])
+        run(identify.main, [str(path)])
+
+
+@fuzzed(0.06)
+@given(content=st.sampled_from(COMPRESSIONS).flatmap(lambda how: datas(bag(how)[0])))
+def test_stream_is_read_up_to_its_damage(tmp_path: Path, content: bytes) -> None:
+    with bounded(tmp_path):
+        try:
+            assert sum(1 for _ in read_stream(io.BytesIO(content))) <= 10_000
+        except BagError as error:
+            assert_refusal(error)
