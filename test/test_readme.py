@@ -34,10 +34,11 @@ def test_python_example_prints_an_ejection_time(capsys):
 
 
 def test_example_of_a_library_is_one(tmp_path):
-    (example,) = re.findall(r'```yaml\n(.*?)```', PAGES['docs/design.md'], flags=re.DOTALL)
+    examples = re.findall(r'```yaml\n(.*?)```', PAGES['docs/design.md'], flags=re.DOTALL)
     path = tmp_path / 'mine.yaml'
-    path.write_text(example, encoding='utf-8')
-    assert {'my_silicone_10.0mm', 'my_silicone_20.0mm'} < library(path).layers.keys()
+    path.write_text(''.join(examples), encoding='utf-8')
+    mine = {'my_silicone_10.0mm', 'my_silicone_20.0mm', 'my_stack'}
+    assert mine < library(path).layers.keys()
 
 
 @pytest.mark.parametrize(

@@ -326,8 +326,8 @@ def _ridge(x: float) -> tuple[float, float]:
 
 def _alpha_at_axes() -> float:
     """Compute the largest energy transfer close to C = 0 and close to x = 0."""
-    x = np.array([0.2, 0.5, 0.8, 1e-5, 1e-5])
-    c = np.array([0.01, 0.01, 0.01, 3.0, 10.0])
+    x = np.array([0.2, 0.5, 0.8, 1e-4])
+    c = np.array([0.01, 0.01, 0.01, 3.0])
     return float(np.max(releases_at(x, c).energy_transfer))
 
 

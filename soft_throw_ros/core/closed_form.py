@@ -61,8 +61,8 @@ _INACCURATE = 2
 
 _GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 within the box
 # Bounds the error by what it grows from: of 6,000 throws with mu up to 1e10 and kappa up to 1e5,
-# computed once more with 40 digits, none was off by more than a fifth of it
-_ROUNDING = 20.0 * 2.0**-52
+# computed once more with 40 digits, none was off by more
+_ROUNDING = 5.0 * 2.0**-52
 _ACCURACY = 1e-9  # what is promised of alpha
 _LEAST_SPEED = 1e-150  # the square of which is a normal number
 

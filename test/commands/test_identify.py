@@ -118,7 +118,7 @@ def test_parameter_file_is_one_of_the_twin(command, tmp_path):
     assert rig.engine.frequency == pytest.approx(value(found, 'engine.frequency')[0], rel=1e-5)
     assert rig.layer.wave_speed == pytest.approx(value(found, 'layer.wave_speed')[0], rel=1e-4)
     assert settings['layer.name'] == 'custom'
-    assert 'rate' not in path.read_text()  # what does not describe the rig stays as it was
+    assert 'rate.state' not in path.read_text()  # what does not describe the rig stays as it was
     for line in printed.splitlines()[:7]:  # and says how sure it is
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
     predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
@@ -289,7 +289,9 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     last = command.json(folder, '--thickness', 12e-3, '--last', 1)
     assert last['sources'] == ['bag, throw 5']
     for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
-        assert value(last, name)[0] == pytest.approx(expected, rel=1e-4)
+        found, error = value(last, name)
+        # One throw hardly tells wave speed, thickness and stiffening apart
+        assert found == pytest.approx(expected, rel=1e-4, abs=0.05 * error)
 
 
 def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):

@@ -92,7 +92,7 @@ def test_bag_is_read_or_refused(tmp_path: Path, data: Any) -> None:
         assert_readable(path)
 
 
-@fuzzed(0.02)
+@fuzzed(0.004)
 @given(data=st.data())
 def test_bag_is_recovered_checked_and_identified_or_refused(tmp_path: Path, data: Any) -> None:
     path = data.draw(bags(tmp_path))

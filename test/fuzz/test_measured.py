@@ -132,5 +132,5 @@ def test_twin_of_a_measured_plate_has_finite_outputs(
             assert all(map(math.isfinite, outputs.state)), outputs
             for result in outputs.results:
                 if result.first is not None:
-                    values = (result.first.time, result.first.speed)
+                    values = (result.first.ejection_time, result.first.ejection_speed)
                     assert all(map(math.isfinite, values)), result

@@ -145,7 +145,7 @@ def videos() -> dict[str, bytes]:
 # Pillow may leave a damaged file open until it is collected
 @pytest.mark.filterwarnings('ignore::ResourceWarning')
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
-@fuzzed(0.03)
+@fuzzed(0.01)
 @given(data=st.data())
 def test_video_is_followed_or_refused(tmp_path: Path, videos: dict[str, bytes], data: Any) -> None:
     ending = data.draw(st.sampled_from(sorted(videos)))

@@ -340,7 +340,7 @@ def test_designed_motion_can_be_applied(ros, twin, listener, monkeypatch, tmp_pa
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(150)
     (result,) = twin.results
-    assert result.first.speed == pytest.approx(best.ejection_speed, rel=1e-4)
+    assert result.first.ejection_speed == pytest.approx(best.ejection_speed, rel=1e-4)
 
 
 def test_aim_can_be_applied_and_reaches_its_height(ros, twin, listener) -> None:

@@ -24,7 +24,7 @@ from soft_throw_ros.nodes.conversions import (
     throw_result_to_msg,
     time_to_msg,
 )
-from soft_throw_ros.nodes.recommendations import recommend_for
+from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
@@ -71,6 +71,7 @@ class TwinMessages:
         self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
         self.now = BEGIN
         settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
+        self._settings = settings
         self.session = Session(settings, on_entry=self._on_entry)
         self.pace = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.pace)
@@ -144,7 +145,8 @@ class TwinMessages:
         if outputs.throw_field is not None:
             self._send('throw_field', encode_array(('t', 'y'), outputs.throw_field.strain), 5)
         for result in outputs.results:
-            status = throw_result_to_msg(result, self.node)
+            beside = other_models_values(result.rig, self._settings)
+            status = throw_result_to_msg(result, self.node, beside)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
             line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.describe())
             self._send('rosout', serialize_message(line), 7)
