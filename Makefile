@@ -27,7 +27,7 @@ CASES ?= 100000
 
 # Files of tests go to two processes more than there are cores, since many tests wait for nodes or for
 # time to pass; each has a ROS domain of its own.
-PARALLEL := -n $(shell expr $$(nproc) + 2) --dist loadfile
+PARALLEL := -n auto --dist loadfile
 
 # What becomes of a process does not depend on the version of numpy.
 PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
