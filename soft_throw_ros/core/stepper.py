@@ -232,6 +232,8 @@ class Stepper(ABC):
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
         self._numbers[:2] = self._numbers[2]
+        if self._is_measured:
+            self._path[:, 0] = 0.0  # the rest before the first state, unless pieces went round
         self._clear()
         self._advance(0.0)
 

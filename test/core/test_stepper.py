@@ -17,6 +17,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
     EventLimitError,
     HorizonError,
+    MAX_PIECES_AHEAD,
     PLATE_FORCE,
     PLATE_POSITION,
     PLATE_VELOCITY,
@@ -193,6 +194,21 @@ def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
             engine.advance_to(ahead.state[TIME])
             speed = engine.state[PROJECTILE_VELOCITY]
             assert ahead.state[PROJECTILE_VELOCITY] == pytest.approx(speed, abs=3e-3)
+
+
+@steppers
+def test_plate_of_a_long_throw_is_forgotten_before_the_next(make):
+    model = make('measured')
+    ahead = model.fork()
+    for begin in np.arange(0.0, 0.5, 0.01):
+        times = begin + np.arange(0.0, 0.01, 1e-4)
+        model.append_plate_states(times, plate_states(times))
+        model.advance_to(model.horizon)
+    assert times.size * 50 > MAX_PIECES_AHEAD + 2  # more than are kept
+    model.reset()
+    ahead.sync_from(model)
+    ahead.advance_to(1e-3)  # where nothing is known, the plate is at rest
+    assert ahead.state[PLATE_POSITION] == ahead.state[PLATE_VELOCITY] == 0.0
 
 
 @steppers
