@@ -25,8 +25,7 @@ PYTHON ?= python3
 ARGS ?=
 CASES ?= 100000
 
-# Files of tests go to two processes more than there are cores, since many tests wait for nodes or for
-# time to pass; each has a ROS domain of its own.
+# Each process of tests has a ROS domain of its own.
 PARALLEL := -n auto --dist loadfile
 
 # What becomes of a process does not depend on the version of numpy.

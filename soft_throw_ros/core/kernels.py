@@ -9,7 +9,9 @@ from typing import Any
 
 import numba as nb
 
-_OPTIONS: dict[str, Any] = {'error_model': 'numpy', 'fastmath': {'contract'}}
+# Without fused multiply-add: which ones LLVM would fuse depends on where a part is compiled, and a
+# kernel from numba's cache would then differ in the last bits from the same kernel just compiled.
+_OPTIONS: dict[str, Any] = {'error_model': 'numpy'}
 
 kernel = nb.njit(cache=True, nogil=True, **_OPTIONS)
 """What Python calls, from any thread."""
@@ -22,7 +24,7 @@ _INLINED: dict[str, Any] = {**_PART, 'forceinline': True}
 inlined = nb.njit(**_INLINED)
 """A part that every step calls."""
 
-_REDUCTION: dict[str, Any] = {**_PART, 'fastmath': {'contract', 'reassoc'}}
+_REDUCTION: dict[str, Any] = {**_PART, 'fastmath': {'reassoc'}}
 reduction = nb.njit(**_REDUCTION)
 """A part that adds up, in whatever order is fastest."""
 

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether kernels do the same to the last bit, however they came into the process."""
+
+import os
+import subprocess
+import sys
+
+HASH = """
+import hashlib
+import numpy as np
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.wave_stepper import WaveStepper
+
+digest = hashlib.sha256()
+stepper = WaveStepper(Rig())
+layer = np.empty((3, stepper.field_points))
+for tick in range(500):
+    stepper.advance_to(tick * 1e-3)
+    stepper.read_layer(layer)
+    energies = [stepper.stored_energy(), stepper.work_so_far]
+    digest.update(stepper.state.tobytes() + layer.tobytes() + np.array(energies).tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_compiled_kernels_do_the_same_as_kernels_from_the_cache(tmp_path) -> None:
+    hashes = [
+        subprocess.run(
+            [sys.executable, '-c', HASH],
+            check=True,
+            stdout=subprocess.PIPE,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)},
+            timeout=300,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert hashes[0] == hashes[1]
