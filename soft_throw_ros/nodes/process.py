@@ -113,14 +113,24 @@ def run(
     if '--help' in arguments or '-h' in arguments:
         print(usage)
         return 0
-    _on_signals(signal.default_int_handler)  # until the node runs
+    is_stopping = threading.Event()
+    deadline = threading.Timer(EXIT_TIME, os._exit, (0,))
+    deadline.daemon = True
+
+    def interrupt(*_: object) -> None:
+        if not is_stopping.is_set():
+            is_stopping.set()
+            deadline.start()  # numba may swallow what is raised in it
+        raise KeyboardInterrupt
+
+    _on_signals(interrupt)
     node = None
     code = 0
     try:
         _init(name, arguments, usage)
         node = make(arguments=arguments)
         node.prepare()
-        code = _spin(node)
+        code = _spin(node, is_stopping)
     except KeyboardInterrupt:
         pass
     except ParameterError as error:
@@ -128,6 +138,7 @@ def run(
         code = 2
     finally:
         _on_signals(signal.SIG_IGN)
+        deadline.cancel()
         code = _shut_down(node, code)
     return code
 
@@ -160,9 +171,8 @@ def _init(name: str, arguments: Sequence[str], usage: str) -> None:
         raise ParameterError(f'no such argument: {" ".join(left)}; {usage}')
 
 
-def _spin(node: RunnableNode) -> int:
+def _spin(node: RunnableNode, is_stopping: threading.Event) -> int:
     """Serve until a signal comes, or the node has an exit code."""
-    is_stopping = threading.Event()
     _on_signals(lambda *_: is_stopping.set())
     executor = SingleThreadedExecutor()
     executor.add_node(node)

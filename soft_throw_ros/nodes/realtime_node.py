@@ -66,24 +66,35 @@ class RealTimeNode(RunnableNode):
         """
         Load the kernels that a rig with these settings of a twin needs; compile them if need be.
 
-        What can wait is compiled in a process of its own then, since compiling would hold up the
-        ticks, and loaded from the disk when it is needed.
+        That is done in processes of their own. What can wait is compiled while the node ticks, and
+        loaded from the disk when it is needed.
         """
         say = self.get_logger().info
-        kernels.load_kernels(kernels.needed_parts(settings), say=say)
-        missing = kernels.missing_parts()
-        if missing:
-            say(f'compiling beside, once: {", ".join(missing)}')
-            command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *missing]
-            self._compiling = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the node, which ends it
-            )
+        needed, missing = kernels.needed_parts(settings), kernels.missing_parts()
+        first = [part for part in needed if part in missing]
+        if first:  # numba swallows what a signal raises in it
+            compiling = self._compile(first, stdout=subprocess.PIPE)
+            for line in compiling.stdout or ():
+                say(line.decode().strip())
+            compiling.wait()
+        kernels.load_kernels(needed, say=say)
+        rest = [part for part in missing if part not in needed]
+        if rest:
+            say(f'compiling beside, once: {", ".join(rest)}')
+            self._compiling = self._compile(rest, stdout=subprocess.DEVNULL)
             os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
-            self.at_end(self._compiling.wait)
-            self.at_end(self._compiling.kill)  # what is on the disk is whole at any time
+
+    def _compile(self, parts: list[str], *, stdout: int) -> subprocess.Popen[bytes]:
+        """Compile in a process, which ends with the node."""
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *parts],
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            start_new_session=True,  # Ctrl-C is for the node, which ends it
+        )
+        self.at_end(process.wait)
+        self.at_end(process.kill)  # what is on the disk is whole at any time
+        return process
 
     @property
     def is_compiling(self) -> bool:

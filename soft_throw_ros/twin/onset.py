@@ -27,6 +27,7 @@ REST_WINDOWS = 8  # so many windows the plate must be at rest before a throw
 RISE = 0.125  # part of the plate's period in which it gets to the speed of a start [-]
 _TOPS = 3  # parabolas, after which the top is where it is
 _SURE = 6.0  # standard errors that are no noise
+_LEAST_DETERMINANT = 1e-12  # below which samples do not tell how the plate's size changes [-]
 MOST_AMPLITUDE = 2.0  # by which a motion may differ that is still the engine's, as a factor [-]
 
 
@@ -176,7 +177,10 @@ def first_states(
     a, b, c = (sizes * sizes).sum(), (sizes * slopes).sum(), (slopes * slopes).sum()
     right, below = (sizes * values).sum(), (slopes * values).sum()
     determinant = a * c - b * b
-    p, q = (c * right - b * below) / determinant, (a * below - b * right) / determinant
+    if determinant > _LEAST_DETERMINANT * a * c:
+        p, q = (c * right - b * below) / determinant, (a * below - b * right) / determinant
+    else:  # a sample, or none, as after a gap
+        p, q = right / a if a > 0.0 else 1.0, 0.0
 
     times = np.arange(round(BEHIND * STATES_PER_WINDOW)) * (state_spacing_ns(config) / SECOND)
     z, v = plate.position(times), plate.velocity(times)

@@ -153,6 +153,14 @@ def test_first_states_follow_a_plate_of_another_frequency(measurement) -> None:
     assert states[:, 1] == pytest.approx(plate.velocity(times), abs=5e-3)
 
 
+@pytest.mark.parametrize('count', [0, 1])
+def test_first_states_are_the_engines_where_samples_do_not_tell(measurement, count) -> None:
+    samples = [Sample(BEGIN + 500_000, float(PLATE.position(5e-4)))][:count]
+    times, states = first_states(samples, BEGIN, 0.0, measurement)
+    assert states[:, 0] == pytest.approx(PLATE.position(times), rel=1e-12)
+    assert states[:, 1] == pytest.approx(PLATE.velocity(times), rel=1e-12)
+
+
 def test_peak_speed_is_that_without_the_noise() -> None:
     times = 2.5e-4 * np.arange(60)
     exact = PLATE.velocity(times)
