@@ -437,6 +437,8 @@ def estimate_noise(residuals: Floats, speed: Floats | None = None) -> tuple[floa
     growth = 0.0
     for _ in range(8):
         variance = np.full(squares.size, float(np.mean(squares[kept])))
+        if variance[0] == 0.0:  # tracks that were computed, not measured
+            return 0.0, 0.0
         if speed is not None and kept.sum() > 8:
             design = np.stack([np.ones(squares.size), speed[1:-1] ** 2], axis=1)
             for _ in range(4):

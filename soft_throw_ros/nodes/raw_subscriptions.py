@@ -31,6 +31,8 @@ EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask 
 DEPTH = 10_000
 """How many messages of a topic may wait to be drained: a second of the fastest sensor."""
 
+_RATE_MESSAGES = 100  # by which we tell how often a publisher publishes
+
 _UNKNOWN = 2**64 - 1
 """What stands for a number that the middleware does not know."""
 
@@ -62,13 +64,13 @@ class _Run:
         self.last, self.last_when = number, when
         self._first = number, when
         self._waited = 0 if began is None else when - began
-        self._counted = number, when  # the last one in as long a time as the first was waited for
+        self._counted = number, when  # the last one that tells how often it publishes
 
     def add(self, number: int, when: int) -> None:
         """Count another message, and those that are missing before it."""
         self.gaps += number - self.last - 1
         self.last, self.last_when = number, when
-        if self._counted[1] <= self._first[1] + self._waited:
+        if number - self._first[0] <= _RATE_MESSAGES:  # it may do so more often later
             self._counted = number, when
 
     @property
@@ -112,8 +114,8 @@ class RawSubscription:
     Notes
     -----
     A publisher numbers its messages from 1 on, so a gap is a loss. What it published before the
-    first one that came was before we began, if that is more than what came in as long a time after
-    it; otherwise it is lost, too. If the middleware does not tell the publishers of a topic apart
+    first one that came was before we began, if that is more than it would publish in the time that
+    we waited, as often as at first; otherwise it is lost, too. If the middleware does not tell the publishers of a topic apart
     (before ROS 2 Kilted), a number that is not above the last one is that of another publisher.
     That may be one which came after the former, and then each has numbers of its own. Otherwise,
     and on topics of which it is usual that several nodes publish at once, the numbers say nothing;
