@@ -113,13 +113,14 @@ class RawSubscription:
 
     Notes
     -----
-    A publisher numbers its messages from 1 on, so a gap is a loss. What it published before the
-    first one that came was before we began, if that is more than it would publish in the time that
-    we waited, as often as at first; otherwise it is lost, too. If the middleware does not tell the publishers of a topic apart
-    (before ROS 2 Kilted), a number that is not above the last one is that of another publisher.
-    That may be one which came after the former, and then each has numbers of its own. Otherwise,
-    and on topics of which it is usual that several nodes publish at once, the numbers say nothing;
-    then there is what the middleware says of losses, which knows of less.
+    A publisher numbers its messages from 1 on, so a gap is a loss. What it published before
+    the first one that came was before we began, if that is more than it would publish in the
+    time that we waited, as often as at first; otherwise it is lost, too. If the middleware
+    does not tell the publishers of a topic apart (before ROS 2 Kilted), a number that is not
+    above the last one is that of another publisher. That may be one which came after the
+    former, and then each has numbers of its own. Otherwise, and on topics of which it is usual
+    that several nodes publish at once, the numbers say nothing; then there is what the
+    middleware says of losses, which knows of less.
 
     """
 
