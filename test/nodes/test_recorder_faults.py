@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 import re
 import signal
@@ -20,7 +19,7 @@ from soft_throw_ros.commands import recover
 RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
 
 PUBLISHER = """
-import sys, threading, time
+import select, sys, time
 import rclpy
 from rclpy.node import Node
 from soft_throw_ros.configuration.interface import RIG_TOPICS, TWIN_TOPICS
@@ -35,13 +34,15 @@ topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_stat
 publishers = Publishers(node, [topic])
 (publisher,) = (each for each in node.publishers if 'joint_states' in each.topic_name)
 values = (0.0,) * (6 if reliable else 2)
-for line in sys.stdin:
+while line := sys.stdin.readline():
     count, period, waits = line.split()
     while waits == 'wait' and not publisher.get_subscription_count():
         time.sleep(0.01)
-    for _ in range(int(count)):
+    for number in range(int(count)):
         publishers.send(topic, time.time_ns(), values)
-        time.sleep(float(period))
+        if select.select([sys.stdin], [], [], float(period))[0]:  # there is something else to do
+            count = number + 1
+            break
     print(f'published {count}', flush=True)
 """
 
@@ -59,28 +60,35 @@ class Publisher:
         self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'
         command = (sys.executable, '-c', PUBLISHER, kind)
         self.process = start(*command, stdin=subprocess.PIPE)
-        self.count = 0
 
-    def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
-        """Have so many messages published, if `waits` not before somebody subscribes."""
-        self.count += count
+    @property
+    def count(self) -> int:
+        """How many messages have been published."""
+        return sum(int(line.split()[-1]) for line in self.process.lines if 'published' in line)
+
+    def publish(self, count: int, *, period: float = 0.0) -> None:
+        """Have so many messages published, not before somebody subscribes."""
         before = len(self.process.lines)
+        self._order(f'{count} {period} wait')
+        self.process.wait_until(lambda lines: f'published {count}' in lines[before:])
+
+    def begin(self, *, period: float) -> None:
+        """Have messages published until the next order."""
+        self._order(f'1000000 {period} now')
+
+    def _order(self, line: str) -> None:
         stdin = self.process.process.stdin
-        stdin.write(f'{count} {period} {"wait" if waits else "now"}\n')
+        stdin.write(f'{line}\n')
         stdin.flush()
-        self.process.wait_until(lambda lines: any('published' in x for x in lines[before:]))
 
 
 @pytest.fixture
 def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
-    """Start a recorder of the topic of a publisher into `bag`, and meanwhile do something."""
+    """Start a recorder of the topic of a publisher into `bag`."""
 
-    def record(publisher: Publisher, *, meanwhile: Callable[[], object] | None = None) -> Any:
+    def record(publisher: Publisher) -> Any:
         rules = [f'folder:={tmp_path}', 'name:=bag', f'topics:=[{publisher.topic}]']
         recorder = start(*RECORDER, *[word for rule in rules for word in ('-p', rule)])
-        while meanwhile is not None and not any('ready' in line for line in recorder.lines):
-            assert recorder.process.poll() is None
-            meanwhile()
         recorder.wait_for('ready')
         return recorder
 
@@ -95,6 +103,10 @@ def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tupl
     assert found is not None, line
     late = re.search(r'joined late, after (\d+) messages', line)
     return int(found[1]), int(found[2]), int(late[1]) if late else 0
+
+
+def size(path: Path) -> int:
+    return sum(file.stat().st_size for file in path.iterdir())
 
 
 def count(path: Path) -> int:
@@ -125,9 +137,15 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
 @pytest.mark.parametrize('joins_late', [True, False])
 def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_late) -> None:
     publisher = Publisher(start, 'best effort')
-    publish = partial(publisher.publish, 100, period=0.005, waits=False)
-    recorder = record(publisher, meanwhile=publish if joins_late else None)
-    publisher.publish(200, period=0.005)
+    if joins_late:
+        publisher.begin(period=0.005)
+    recorder = record(publisher)
+    empty = size(tmp_path / 'bag')
+    if not joins_late:
+        publisher.begin(period=0.005)
+    while size(tmp_path / 'bag') == empty:
+        assert recorder.process.poll() is None
+        time.sleep(0.01)
     recorder.process.send_signal(signal.SIGSTOP)
     publisher.publish(10 * A_SECOND)  # more than there is room for
     recorder.process.send_signal(signal.SIGCONT)
