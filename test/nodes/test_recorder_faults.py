@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import contextlib
 from pathlib import Path
 import re
 import signal
@@ -12,6 +13,9 @@ import sys
 import time
 from typing import Any
 
+from mcap.exceptions import EndOfFile
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 import pytest
 from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
@@ -66,10 +70,10 @@ class Publisher:
         """How many messages have been published."""
         return sum(int(line.split()[-1]) for line in self.process.lines if 'published' in line)
 
-    def publish(self, count: int, *, period: float = 0.0) -> None:
-        """Have so many messages published, not before somebody subscribes."""
+    def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
+        """Have so many messages published, if `waits` not before somebody subscribes."""
         before = len(self.process.lines)
-        self._order(f'{count} {period} wait')
+        self._order(f'{count} {period} {"wait" if waits else "now"}')
         self.process.wait_until(lambda lines: f'published {count}' in lines[before:])
 
     def begin(self, *, period: float) -> None:
@@ -105,8 +109,13 @@ def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tupl
     return int(found[1]), int(found[2]), int(late[1]) if late else 0
 
 
-def size(path: Path) -> int:
-    return sum(file.stat().st_size for file in path.iterdir())
+def written(path: Path) -> int:
+    """How many messages there are in a bag that is being written."""
+    found = 0
+    with (path / 'bag_0.mcap').open('rb') as file, contextlib.suppress(EndOfFile):
+        for record in StreamReader(file).records:
+            found += isinstance(record, Message)
+    return found
 
 
 def count(path: Path) -> int:
@@ -138,14 +147,15 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
 def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_late) -> None:
     publisher = Publisher(start, 'best effort')
     if joins_late:
+        publisher.publish(1, waits=False)
         publisher.begin(period=0.005)
     recorder = record(publisher)
-    empty = size(tmp_path / 'bag')
     if not joins_late:
         publisher.begin(period=0.005)
-    while size(tmp_path / 'bag') == empty:
+    while written(tmp_path / 'bag') < 100:  # which tell how often it publishes
         assert recorder.process.poll() is None
         time.sleep(0.01)
+    publisher.publish(0)  # no more for now
     recorder.process.send_signal(signal.SIGSTOP)
     publisher.publish(10 * A_SECOND)  # more than there is room for
     recorder.process.send_signal(signal.SIGCONT)
