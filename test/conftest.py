@@ -6,12 +6,15 @@ from collections.abc import Iterator
 import hypothesis
 import numpy as np
 import pytest
+import strays
 
 # The same examples in every run, and no deadline, for a first call compiles.
 hypothesis.settings.register_profile('repeatable', deadline=None, derandomize=True)
 # `make fuzz` has other examples in every run, and a failure says how to repeat it.
 hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
+
+strays.watch_this_process()
 
 
 @pytest.fixture(autouse=True)
