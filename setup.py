@@ -58,7 +58,7 @@ setup(
     ],
     extras_require={
         'dask': ['distributed'],
-        # Its interface changes with every minor version, and this one has no wheel for Python 3.10.
+        # Its interface changes with every minor version; this one has no wheel for Python 3.10.
         'rerun': ['rerun-sdk>=0.41,<0.42; python_version >= "3.11"'],
         'plot': ['matplotlib'],
         'video': ['av', 'imageio', 'scikit-image>=0.20'],
