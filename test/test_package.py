@@ -139,6 +139,7 @@ def in_workspace(prefix, *command):
     return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
 
 
+@pytest.mark.once
 def test_versions_agree(metadata):
     (released, *_) = re.findall(
         r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE
@@ -148,6 +149,7 @@ def test_versions_agree(metadata):
     assert released == soft_throw_ros.__version__
 
 
+@pytest.mark.once
 def test_dependencies_are_exactly_what_the_code_imports(metadata):
     trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
     nodes = [node for tree in trees for node in ast.walk(tree)]
@@ -165,6 +167,7 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
     assert {line for line in required if 'extra' not in line} == {name for name, _ in needed}
 
 
+@pytest.mark.once
 def test_wheel_has_config_and_one_command(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
@@ -179,6 +182,7 @@ def test_wheel_has_config_and_one_command(wheel):
     assert not [name for name in names if name.startswith(('test', 'bench', 'docs'))]
 
 
+@pytest.mark.once
 def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
     build = 'from setuptools import build_meta; build_meta.build_sdist("{}")'
     run(sys.executable, '-c', build.format(tmp_path), cwd=source)
@@ -188,6 +192,7 @@ def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
         assert sorted(first.namelist()) == sorted(second.namelist())
 
 
+@pytest.mark.once
 def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     python = environment / 'bin/python'
     before = set((environment / 'bin').iterdir())
@@ -198,6 +203,7 @@ def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     assert all(name in listed for name in EXECUTABLES)
 
 
+@pytest.mark.once
 def test_editable_install_finds_config(source, environment, tmp_path):
     python = environment / 'bin/python'
     run(*PIP, '--python', python, 'install', *OFFLINE, '--editable', source, cwd=tmp_path)
@@ -205,6 +211,7 @@ def test_editable_install_finds_config(source, environment, tmp_path):
     assert run(environment / 'bin/soft-throw', cwd=tmp_path)
 
 
+@pytest.mark.once
 def test_checkout_finds_config_without_being_installed(environment, tmp_path):
     python = environment / 'bin/python'
     printed = run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
