@@ -2,6 +2,7 @@
 """What holds for every test; nothing of ROS."""
 
 from collections.abc import Iterator
+import signal
 
 import hypothesis
 import numpy as np
@@ -15,6 +16,11 @@ hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
 
 strays.watch_this_process()
+
+# What tests start hears these signals, even if the tests themselves, run by nohup, do not.
+for number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(autouse=True)
