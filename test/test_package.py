@@ -27,7 +27,15 @@ from soft_throw_ros.configuration.interface import (
 )
 
 ROOT = Path(__file__).parents[1]
-CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.*')}
+
+
+def files_below(folder):
+    """Read all files, by their paths below a folder."""
+    paths = [path for path in folder.rglob('*.*') if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+CONFIG = files_below(ROOT / 'config')
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
 # What is imported: what pip calls it, and rosdep, where lz4 and zstandard come with mcap.
@@ -53,8 +61,9 @@ PRINT_PLACE_AND_CONFIG = """
 from importlib.resources import files
 import soft_throw_ros
 print(soft_throw_ros.__file__)
-for path in files('soft_throw_ros').joinpath('config').iterdir():
-    print(path.name, path.read_bytes().hex())
+config = files('soft_throw_ros') / 'config'
+for path in config.rglob('*.*'):
+    print(path.relative_to(config), path.read_bytes().hex())
 """
 
 
@@ -171,7 +180,11 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
 def test_wheel_has_config_and_one_command(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        content = {Path(name).name: archive.read(name) for name in names if '/config/' in name}
+        content = {
+            name.partition('/config/')[2]: archive.read(name)
+            for name in names
+            if '/config/' in name
+        }
         (scripts,) = [name for name in names if name.endswith('/entry_points.txt')]
         declared = archive.read(scripts).decode().split('\n')
     assert content == CONFIG
@@ -225,7 +238,7 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
     )
     assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
     assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
-    assert {path.name: path.read_bytes() for path in (share / 'config').iterdir()} == CONFIG
+    assert files_below(share / 'config') == CONFIG
     for folder in ('launch', 'rviz', 'urdf'):
         (*paths,) = (ROOT / folder).glob('*.*')
         assert paths
