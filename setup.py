@@ -34,13 +34,13 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[f'{NAME}*']),
     # soft_throw_ros/config is a link to config: the code reads it there however it is installed.
-    package_data={NAME: ['config/*.*']},
+    package_data={NAME: ['config/*.*', 'config/sros2/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         *(
             (f'share/{NAME}/{folder}', sorted(map(str, Path(folder).glob('*.*'))))
-            for folder in ('config', 'launch', 'rviz', 'urdf')
+            for folder in ('config', 'config/sros2', 'launch', 'rviz', 'urdf')
         ),
     ],
     entry_points={'console_scripts': scripts},
@@ -58,7 +58,8 @@ setup(
     ],
     extras_require={
         'dask': ['distributed'],
-        'rerun': ['rerun-sdk>=0.41,<0.42'],  # its interface changes with every minor version
+        # Its interface changes with every minor version; this one has no wheel for Python 3.10.
+        'rerun': ['rerun-sdk>=0.41,<0.42; python_version >= "3.11"'],
         'plot': ['matplotlib'],
         'video': ['av', 'imageio', 'scikit-image>=0.20'],
         'test': [

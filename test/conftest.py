@@ -2,16 +2,25 @@
 """What holds for every test; nothing of ROS."""
 
 from collections.abc import Iterator
+import signal
 
 import hypothesis
 import numpy as np
 import pytest
+import strays
 
 # The same examples in every run, and no deadline, for a first call compiles.
 hypothesis.settings.register_profile('repeatable', deadline=None, derandomize=True)
 # `make fuzz` has other examples in every run, and a failure says how to repeat it.
 hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
+
+strays.watch_this_process()
+
+# What tests start hears these signals, even if the tests themselves, run by nohup, do not.
+for number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(autouse=True)

@@ -27,7 +27,15 @@ from soft_throw_ros.configuration.interface import (
 )
 
 ROOT = Path(__file__).parents[1]
-CONFIG = {path.name: path.read_bytes() for path in (ROOT / 'config').glob('*.*')}
+
+
+def files_below(folder):
+    """Read all files, by their paths below a folder."""
+    paths = [path for path in folder.rglob('*.*') if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+CONFIG = files_below(ROOT / 'config')
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
 # What is imported: what pip calls it, and rosdep, where lz4 and zstandard come with mcap.
@@ -53,8 +61,9 @@ PRINT_PLACE_AND_CONFIG = """
 from importlib.resources import files
 import soft_throw_ros
 print(soft_throw_ros.__file__)
-for path in files('soft_throw_ros').joinpath('config').iterdir():
-    print(path.name, path.read_bytes().hex())
+config = files('soft_throw_ros') / 'config'
+for path in config.rglob('*.*'):
+    print(path.relative_to(config), path.read_bytes().hex())
 """
 
 
@@ -139,6 +148,7 @@ def in_workspace(prefix, *command):
     return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
 
 
+@pytest.mark.once
 def test_versions_agree(metadata):
     (released, *_) = re.findall(
         r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE
@@ -148,6 +158,7 @@ def test_versions_agree(metadata):
     assert released == soft_throw_ros.__version__
 
 
+@pytest.mark.once
 def test_dependencies_are_exactly_what_the_code_imports(metadata):
     trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
     nodes = [node for tree in trees for node in ast.walk(tree)]
@@ -165,10 +176,15 @@ def test_dependencies_are_exactly_what_the_code_imports(metadata):
     assert {line for line in required if 'extra' not in line} == {name for name, _ in needed}
 
 
+@pytest.mark.once
 def test_wheel_has_config_and_one_command(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        content = {Path(name).name: archive.read(name) for name in names if '/config/' in name}
+        content = {
+            name.partition('/config/')[2]: archive.read(name)
+            for name in names
+            if '/config/' in name
+        }
         (scripts,) = [name for name in names if name.endswith('/entry_points.txt')]
         declared = archive.read(scripts).decode().split('\n')
     assert content == CONFIG
@@ -179,6 +195,7 @@ def test_wheel_has_config_and_one_command(wheel):
     assert not [name for name in names if name.startswith(('test', 'bench', 'docs'))]
 
 
+@pytest.mark.once
 def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
     build = 'from setuptools import build_meta; build_meta.build_sdist("{}")'
     run(sys.executable, '-c', build.format(tmp_path), cwd=source)
@@ -188,6 +205,7 @@ def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
         assert sorted(first.namelist()) == sorted(second.namelist())
 
 
+@pytest.mark.once
 def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     python = environment / 'bin/python'
     before = set((environment / 'bin').iterdir())
@@ -198,6 +216,7 @@ def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     assert all(name in listed for name in EXECUTABLES)
 
 
+@pytest.mark.once
 def test_editable_install_finds_config(source, environment, tmp_path):
     python = environment / 'bin/python'
     run(*PIP, '--python', python, 'install', *OFFLINE, '--editable', source, cwd=tmp_path)
@@ -205,6 +224,7 @@ def test_editable_install_finds_config(source, environment, tmp_path):
     assert run(environment / 'bin/soft-throw', cwd=tmp_path)
 
 
+@pytest.mark.once
 def test_checkout_finds_config_without_being_installed(environment, tmp_path):
     python = environment / 'bin/python'
     printed = run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
@@ -218,7 +238,7 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
     )
     assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
     assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
-    assert {path.name: path.read_bytes() for path in (share / 'config').iterdir()} == CONFIG
+    assert files_below(share / 'config') == CONFIG
     for folder in ('launch', 'rviz', 'urdf'):
         (*paths,) = (ROOT / folder).glob('*.*')
         assert paths

@@ -2,6 +2,7 @@
 """What SECURITY.md promises of the sources: nothing is run, unpickled or loaded unsafely."""
 
 import ast
+import itertools
 from pathlib import Path
 import re
 
@@ -70,3 +71,46 @@ def test_addresses_in_the_sources_are_of_this_machine():
     # the address of a scheduler stands in a help text as an example
     assert {address for _, address in found} <= {'127.0.0.1', '10.0.0.1'}
     assert {name for name, address in found if address == '10.0.0.1'} <= {'options.py'}
+
+
+LOCKS = sorted((ROOT / 'requirements').glob('*.lock'))
+
+
+def pins(path):
+    """Read what versions a list of requirements has, and how many checksums each of them."""
+    blocks = re.split(r'\n(?=\S)', path.read_text('ascii').strip())
+    for block in blocks:
+        match = re.match(r'([a-z0-9][\w.-]*)==([^\s;\\]+)', block)
+        assert match, block
+        yield match[1], match[2], len(re.findall(r'\\\n +--hash=sha256:[0-9a-f]{64}\b', block))
+
+
+@pytest.mark.parametrize('path', LOCKS, ids=lambda path: path.name)
+def test_all_that_make_installs_has_a_checksum_and_names_no_server(path):
+    assert all(count > 0 for _, _, count in pins(path))
+    assert not re.search(r'://|^-', path.read_text('ascii'), re.MULTILINE)
+
+
+@pytest.mark.parametrize('name', ['jazzy', 'kilted'])
+def test_lock_has_what_is_asked_for(name):
+    text = (ROOT / 'requirements' / f'{name}.txt').read_text('ascii')
+    asked = set(re.findall(r'^([\w-]+)(?:\[\w+\])?==(\S+)', text, re.MULTILINE))
+    assert asked
+    assert asked <= {
+        (package, version) for package, version, _ in pins(LOCKS[0].with_name(f'{name}.lock'))
+    }
+
+
+def test_locks_have_what_the_package_depends_on():
+    (call,) = (
+        node for node in nodes_of(ROOT / 'setup.py')
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == 'setup'
+    )  # fmt: skip
+    given = {item.arg: item.value for item in call.keywords}
+    needed = ast.literal_eval(given['install_requires'])
+    extras = ast.literal_eval(given['extras_require'])
+    names = {
+        re.match(r'[\w.-]+', text)[0].lower().replace('_', '-')
+        for text in itertools.chain(needed, *extras.values())
+    }
+    assert names <= {package for path in LOCKS for package, _, _ in pins(path)}

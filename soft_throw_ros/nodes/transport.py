@@ -17,6 +17,8 @@ _CHOICES = (
 )
 """Who sets one of these has chosen."""
 
+_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+
 
 def distribution() -> str:
     """Return the name of the ROS distribution, empty if it is not known."""
@@ -24,11 +26,18 @@ def distribution() -> str:
 
 
 def use_transport_profile() -> None:
-    """Have Fast DDS, if that is the middleware, let messages wait for a second; before `init`."""
+    """
+    Have Fast DDS, if that is the middleware, let messages wait for a second; before `init`.
+
+    Where discovery is limited to this machine, its ports are open to this machine only.
+
+    """
     if not any(name in os.environ for name in _CHOICES):
         is_former = int(_rclpy_version()) < _KILTED  # which would read the other one, too
         name = f'FAST{"RTPS" if is_former else "DDS"}_DEFAULT_PROFILES_FILE'
-        os.environ[name] = str(resources.files('soft_throw_ros') / 'config' / 'fastdds.xml')
+        is_local = os.environ.get(_RANGE) in {'LOCALHOST', 'OFF'}
+        file = 'fastdds_loopback.xml' if is_local else 'fastdds.xml'
+        os.environ[name] = str(resources.files('soft_throw_ros') / 'config' / file)
 
 
 def _rclpy_version() -> str:

@@ -111,6 +111,7 @@ def totals(line: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+@pytest.mark.once
 @pytest.mark.parametrize('rules', [[], ['split.duration:=1.0']], ids=['one file', 'split'])
 @pytest.mark.parametrize('room', ['never', 'at the end', 'meanwhile'])
 def test_full_disk_is_told_every_second_and_the_bag_is_finished_once_there_is_room(
@@ -147,6 +148,7 @@ def test_full_disk_is_told_every_second_and_the_bag_is_finished_once_there_is_ro
     assert states == list(range(states[0], states[0] + len(states)))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize('rules', [[], ['split.duration:=1.0']], ids=['one file', 'split'])
 def test_folder_that_is_deleted_is_told_and_nothing_of_it_is_counted_as_recorded(
     record, ros, talk, tmp_path, rules
@@ -160,6 +162,7 @@ def test_folder_that_is_deleted_is_told_and_nothing_of_it_is_counted_as_recorded
     assert received == lost > 1100
 
 
+@pytest.mark.once
 def test_place_that_can_never_be_written_is_told_and_all_is_lost(record, talk, tmp_path) -> None:
     place = tmp_path / 'place'
     place.write_text('in the way')
@@ -170,6 +173,7 @@ def test_place_that_can_never_be_written_is_told_and_all_is_lost(record, talk, t
     assert received == lost > 100
 
 
+@pytest.mark.once
 def test_place_that_cannot_be_written_is_told_until_it_can(record, ros, talk, tmp_path) -> None:
     place = tmp_path / 'place'
     place.write_text('in the way')

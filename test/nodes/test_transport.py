@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The transport profile of Fast DDS; what it is good for is in `test_recorder_faults`."""
+"""The transport profiles of Fast DDS; what else they are good for is in `test_recorder_faults`."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+import subprocess
+import sys
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -15,10 +17,34 @@ VARIABLES = (
     'FASTDDS_DEFAULT_PROFILES_FILE',
     'FASTRTPS_DEFAULT_PROFILES_FILE',
 )
+CONFIG = Path(__file__).parents[2] / 'config'
+LISTEN = """
+from pathlib import Path
+from soft_throw_ros.nodes.transport import use_transport_profile
+use_transport_profile()
+import rclpy
+rclpy.init()
+node = rclpy.create_node('listening')
+inodes = {path.resolve().name[8:-1] for path in Path('/proc/self/fd').iterdir()}
+for line in Path('/proc/net/udp').read_text().splitlines()[1:]:
+    fields = line.split()
+    if fields[9] in inodes:
+        print(fields[1])
+"""
 
 
 @pytest.mark.parametrize('chosen', [None, *VARIABLES])
-def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
+@pytest.mark.parametrize(
+    ('reach', 'ours'),
+    [
+        (None, 'fastdds.xml'),
+        ('SUBNET', 'fastdds.xml'),
+        ('LOCALHOST', 'fastdds_loopback.xml'),
+        ('OFF', 'fastdds_loopback.xml'),
+    ],
+)
+def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen, reach, ours) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach or '')
     for name in VARIABLES:
         monkeypatch.setenv(name, 'theirs')  # so that it is put back, whatever is done to it
         if name != chosen:
@@ -29,7 +55,44 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
         assert found == {chosen: 'theirs'}
         return
     (path,) = found.values()
-    assert Path(path).name == 'fastdds.xml'
-    root = ET.parse(path).getroot()
-    sizes = [int(item.text) for item in root.iter() if item.tag.endswith('queue_capacity')]
+    assert Path(path).name == ours
+
+
+def test_profiles_let_a_second_wait_and_differ_in_who_is_heard() -> None:
+    plain, local = (ET.parse(CONFIG / f'fastdds{end}.xml').getroot() for end in ('', '_loopback'))
+    sizes = [int(item.text) for item in plain.iter() if item.tag.endswith('queue_capacity')]
     assert min(sizes) > 5000  # messages of a second at the highest rate
+    (udp,) = (
+        item
+        for item in local.iter()
+        if any(part.tag.endswith('interfaceWhiteList') for part in item)
+    )
+    (heard,) = (part for part in udp if part.tag.endswith('interfaceWhiteList'))
+    assert [address.text for address in heard] == ['127.0.0.1']
+    udp.remove(heard)
+    assert _values(plain) == _values(local)
+
+
+@pytest.mark.parametrize(
+    ('reach', 'address'), [('LOCALHOST', '0100007F'), ('OFF', '0100007F'), ('SUBNET', '00000000')]
+)
+def test_ports_are_open_to_this_machine_only_unless_others_are_wanted(
+    domain_id, reach, address
+) -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
+    printed = subprocess.run(
+        [sys.executable, '-c', LISTEN],
+        env=environment | {'ROS_AUTOMATIC_DISCOVERY_RANGE': reach},
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    sockets = [line.split(':') for line in printed.splitlines()]
+    first = 7400 + 250 * domain_id  # where DDS listens; what sends has any other port
+    found = {host for host, port in sockets if first <= int(port, 16) < first + 250}
+    assert address in found
+    assert found <= {address, '0100FFEF'}  # and the group 239.255.0.1, that finds others
+
+
+def _values(root: ET.Element) -> list[tuple[str, str]]:
+    return [(item.tag, (item.text or '').strip()) for item in root.iter()]

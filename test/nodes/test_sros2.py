@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The policies of SROS 2 let each node do what it does, and nothing else.
+
+That DDS enforces them is not tested: the wheels of ROS are built without its security.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import bags
+import pytest
+from rclpy.node import Node
+from soft_throw_ros.configuration.interface import INTERFACES, resolve, TWIN_TOPICS
+from soft_throw_ros.nodes.calibrator import Calibrator
+from soft_throw_ros.nodes.player import Player
+from soft_throw_ros.nodes.recorder import Recorder
+from soft_throw_ros.recording.bag_reader import BagReader
+
+etree = pytest.importorskip('lxml.etree')  # which knows XInclude as sros2 does
+
+POLICY = Path(__file__).parents[2] / 'config/sros2/policy.xml'
+NODES = ('twin', 'recorder', 'replay', 'calibrator')
+OF_ALL = {
+    'publish': {'/parameter_events', '/rosout', '/diagnostics'},
+    'subscribe': {'/parameter_events', '/clock'},
+}
+"""What every node may do, besides answering for its parameters and types."""
+
+OF_THE_TWIN = {resolve(topic.name, '/twin') for topic in TWIN_TOPICS}
+
+ENDINGS = (
+    '/describe_parameters', '/get_parameter_types', '/get_parameters', '/get_type_description',
+    '/list_parameters', '/set_parameters', '/set_parameters_atomically',
+)  # fmt: skip
+
+Rules = dict[str, set[str]]
+
+
+def rules_of(name: str) -> Rules:
+    """Read what the policy allows a node, with full names."""
+    policy = etree.parse(POLICY)
+    policy.xinclude()
+    (profile,) = policy.findall(f'.//enclave[@path="/soft_throw/{name}"]/profiles/profile')
+    assert (profile.get('ns'), profile.get('node')) == ('/', name)
+    rules: Rules = {}
+    for listed in profile:
+        names = {resolve(item.text, f'/{name}') for item in listed}
+        assert all(item.startswith('/') for item in names)
+        for verb, value in listed.attrib.items():
+            if not verb.startswith('{'):  # where it is included from
+                assert value == 'ALLOW'
+                rules.setdefault(verb, set()).update(names)
+    return rules
+
+
+def test_every_topic_and_service_of_the_tables_is_in_a_policy() -> None:
+    for name in NODES:
+        allowed = rules_of(name)
+        topics, services = INTERFACES[name]
+        for topic in topics:
+            verb = 'subscribe' if topic.is_input else 'publish'
+            full = topic.name if topic.name.startswith(('~', '/')) else f'/{topic.name}'
+            assert resolve(full, f'/{name}') in allowed[verb]
+        own = {resolve(service.name, f'/{name}') for service in services}
+        about_parameters = {item for item in allowed['reply'] if item.endswith(ENDINGS)}
+        assert allowed['reply'] == own | about_parameters
+        assert len(about_parameters) == len(ENDINGS)
+
+
+def test_recorder_hears_and_replay_says_all_that_a_twin_does() -> None:
+    assert rules_of('recorder')['subscribe'] >= OF_THE_TWIN
+    assert rules_of('replay')['publish'] >= OF_THE_TWIN
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_nobody_may_publish_for_others(name) -> None:
+    published = rules_of(name)['publish'] - OF_ALL['publish']
+    if name == 'replay':
+        assert published == OF_THE_TWIN - {'/diagnostics'} | {'/clock'}
+    else:
+        assert all(item.startswith(f'/{name}/') for item in published)
+
+
+@pytest.fixture
+def make(ros: Any, start_twin: Any, tmp_path: Path) -> Iterator[Callable[[str], Node]]:
+    """Make a node as a user does who uses all of it."""
+    readers = contextlib.ExitStack()
+
+    def make(name: str) -> Node:
+        if name == 'twin':
+            return start_twin('-p', 'engine.motion:=measured', '-p', 'use_sim_time:=true')
+        if name == 'replay':
+            path = tmp_path / 'bag'
+            bags.write(path, [bags.Message(bags.channel('/twin/phase'), bags.text('rest'), 1, 1)])
+            return ros.node(Player, readers.enter_context(BagReader(path)), clock=10.0)
+        words = ('-p', 'rig:=rig')
+        if name == 'recorder':
+            start_twin()
+            words = ('-p', f'folder:={tmp_path}')
+        node = ros.node(
+            {'recorder': Recorder, 'calibrator': Calibrator}[name],
+            ros_args=words,
+            arguments=('--ros-args', *words),
+        )
+        if name == 'recorder':
+            node.start()
+            ros.spin_until(lambda: '/twin/journal' in subscribed(node), 'the topics of the twin')
+        return node
+
+    yield make
+    readers.close()
+
+
+def subscribed(node: Node) -> set[str]:
+    return {item.topic_name for item in node.subscriptions}
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_node_does_nothing_that_its_policy_forbids(make, name) -> None:
+    node = make(name)
+    asked = (node.get_name(), node.get_namespace())
+    does = {
+        'publish': node.get_publisher_names_and_types_by_node(*asked),
+        'subscribe': node.get_subscriber_names_and_types_by_node(*asked),
+        'reply': node.get_service_names_and_types_by_node(*asked),
+        'request': node.get_client_names_and_types_by_node(*asked),
+    }
+    allowed = rules_of(name)
+    for verb, found in does.items():
+        names = {full for full, _ in found}
+        assert names <= allowed.get(verb, set()), verb
+    assert does['publish']
+    assert does['reply']

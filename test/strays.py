@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What tests have started ends with them, however they end.
+
+A signal of the kernel (PR_SET_PDEATHSIG) would reach children only, and also when the thread ends
+that has started them. So each process of tests has a watcher: it waits for the end of the tests,
+and then ends whatever has their number in its environment, as all that they start inherits it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import select
+import signal
+import sys
+import time
+
+VARIABLE = 'SOFT_THROW_STARTED_BY_TESTS'
+"""Names the process of tests in the environment of what it starts."""
+
+PATIENCE = 5.0
+"""How long processes may take to end when they are asked to. [s]"""
+
+
+def watch_this_process() -> None:
+    """Have all that this process starts from now on end with it."""
+    own = str(os.getpid())
+    if os.environ.get(VARIABLE) == own:
+        return
+    os.environ[VARIABLE] = own
+    os.posix_spawn(
+        sys.executable,
+        [sys.executable, '-S', '-E', __file__, own],
+        {name: value for name, value in os.environ.items() if name != VARIABLE},
+        file_actions=[(os.POSIX_SPAWN_OPEN, fd, os.devnull, os.O_RDWR, 0) for fd in range(3)],
+        setsid=True,  # Ctrl-C in a terminal is not for the watcher
+    )
+
+
+def _watch(tests: int) -> None:
+    """Wait for the end of the tests, then ask what they have started to end, and then end it."""
+    if os.getppid() == tests:
+        select.select([os.pidfd_open(tests)], [], [])
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        deadline = time.monotonic() + PATIENCE
+        while (strays := list(_started_by(tests))) and time.monotonic() < deadline:
+            for pid in strays:
+                _send(pid, number)
+            time.sleep(0.1)
+
+
+def _started_by(tests: int) -> Iterator[int]:
+    mark = f'{VARIABLE}={tests}'.encode()
+    for path in Path('/proc').glob('[0-9]*/environ'):
+        try:
+            if mark in path.read_bytes().split(b'\0'):
+                yield int(path.parent.name)
+        except OSError:  # it is gone, or somebody else's
+            continue
+
+
+def _send(pid: int, number: int) -> None:
+    try:
+        os.kill(pid, number)
+    except OSError:  # it is gone
+        return
+
+
+if __name__ == '__main__':
+    _watch(int(sys.argv[1]))
