@@ -199,7 +199,7 @@ def draw(design: MotionDesign, path: Path) -> None:
         'release', (release, 0.02), xycoords=('data', 'axes fraction'), color='0.4',
         textcoords='offset points', xytext=(-4, 0), ha='right',
     )  # fmt: skip
-    above.legend(frameon=False, title='motion: ejection speed')
+    above.legend(frameon=False, title='motion: ejection speed', fontsize='small', loc='lower left')
     figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
 

@@ -475,6 +475,9 @@ class _Programme:
             return None, 0.0
         pulses = limits.speed * (rise @ found.x)
         pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
+        if rig.gravity == 0.0:  # while it waits, what is below zero by rounding would let go
+            start = int((np.abs(pulses) > 1e-3 * np.abs(pulses).max()).argmax())
+            pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
         return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
 
     def _pushing(self, release: int, size: int, floor: float) -> tuple[csr_matrix, Floats]:
