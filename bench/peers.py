@@ -17,13 +17,18 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import differential_evolution
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.plate_motion import PlateLimits
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 LONGEST = 400.0
 """After this many crossings one gives up."""
+
+LONGEST_MOTION = 25.0
+"""Crossings for which a plate is accelerated: as long as the best one takes."""
 
 
 class Release(NamedTuple):
@@ -105,6 +110,47 @@ def rigid_kernel(mu, omega, zeta, cells) -> tuple[float, float]:
             u[j] += dt * v[j]
         u[0] = _plate(omega, zeta, i * dt)
     return math.nan, math.nan
+
+
+@_jit
+def driven_kernel(mu, gravity, travel, accelerations, interval, cells) -> float:
+    """Speed at the first release from a plate of speed 1 at most, accelerated piece by piece."""
+    u = np.zeros(cells + 1)
+    v = np.zeros(cells + 1)
+    dt = 1.0 / cells
+    plate = lowest = highest = 0.0
+    for i in range(int(LONGEST * cells)):
+        pull = (u[cells] - u[cells - 1]) * cells
+        if pull > mu * gravity:
+            return v[cells]
+        for j in range(1, cells):
+            v[j] += cells * (u[j + 1] - 2.0 * u[j] + u[j - 1])
+        v[cells] -= dt * pull / (mu + 0.5 * dt)
+        for j in range(1, cells + 1):
+            u[j] += dt * v[j]
+        piece = int(i * dt / interval)
+        if piece < accelerations.size:
+            plate = min(max(plate + dt * accelerations[piece], -1.0), 1.0)
+        u[0] += dt * plate
+        lowest, highest = min(lowest, u[0]), max(highest, u[0])
+        if highest - lowest > travel:
+            return 0.0
+    return 0.0
+
+
+def searched_motion(rig: Rig, limits: PlateLimits, *, pieces: int, cells: int) -> float:
+    """Search for the accelerations that throw best, by SciPy; alpha. The plate need not brake."""
+    time, speed = rig.crossing_time, limits.speed
+    gravity, travel = rig.gravity * time / speed, limits.travel / (speed * time)
+    most, interval = limits.acceleration * time / speed, LONGEST_MOTION / pieces
+    found = differential_evolution(
+        lambda parts: (
+            -driven_kernel(rig.mass_ratio, gravity, travel, most * parts, interval, cells)
+        ),
+        [(-1.0, 1.0)] * pieces,
+        rng=1,
+    )
+    return float(found.fun**2)
 
 
 @_jit

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is computed, against other ways: throws, maps, a second of the rig, recommendations."""
+"""What is computed, against other ways: throws, maps, seconds, recommendations, motions."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from soft_throw_ros.core.smoothing import smooth
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.objective import Limits, Robust
+from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.recording.bag_reader import BagReader
 
@@ -373,6 +374,29 @@ def recommendation() -> Table:
     return Table('one recommendation', 'answer', 'alpha lost, relative', cases)
 
 
+def motion() -> Table:
+    """List ways to the motion of the plate that throws best, within what it does now."""
+    rig = Rig()
+    limits = PlateLimits.of(rig.engine)
+    best = find_best_motion(rig, limits).energy_transfer
+
+    def found() -> float:
+        return float(find_best_motion(rig, limits).energy_transfer)
+
+    cases = [
+        Case('linear programmes, to rest and without a re-contact', found),
+        *(
+            Case(f'differential evolution of {pieces} accelerations, 50 cells, numba',
+                 partial(peers.searched_motion, rig, limits, pieces=pieces, cells=50))
+            for pieces in (8, 24)
+        ),
+    ]  # fmt: skip
+    return Table(
+        'one motion', 'motion', 'alpha lost, relative',
+        [case._replace(error=lambda alpha: 1.0 - alpha / best) for case in cases],
+    )  # fmt: skip
+
+
 # A measured plate
 
 
@@ -456,6 +480,7 @@ TABLES = (
     landscape,
     one_second,
     recommendation,
+    motion,
     smoothing,
     growth_with_cells,
     growth_with_crossings,

@@ -62,7 +62,10 @@ _LIMITS = (
     'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
     'thickness_max', 'wave_speed_min', 'wave_speed_max', 'max_strain', 'max_acceleration',
 )  # fmt: skip
-_HEADS = {'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer'}
+_HEADS = {
+    'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer',
+    'linear': 'linear_layer',
+}  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,7 +133,11 @@ def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
             'plate_travel': does.travel,
         }
     yield from write_columns(_ROWS, columns)
-    beyond = [head for head, each in columns.items() if each and each['peak_strain'] > max_strain]
+    beyond = [
+        _HEADS.get(name, name)
+        for name, throw in design.throws.items()
+        if throw.peak_strain > rigs[name].layer.linear_range(max_strain)
+    ]
     if beyond:
         yield strain_warning(max_strain, ', '.join(beyond).replace('_', ' '))
 
@@ -192,7 +199,7 @@ def draw(design: MotionDesign, path: Path) -> None:
         'release', (release, 0.02), xycoords=('data', 'axes fraction'), color='0.4',
         textcoords='offset points', xytext=(-4, 0), ha='right',
     )  # fmt: skip
-    above.legend(frameon=False, title='motion: ejection speed')
+    above.legend(frameon=False, title='motion: ejection speed', fontsize='small', loc='lower left')
     figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
 

@@ -49,7 +49,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads
 from soft_throw_ros.core.cells import (
-    ANCHOR,
     BURDEN,
     crossing_time,
     CURVATURE,
@@ -60,19 +59,24 @@ from soft_throw_ros.core.cells import (
     INVERSE,
     LARGEST,
     LEAST,
+    LENGTH,
     make_bodies,
     make_grid,
     make_massless_grid,
     MASS,
     MEAN_VELOCITY,
     MEMORY,
+    OFFSET,
     POSITION,
+    PULL,
     REST,
     ROWS,
     SHOCK,
+    SHORTEST,
     solve,
     SOLVER,
     SPEED,
+    SPRING,
     STATIC,
     STIFF,
     STIFFNESS,
@@ -129,6 +133,7 @@ MAX_CROSSING_RATIO = 32.0
 """Slowest projectile of `first_throws`: it has as many times more cells than the layer."""
 
 _CELLS = 64
+_USUAL_NODES = _CELLS + 2
 _CELLS_PER_RELAXATION = 12.0  # for 1e-4 in the speed, if there is time for it, ...
 _FEWEST_PER_RELAXATION = 4.0  # and for 1e-3
 _STEPS_PER_PERIOD = 120.0
@@ -338,8 +343,8 @@ def _prepare(core, nodes, bodies, omega):
     for j in range(last):
         nodes[VISCOSITY + 1, j] = nodes[VISCOSITY, j]
         s.is_curved = s.is_curved or nodes[CURVATURE, j] > 0.0
-        if nodes[CURVATURE, j] == 0.0:
-            nodes[LEAST, j] = 1.0  # so that nothing is divided by zero
+        nodes[SPRING, j] = nodes[STIFFNESS, j]
+        nodes[LENGTH, j] = nodes[SHORTEST, j] = 1.0  # so that nothing is divided by zero
         for element in range(3):
             s.remembers = s.remembers or nodes[STRENGTH + element, j] > 0.0
         s.is_viscous = s.is_viscous or nodes[VISCOSITY, j] > 0.0
@@ -382,7 +387,12 @@ def _prepare(core, nodes, bodies, omega):
         if nodes[CURVATURE, j] > 0.0:
             nodes[STATIC, j] = 1.0 - static_stretch(carried / nodes[CURVATURE, j])
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (nodes[INVERSE, j] * s.step))
-            nodes[ANCHOR, j] = -nodes[CURVATURE, j] * _tension_of(1.0 - nodes[STATIC, j], 0.0)
+            inverse = nodes[INVERSE, j]
+            nodes[SPRING, j] = nodes[CURVATURE, j] * inverse
+            nodes[PULL, j] = nodes[CURVATURE, j] / (inverse * inverse)
+            nodes[LENGTH, j] = (1.0 - nodes[STATIC, j]) / inverse
+            nodes[SHORTEST, j] = nodes[LEAST, j] / inverse
+            nodes[OFFSET, j] = nodes[PULL, j] * _inverse_square(nodes[LENGTH, j], 0.0)
         else:
             nodes[STATIC, j] = carried / nodes[STIFFNESS, j] * nodes[INVERSE, j]
     for j in range(s.bottom, top):
@@ -408,26 +418,23 @@ def _strain(s, nodes):
 
 
 @inlined
-def _tension_of(ratio, least):
-    """Compute the nominal stress of a neo-Hookean rod in E / 3, beyond `least` by its tangent."""
-    held = max(ratio, least)
-    inverse = 1.0 / held
-    square = inverse * inverse
-    return held - square + (ratio - held) * (1.0 + 2.0 * square * inverse)
+def _inverse_square(length, shortest):
+    """Compute one over the square of a length, and below the shortest along the tangent."""
+    inverse = 1.0 / max(length, shortest)
+    ratio = length * inverse
+    return inverse * inverse * (3.0 - (ratio + ratio))
 
 
 @reduction
 def _strain_curved(s, nodes):
     """Compute the tension of linear and neo-Hookean links; the power of shocks, to a tenth."""
-    stress, total = STRESS + (s.index & 1), 0.0
+    stress, total, fastest = STRESS + (s.index & 1), 0.0, -s.fastest_shock
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
-        ratio = 1.0 + stretch * nodes[INVERSE, j] - nodes[STATIC, j]
-        tension = _tension_of(ratio, nodes[LEAST, j])
+        pull = nodes[PULL, j] * _inverse_square(nodes[LENGTH, j] + stretch, nodes[SHORTEST, j])
         closing = min(nodes[VELOCITY, j + 1] - nodes[VELOCITY, j], 0.0)
-        shock = nodes[SHOCK, j] * closing * max(closing, -s.fastest_shock)
-        tension = nodes[CURVATURE, j] * tension + nodes[ANCHOR, j] - shock
-        nodes[stress, j] = nodes[STIFFNESS, j] * stretch + tension
+        shock = nodes[SHOCK, j] * closing * max(closing, fastest)
+        nodes[stress, j] = nodes[SPRING, j] * stretch + (nodes[OFFSET, j] - pull) - shock
         total -= shock * closing
     return total
 
@@ -435,10 +442,9 @@ def _strain_curved(s, nodes):
 @reduction
 def _remember(s, nodes):
     """Add the tension of the Maxwell elements, by the trapezoidal rule; their power of heat."""
-    stress, total = STRESS + (s.index & 1), 0.0
+    stress, heat_0, heat_1, heat_2 = STRESS + (s.index & 1), 0.0, 0.0, 0.0
     keep_0, keep_1, keep_2 = s.keep[0], s.keep[1], s.keep[2]
     take_0, take_1, take_2 = s.take[0], s.take[1], s.take[2]
-    rate_0, rate_1, rate_2 = s.relaxation[0], s.relaxation[1], s.relaxation[2]
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[DISPLACEMENT, j + 1] - nodes[DISPLACEMENT, j]
         change = stretch - nodes[STRETCH, j]
@@ -450,15 +456,17 @@ def _remember(s, nodes):
         pull_0 = nodes[STRENGTH, j] * first
         pull_1, pull_2 = nodes[STRENGTH + 1, j] * second, nodes[STRENGTH + 2, j] * third
         nodes[stress, j] += pull_0 + pull_1 + pull_2
-        total += rate_0 * pull_0 * first + rate_1 * pull_1 * second + rate_2 * pull_2 * third
-    return total
+        heat_0 += pull_0 * first
+        heat_1 += pull_1 * second
+        heat_2 += pull_2 * third
+    return s.relaxation[0] * heat_0 + s.relaxation[1] * heat_1 + s.relaxation[2] * heat_2
 
 
 @inlined
 def _accelerate(s, nodes):
     """Compute the velocities of all nodes at the whole step."""
-    # In flight both sides of the joint are free of the weight
-    nodes[STRESS + (s.index & 1), s.joint] = 0.0 if s.contact else s.thrown * s.gravity
+    if not s.contact:  # both sides of the joint are free of the weight
+        nodes[STRESS + (s.index & 1), s.joint] = s.thrown * s.gravity
     solve(s, nodes, s.index & 1, 1 if s.contact else 0)
 
 
@@ -636,7 +644,7 @@ def _land(s, nodes, events):
     _note_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
 
 
-@part
+@inlined
 def _march(s, nodes, path, events, goal):
     """Advance to step `goal`, or into one with more events than there is room for."""
     step, joint = s.step, s.joint
@@ -705,7 +713,7 @@ def _strain_of(nodes, row, j):
     return stretch * nodes[INVERSE, j] - nodes[STATIC, j]
 
 
-@part
+@inlined
 def _compare_loads(s, nodes):
     """Look whether anything is larger than it has been."""
     for j in range(nodes.shape[1] - 1):
@@ -757,11 +765,14 @@ def _advance(core, nodes, path, events, time):
         goal -= 1
     if goal * step > grid.horizon:
         return BEYOND_HORIZON
-    _march(grid, nodes, path, events, goal)
+    if nodes.shape[1] == _USUAL_NODES:  # known, so that no loop has to ask what may overlap
+        _march(grid, nodes, path, events, goal)
+    else:
+        _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
         return TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
-    _copy_record(core)
+    core[1] = core[0]
     s.piece = piece
     s.time = time
     s.part = 1.0
@@ -823,25 +834,25 @@ def _move_nodes(s, nodes):
 def _read_layer(core, nodes, places, out):
     """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
     s = core[1]
-    height, velocity, force = out[0], out[1], out[2]
     _move_nodes(s, nodes)
+    one = np.uintp(1)  # any other index is looked at whether it counts from the end
     for n in range(places.size):
-        j, k, part, weight = places[n].cell, places[n].beside, places[n].part, places[n].weight
-        below, above = (
-            nodes[REST, j] + nodes[POSITION, j],
-            nodes[REST, j + 1] + nodes[POSITION, j + 1],
-        )
-        height[n] = below + part * (above - below)
-        velocity[n] = nodes[SPEED, j] + part * (nodes[SPEED, j + 1] - nodes[SPEED, j])
-        force[n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
+        j, k = np.uintp(places[n].cell), np.uintp(places[n].beside)
+        part, weight = places[n].part, places[n].weight
+        below = nodes[REST, j] + nodes[POSITION, j]
+        above = nodes[REST, j + one] + nodes[POSITION, j + one]
+        out[0, n] = below + part * (above - below)
+        out[1, n] = nodes[SPEED, j] + part * (nodes[SPEED, j + one] - nodes[SPEED, j])
+        out[2, n] = nodes[FORCE, j] + weight * (nodes[FORCE, k] - nodes[FORCE, j])
         if out.shape[0] > 3:
-            here = _strain_of(nodes, POSITION, j)
-            out[3, n] = here + weight * (_strain_of(nodes, POSITION, k) - here)
+            here = _strain_of(nodes, POSITION, places[n].cell)
+            there = _strain_of(nodes, POSITION, places[n].beside)
+            out[3, n] = here + weight * (there - here)
 
 
 @part
 def _elastic_energy(ratio, least):
-    """Integrate the tension of `_add_curvature` over the stretch."""
+    """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
     held = max(ratio, least)
     slope = 1.0 + 2.0 / held**3
     beyond = ratio - held
@@ -866,7 +877,7 @@ def _stored_energy(core, nodes):
             elastic = _elastic_energy(start + stretch * nodes[INVERSE, j], nodes[LEAST, j])
             elastic -= _elastic_energy(start, nodes[LEAST, j])
             total += nodes[CURVATURE, j] / nodes[INVERSE, j] * elastic
-            total += nodes[ANCHOR, j] * stretch
+            total += (nodes[OFFSET, j] - nodes[CURVATURE, j] * start) * stretch
         for element in range(3):  # which go on by their last rate
             memory = nodes[MEMORY + element, j]
             change = nodes[STRETCH, j] - nodes[POSITION, j + 1] + nodes[POSITION, j]
@@ -874,15 +885,6 @@ def _stored_energy(core, nodes):
             total += 0.5 * nodes[STRENGTH + element, j] * memory**2
         total += 0.5 * nodes[MASS, j + 1] * speed[j + 1] ** 2
     return total
-
-
-@part
-def _copy_record(core):
-    """Let the second record be as the first."""
-    numbers = core.view(np.float64)
-    size = numbers.size // core.size
-    for k in range(size):
-        numbers[size + k] = numbers[k]
 
 
 @kernel
@@ -901,7 +903,7 @@ def _reset(core, nodes):
     s.on_projectile_now = weight
     s.on_plate_before = s.on_plate_until = s.on_plate_now
     s.on_projectile_before = s.on_projectile_until = weight
-    _copy_record(core)
+    core[1] = core[0]
 
 
 @kernel
@@ -1085,6 +1087,13 @@ _advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64
 _read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(_PLACE)[::1], _ROWS)
 
 
+def _aligned_zeros(rows: int, columns: int) -> Floats:
+    """Make a table that begins with a line of the cache: 5 % faster than 16 bytes beside it."""
+    room = np.zeros(rows * columns + 8)
+    start = -room.ctypes.data % 64 // 8
+    return room[start : start + rows * columns].reshape(rows, columns)
+
+
 class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
@@ -1152,7 +1161,7 @@ class CellStepper(Stepper):
         self.model = model
         self.cells = int(grid.counts.sum())
         self.step = grid.step
-        self._nodes = np.zeros((ROWS, self.cells + grid.bars + 2))
+        self._nodes = _aligned_zeros(ROWS, self.cells + grid.bars + 2)
         self._places = np.array(grid.places(field_points), _PLACE)
         bottom = 1 if model == 'finite_difference_glued' else 0
         for name in ('cell', 'beside'):

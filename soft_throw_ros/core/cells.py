@@ -54,7 +54,11 @@ MAX_PROJECTILE_CELLS = 1 << 15
     STIFFNESS,  # of the linear spring
     CURVATURE,  # a third of E S of a neo-Hookean one
     LEAST,  # stretch up to which it is followed
-    ANCHOR,  # its compression at rest, as a force
+    SPRING,  # of any link, what is in proportion to its stretch,
+    OFFSET,  # a constant,
+    PULL,  # and what is taken from them, over the square of
+    LENGTH,  # the length, with that at rest,
+    SHORTEST,  # and that up to which it is followed; 1 for links that are linear
     SHOCK,  # what its artificial viscosity takes from the square of a change of velocity
     STRENGTH,  # of the Maxwell elements
     _STRENGTH_1,
@@ -83,7 +87,7 @@ MAX_PROJECTILE_CELLS = 1 << 15
     SPEED,
     FORCE,
     ROWS,
-) = range(43)
+) = range(47)
 
 SOLVER = [
     ('systems', 'i8', (2, 4)),  # what follows, in flight and in contact
@@ -408,6 +412,24 @@ def _eliminate(nodes, case, first, merge, end, rigid):
 
 
 @inlined
+def _go_up(nodes, x, share, j, a, here, next_):
+    """Follow a chain by two nodes, of which the second waits for no more than the first does."""
+    one = np.uintp(1)
+    s, t = nodes[share, j - one], nodes[share, j]
+    nodes[x, j], nodes[x, j + one] = here + s * a, next_ + t * here + t * s * a
+    return nodes[x, j + one]
+
+
+@inlined
+def _go_down(nodes, x, share, j, a, here, next_):
+    """Follow a chain by two nodes downwards."""
+    one = np.uintp(1)
+    s, t = nodes[share, j], nodes[share, j - one]
+    nodes[x, j], nodes[x, j - one] = here + s * a, next_ + t * here + t * s * a
+    return nodes[x, j - one]
+
+
+@inlined
 def _substitute(nodes, x, case, first, end, quarter):
     """Solve the two parts beside the separator for row x, in four chains side by side."""
     # Unsigned, since any other index is looked at whether it counts from the end
@@ -418,22 +440,38 @@ def _substitute(nodes, x, case, first, end, quarter):
     rest = high + quarter
     for j in range(int(end), int(rest), -1):
         nodes[x, j - 1] += nodes[share, j - 1] * nodes[x, j]
+    two, odd = (
+        np.uintp(2),
+        quarter & one,
+    )  # the outermost node of each chain, if it is one too many
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    for i in range(quarter):
+    if odd:
+        a, b = nodes[x, first], nodes[x, separator - one]
+        c, d = nodes[x, separator + one], nodes[x, rest]
+    for i in range(odd, quarter, two):
         j, k, m, n = first + i, separator - one - i, separator + one + i, rest - i
-        a = nodes[x, j] + nodes[share, j - one] * a
-        b = nodes[x, k] + nodes[share, k] * b
-        c = nodes[x, m] + nodes[share, m - one] * c
-        d = nodes[x, n] + nodes[share, n] * d
-        nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
+        a = _go_up(nodes, x, share, j, a, nodes[x, j], nodes[x, j + one])
+        b = _go_down(nodes, x, share, k, b, nodes[x, k], nodes[x, k - one])
+        c = _go_up(nodes, x, share, m, c, nodes[x, m], nodes[x, m + one])
+        d = _go_down(nodes, x, share, n, d, nodes[x, n], nodes[x, n - one])
     a = nodes[x, low] + nodes[share, low - one] * a + nodes[share, low] * b
     c = nodes[x, high] + nodes[share, high - one] * c + nodes[share, high] * d
     a *= nodes[gain, low]
     c *= nodes[gain, high]
     nodes[x, low], nodes[x, high] = a, c
     b, d = a, c
-    for i in range(one, quarter + one):
+    for i in range(one, quarter, two):
         j, k, m, n = low - i, low + i, high - i, high + i
+        y, z = nodes[gain, j] * nodes[x, j], nodes[gain, j - one] * nodes[x, j - one]
+        a = _go_down(nodes, x, share, j, a, y, z)
+        y, z = nodes[gain, k] * nodes[x, k], nodes[gain, k + one] * nodes[x, k + one]
+        b = _go_up(nodes, x, share, k, b, y, z)
+        y, z = nodes[gain, m] * nodes[x, m], nodes[gain, m - one] * nodes[x, m - one]
+        c = _go_down(nodes, x, share, m, c, y, z)
+        y, z = nodes[gain, n] * nodes[x, n], nodes[gain, n + one] * nodes[x, n + one]
+        d = _go_up(nodes, x, share, n, d, y, z)
+    if odd:
+        j, k, m, n = first, separator - one, separator + one, rest
         a = nodes[gain, j] * nodes[x, j] + nodes[share, j] * a
         b = nodes[gain, k] * nodes[x, k] + nodes[share, k - one] * b
         c = nodes[gain, m] * nodes[x, m] + nodes[share, m] * c

@@ -24,7 +24,7 @@ _INLINED: dict[str, Any] = {**_PART, 'forceinline': True}
 inlined = nb.njit(**_INLINED)
 """A part that every step calls."""
 
-_REDUCTION: dict[str, Any] = {**_PART, 'fastmath': {'reassoc'}}
+_REDUCTION: dict[str, Any] = {**_INLINED, 'fastmath': {'reassoc'}}
 reduction = nb.njit(**_REDUCTION)
 """A part that adds up, in whatever order is fastest."""
 

@@ -12,12 +12,19 @@ from typing import get_args, Literal, TypeAlias
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, Ratios, require_uniform
+from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.design.evaluate import (
+    Cancelled,
+    first_throws,
+    Ratios,
+    require_uniform,
+    stack_of,
+)
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
     find_best_layer,
     find_best_motion,
+    linear_layer,
     PlateLimits,
     rest_to_rest,
     with_motion,
@@ -45,8 +52,9 @@ class MotionDesign(PredictedThrow):
         Of the actuator.
     others : mapping of str to Rig
         What it is to be compared with: the rig `now`, and with the `harmonic` motion and the
-        `step` of the same limits that throw best, and the `layer` that is best as the plate moves
-        now, as far as they throw.
+        `step` of the same limits that throw best, the `layer` that is best as the plate moves
+        now, unless it is a stack, and the `linear` one with the best motion if it is not linear;
+        as far as they throw.
     throws : mapping of str to PredictedThrow
         What they give, and the `best`; `both` if the layer was looked for, and then `best` is with
         the layer that there is.
@@ -117,7 +125,7 @@ def design_motion(
     Raises
     ------
     ValueError
-        If a choice is unknown, or the layer is not of one material.
+        If a choice is unknown, or a stack is to be varied.
     ThrowUnresolvedError
         If nothing is thrown within the limits.
     SearchCancelledError
@@ -131,21 +139,25 @@ def design_motion(
     """
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    require_uniform(rig)
+    if vary != 'motion':
+        require_uniform(rig)
     plate, limits = plate or PlateLimits.of(rig.engine), limits or Limits()
     own = find_best_motion(rig, plate, loads=limits, cancelled=cancelled).motion
     assert isinstance(own, SampledMotion)
     best = with_motion(rig, own)
     rigs = {'now': rig, 'harmonic': _harmonic(rig, plate, cancelled), 'step': _step(rig, plate)}
-    with contextlib.suppress(ThrowUnresolvedError):
-        varied = 'both' if vary == 'motion' else vary
-        rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
+    if rig.layer.is_uniform:
+        with contextlib.suppress(ThrowUnresolvedError):
+            varied = 'both' if vary == 'motion' else vary
+            rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
     found = {'best': best}
     if vary != 'motion':
         better = find_best_layer(rig, plate, vary, loads=limits, cancelled=cancelled)
         throw = find_best_motion(better, plate, loads=limits, cancelled=cancelled)
         assert isinstance(throw.motion, SampledMotion)
         best = found['both'] = with_motion(better, throw.motion)
+    if rig.layer.elasticity != 'linear':
+        rigs['linear'] = replace(best, layer=linear_layer(best.layer))
     throws = {}
     for name, each in (rigs | found).items():
         with contextlib.suppress(ThrowUnresolvedError):
@@ -174,11 +186,13 @@ def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
         ],
         axis=0,
     )
-    loss_tangent = rig.layer.loss_tangent * _FREQUENCIES  # of the same viscosity
+    growth = _FREQUENCIES if rig.layer.loss == 'kelvin_voigt' else np.ones(omega.size)
     ratios = Ratios.of(
-        rig, frequency=frequency, amplitude=amplitude, damping_ratio=0.0, loss_tangent=loss_tangent
-    )
-    speeds = np.nan_to_num(first_throws(ratios, cancelled=cancelled).speed) * amplitude * omega
+        rig, stacks=True, frequency=frequency, amplitude=amplitude, damping_ratio=0.0,
+        loss_tangent=rig.layer.loss_tangent * growth,
+    )  # fmt: skip
+    throws = first_throws(ratios, stack=stack_of(rig.layer), cancelled=cancelled)
+    speeds = np.nan_to_num(throws.speed) * amplitude * omega
     best = int(speeds.argmax())
     engine = replace(
         rig.engine,
@@ -187,8 +201,14 @@ def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
         damping_ratio=0.0,
         motion=None,
     )
-    layer = replace(rig.layer, loss_tangent=float(loss_tangent[best]))
-    return replace(rig, engine=engine, layer=layer)
+    return replace(rig, engine=engine, layer=_with_loss(rig.layer, float(growth[best])))
+
+
+def _with_loss(layer: Layer, part: float) -> Layer:
+    """Return a layer with so many times its loss tangent."""
+    if isinstance(layer, Stack):
+        return Stack(sheets=tuple(_with_loss(sheet, part) for sheet in layer.sheets))
+    return replace(layer, loss_tangent=part * layer.loss_tangent)
 
 
 def _step(rig: Rig, plate: PlateLimits) -> Rig:
@@ -224,6 +244,9 @@ def _summary(answer: MotionDesign) -> str:
             f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
         )
     text = f'with the same motor, {", ".join(parts)}'
+    if 'linear' in throws:
+        speed, linear = answer.ejection_speed, throws['linear'].ejection_speed
+        text += f'; {speed:.3g} m/s from this layer, and from a linear one {linear:.3g} m/s'
     motion = answer.motion
     lowest = int(motion.states[:, 0].argmin())
     depth, time = -motion.states[lowest, 0], motion.times[lowest]

@@ -14,8 +14,13 @@ with T; the shortest T is taken that gives nearly as much as the longest.
 
 Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times,
 not only on the grid, and what they add up to is a cubic spline in height, which a file of times
-and heights holds without loss. What a motion gives is then followed by the exact stepper to its
+and heights holds without loss. They are a whole number of nanoseconds apart, as the times of a
+trajectory for a controller are. What a motion gives is then followed by the exact stepper to its
 end: motions that meet the projectile again, or throw it off too early, are left out.
+
+Loss and stacks are linear, too. For a neo-Hookean layer the programme takes the linear one that it
+is when it is hardly strained, but what follows is the layer itself: of programmes for several
+times of release, the motion counts that throws best with it.
 
 Nothing after T less a crossing of the wave can be felt by the projectile; there the plate brakes.
 
@@ -40,7 +45,7 @@ from scipy.sparse import csr_matrix, diags, vstack
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.design.evaluate import Cancelled, SEARCH_CELLS, SearchCancelledError
@@ -58,6 +63,7 @@ _FLOORS = (1.0, 4.0)  # times these, to be tried in turn if a motion fails, ...
 _LONGER = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # and times of release
 _OPTIMAL, _INFEASIBLE = 0, 2  # statuses of `linprog`
 _LONGEST = 10.0  # that a programme may take; it takes a second [s]
+_ROUNDING = 1e-12
 _LAYERS = 7  # along an axis of the grid on which the search for a layer begins
 
 
@@ -127,7 +133,7 @@ class Pulses(NamedTuple):
 
     def motion(self) -> SampledMotion:
         """Return it as a motion, without the rest before and after it."""
-        moving = np.flatnonzero(np.abs(self.heights) > 1e-6 * np.abs(self.heights).max())
+        moving = np.flatnonzero(self.heights)
         c = np.pad(self.heights[moving[0] : moving[-1] + 1], 3)
         velocity, acceleration = 0.5 * (c[1:-1] + c[2:]), np.diff(c)[1:] / self.step
         rise = self.step * velocity[:-1]
@@ -135,6 +141,17 @@ class Pulses(NamedTuple):
         heights = np.append(0.0, np.cumsum(rise))
         states: Floats = np.column_stack([heights, velocity, acceleration])
         return SampledMotion(self.step * np.arange(float(len(states))), states, 'hold')
+
+    def within(self, limits: PlateLimits) -> Pulses:
+        """Return them as far down as it takes to keep limits to the last bit, at all times."""
+        heights, step = np.pad(self.heights, 3), self.step
+        parts = [
+            np.abs(heights).max() / limits.speed,
+            np.abs(np.diff(heights)).max() / (limits.acceleration * step),
+            np.abs(np.diff(heights, 2)).max() / (limits.jerk * step**2),
+            np.ptp(np.cumsum(heights)) * step / limits.travel,
+        ]
+        return Pulses(step, self.heights / max(1.0, (1.0 + _ROUNDING) * max(parts)))
 
 
 def with_motion(rig: Rig, motion: SampledMotion) -> Rig:
@@ -162,7 +179,7 @@ def find_best_motion(
     loads : Limits, optional
         Of them count strain and acceleration.
     model : str
-        Of the layer; the travelling wave gives way to finite differences where there is loss.
+        Of the layer; the travelling wave gives way to finite differences where it must.
     cancelled : callable, optional
         Asked between programmes, some tenths of a second each.
 
@@ -186,8 +203,7 @@ def find_best_motion(
 
     """
     loads = loads or Limits()
-    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
-        model = 'finite_difference'
+    model = _model_for(rig, model)
     time, promised = _shortest_time(rig, limits, loads, model, cancelled)
     best: Throw | None = None
     for longer in _LONGER:
@@ -198,8 +214,11 @@ def find_best_motion(
             throw = pulses and _follow(rig, pulses.motion(), model, loads)
             if throw and (best is None or throw.ejection_speed > best.ejection_speed):
                 best = throw
-            if best and best.ejection_speed > (1.0 - _AS_PROMISED) * promised:
+            is_exact = rig.layer.elasticity == 'linear'
+            if best and is_exact and best.ejection_speed > (1.0 - _AS_PROMISED) * promised:
                 return best
+            if throw and not is_exact:
+                break
     if best is None:
         raise ThrowUnresolvedError(
             f'no motion of the plate throws within {limits} and strain {loads.max_strain:g}, '
@@ -239,8 +258,7 @@ def find_best_layer(
 
     """
     loads = loads or Limits()
-    if model == 'travelling_wave' and rig.layer.loss_tangent > 0.0:
-        model = 'finite_difference'
+    model = _model_for(rig, model)
     names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
     box = np.log([getattr(loads, name) for name in names])
 
@@ -302,6 +320,19 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
 
     heights = (path(times) - path(times - rounded)) / rounded
     return SampledMotion.from_positions(times, heights, after='hold')
+
+
+def linear_layer(layer: Layer) -> Layer:
+    """Return what a layer is while it is hardly strained."""
+    if isinstance(layer, Stack):
+        return Stack(sheets=tuple(linear_layer(sheet) for sheet in layer.sheets))
+    return replace(layer, elasticity='linear')
+
+
+def _model_for(rig: Rig, model: str) -> str:
+    """Return a model that can follow the rig's layer."""
+    is_for_cells = model == 'travelling_wave' and rig.layer.needs_cells
+    return 'finite_difference' if is_for_cells else model
 
 
 def _check(cancelled: Cancelled | None) -> None:
@@ -377,11 +408,12 @@ class _Programme:
     ) -> None:
         self._rig, self._limits, self._loads = rig, limits, loads
         per_crossing, most = resolution
-        self._step = max(rig.crossing_time / per_crossing, longest / most)
+        step = max(rig.crossing_time / per_crossing, longest / most)
+        self._step = 1e-9 * math.ceil(1e9 * step)
         self._count = math.ceil(longest / self._step) + 1
         cells = None if model == 'travelling_wave' or resolution is _FINE else SEARCH_CELLS
         # Under a heavy weight nothing leaves; it changes nothing else. Units: [m/s], [N] per m/s
-        heavy = replace(rig, gravity=1e3 / self._step)
+        heavy = replace(rig, layer=linear_layer(rig.layer), gravity=1e3 / self._step)
         pulse = Pulses(self._step, np.ones(1)).motion()
         stepper = make_stepper(heavy, pulse, model=model, cells=cells, field_points=2)
         rows = np.empty((_FINER * self._count, 7))
@@ -442,7 +474,11 @@ class _Programme:
         if found.status != _OPTIMAL:
             return None, 0.0
         pulses = limits.speed * (rise @ found.x)
-        return Pulses(step, pulses), float(-goal[:felt] @ pulses[:felt])
+        pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
+        if rig.gravity == 0.0:  # while it waits, what is below zero by rounding would let go
+            start = int((np.abs(pulses) > 1e-3 * np.abs(pulses).max()).argmax())
+            pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
+        return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
 
     def _pushing(self, release: int, size: int, floor: float) -> tuple[csr_matrix, Floats]:
         """Return the force on the projectile over time, and how small it may be, against rest."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import first_throws, Ratios, unit_motion
+from soft_throw_ros.design.evaluate import first_throws, Ratios, stack_of, unit_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +70,10 @@ def predict(rig: Rig) -> PredictedThrow:
     Parameters
     ----------
     rig : Rig
-        With a layer of one material, with or without loss.
+        With any layer.
 
     Raises
     ------
-    ValueError
-        If the layer is not of one material.
     ThrowUnresolvedError
         If the projectile does not leave, or only after more crossings than are followed.
 
@@ -89,7 +87,12 @@ def predict(rig: Rig) -> PredictedThrow:
 
     """
     engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    throws = first_throws(Ratios.of(rig), motion=unit_motion(engine), loads=True)
+    throws = first_throws(
+        Ratios.of(rig, stacks=True),
+        motion=unit_motion(engine),
+        loads=True,
+        stack=stack_of(layer),
+    )
     found = map(float, throws)
     phase, speed, transfer, strain, acceleration, force, work = found
     if not speed > 0.0:
@@ -111,7 +114,7 @@ def predict(rig: Rig) -> PredictedThrow:
         energy_transfer=transfer,
         peak_strain=strain * speed_scale / layer.wave_speed,
         peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
-        peak_force=force * speed_scale * layer.impedance,
+        peak_force=force * speed_scale * layer.mass / layer.crossing_time,
         plate_work=work * mass * speed_scale**2,
         kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
     )

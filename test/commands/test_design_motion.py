@@ -9,6 +9,10 @@ import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.commands import design, throw
 from soft_throw_ros.configuration import motions
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.design.plate_motion import PlateLimits
 import yaml
 
 COMMAND = (design.main, 'motion')
@@ -40,8 +44,18 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert message['joint_names'] == ['plate']
     motion = motions.read(files[0])
     times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]
-    np.testing.assert_allclose(times, motion.times, atol=1e-9)
-    np.testing.assert_allclose([point.positions[0] for point in points], motion.states[:, 0])
+    np.testing.assert_allclose(times, motion.times, rtol=1e-14)  # whole nanoseconds
+    # What a controller makes of it by quintics stays within the limits, and throws once, as fast
+    states = [(p.positions[0], p.velocities[0], p.accelerations[0]) for p in points]
+    sent = SampledMotion(np.array(times), np.array(states), 'hold')
+    limits, plate = PlateLimits.of(Rig().engine), PlateLimits.of(Engine(motion=sent))
+    assert plate.speed <= limits.speed * (1.0 + 1e-9)
+    assert np.abs(sent.states[:, 2]).max() <= limits.acceleration * (1.0 + 1e-9)
+    assert plate.travel <= limits.travel * (1.0 + 1e-9)
+    for exported in (motion, sent):
+        found = simulate(Rig(gravity=0.0), exported)
+        assert found.recontacts == 0
+        assert found.ejection_speed == pytest.approx(speed, rel=1e-5)
 
 
 def test_json_has_everything_in_si(command):
@@ -51,6 +65,14 @@ def test_json_has_everything_in_si(command):
     assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best', 'both'}
     assert motion['throws']['both']['ejection_speed'] == motion['ejection_speed']
     assert np.ptp(np.array(motion['rig']['engine']['motion']['states'])[:, 0]) <= 0.0100001
+
+
+def test_stiffening_layer_is_told_from_a_linear_one(command):
+    printed = command.run(*QUICK, '--elasticity', 'neo_hookean')
+    assert re.search(r'm/s from this layer, and from a linear one 1\.\d+ m/s', printed)
+    *_, linear, best = map(float, command.row(printed, 'ejection speed V_e'))
+    assert linear != best
+    assert 'leaves the linear range (linear layer)' in printed
 
 
 def test_motion_that_was_recorded_is_bettered(command):

@@ -8,17 +8,22 @@ import sys
 HASH = """
 import hashlib
 import numpy as np
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 digest = hashlib.sha256()
-stepper = WaveStepper(Rig())
-layer = np.empty((3, stepper.field_points))
-for tick in range(500):
-    stepper.advance_to(tick * 1e-3)
-    stepper.read_layer(layer)
-    energies = [stepper.stored_energy(), stepper.work_so_far]
-    digest.update(stepper.state.tobytes() + layer.tobytes() + np.array(energies).tobytes())
+gels = [
+    Rig(layer=Layer(elasticity='neo_hookean', loss_tangent=0.05, loss=loss))
+    for loss in ('kelvin_voigt', 'constant')
+]
+for stepper in (WaveStepper(Rig()), *map(CellStepper, gels), CellStepper(gels[0], cells=50)):
+    layer = np.empty((3, stepper.field_points))
+    for tick in range(500):
+        stepper.advance_to(tick * 1e-3)
+        stepper.read_layer(layer)
+        energies = [stepper.stored_energy(), stepper.work_so_far, stepper.heat]
+        digest.update(stepper.state.tobytes() + layer.tobytes() + np.array(energies).tobytes())
 print(digest.hexdigest())
 """
 

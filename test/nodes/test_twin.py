@@ -24,7 +24,6 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
     values_to_rig,
 )
-from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
@@ -329,11 +328,14 @@ def test_layer_picked_from_a_library_can_be_applied(ros, twin, listener, jelly, 
 def test_designed_motion_can_be_applied(ros, twin, listener, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
     assert ros.parameters(twin).set(gravity=0.0) == ['']
-    found = recommend_for({**twin.parameters.settings, 'recommendation.vary': 'motion'})
-    best = found.best
-    assert best is not None
-    assert 'more energy by moving the plate so' in found.describe()
-    twin.parameters.apply(found.changes())
+    listener.listen(TWIN_TOPICS.recommendation)
+    best = ask(ros, twin, vary='motion')
+    status = listener.status(
+        TWIN_TOPICS.recommendation, 'recommendation', lambda s: 'by moving the plate' in s.message
+    )
+    assert float(msg_to_values(status)['ejection_speed']) == best.ejection_speed
+    response = listener.trigger(TWIN_SERVICES.apply_recommendation)
+    assert response.success, response.message
     settings = twin.parameters.settings
     assert settings['engine.motion'] == 'file'
     assert Path(settings['engine.motion_file']).parent == tmp_path / 'soft_throw'
