@@ -50,6 +50,7 @@ _RANKS = (2, 4)  # from the third to the fifth of them in size
 _MAX_OUTLIER_SHARE = 0.1  # of a track; if there are more, it is the model that does not fit
 _OUTLIER_ROUNDS = 6  # of leaving them out and fitting again
 _AUTOCORRELATION_LAGS = 10
+_TOLERANCE = 1e-8  # of chi squared, relative: 1e-2 of an error, which steppers are exact to
 _SPARSE_ABOVE = 40  # parameters: of many throws each has its own, which no other depends on
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
 _NEGLIGIBLE_RMS = 0.5  # of the noise, below which the colour of residuals does not matter
@@ -503,9 +504,9 @@ class _LeastSquares:
             tr_options={'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {},
             bounds=(model.low, model.high),
             x_scale='jac',
-            xtol=1e-10,
-            ftol=1e-10,
-            gtol=1e-10,
+            xtol=_TOLERANCE,
+            ftol=_TOLERANCE,
+            gtol=_TOLERANCE,
             loss=loss,
             max_nfev=self._max_evaluations,
         )
