@@ -15,9 +15,10 @@ is told from the residuals of the fit without it, by what a change of it leaves 
 derivatives (a score test), so that nothing is fitted in vain.
 
 A layer that sticks for a time s shifts the projectile by about :math:`s^2`, so that near 0 nothing
-is seen of s, and it is in no sense normally distributed. Its distribution is computed along its
-axis, all else being adapted to first order (a profile), and its second moments about the best fit
-take the place of the covariance.
+is seen of s, and it is in no sense normally distributed. So all is fitted first without it. Its
+distribution is computed along its axis, all else being adapted to first order (a profile), and its
+second moments about the fit take the place of the covariance. Only where the profile is lower than
+without it is all fitted again from there, and kept if that is better.
 
 References
 ----------
@@ -30,14 +31,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import contextlib
-from dataclasses import fields, replace
+from dataclasses import replace
 import math
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     FitDescription,
@@ -55,6 +56,7 @@ from soft_throw_ros.identification.plate_fit import PlateFit
 from soft_throw_ros.identification.plate_modes import find_mode, Mode
 from soft_throw_ros.identification.rig_model import (
     MODE,
+    OWN,
     RigModel,
     START,
     START_OF_STICKING,
@@ -69,22 +71,28 @@ STICKING = 'projectile.sticking'
 NEAR = 9.0
 """By how much chi squared of another minimum may be larger for it to be named."""
 
+_APART = 4.0  # of chi squared, that another minimum is farther than chance and its slope explain
 _SCAN = np.linspace(-0.08, 0.08, 65)  # relative changes of the wave speed, to see other minima
 _PROMISING = 60.0  # chi squared above the best from which a fit is still tried
 _MOST_STARTS = 4  # of other minima, the most promising ones first, each with ...
 _EVALUATIONS = 20  # of the model
+_TRIED_FIRST = {'layer.loss_tangent': 0.05, STICKING: START_OF_STICKING}
+_SOFTER = (1.0, 0.85)  # wave speeds of other kinds of layers to start from, over the one found
 _MOST_TERMS = 3  # that are added one after the other
 _STRONG = 6.0  # by how much the criterion is lower where a term is seen
-_POSITIVE = ('layer.loss_tangent', STICKING)
 _MODE_SIZE = 4  # parameters of a second mode
 _TRIALS = {  # values by which it is tried whether a term is seen
     'layer.loss_tangent': 0.01,
     STICKING: 2e-4,
     **dict.fromkeys([part for parts in WAVES.values() for part in parts], 1e-3),
 }
+_NOTICED = 1.0  # by how much chi squared must be lower for a layer to be said to stick
 _PROVEN = 12.0  # by how much chi squared is larger of layers that do not explain throws
 _PROFILE = np.linspace(-5.0, 5.0, 31)  # errors of sticking at which its profile is computed, ...
-_PROFILE_ROUNDS = 3  # each with the errors of the one before
+_PROFILE_ROUNDS = 12  # each with the errors of the one before, until they are ...
+_SAME = 0.8  # of those at least, and at most over that
+_NARROWER = 0.1  # of them that they are taken to be, at least
+_NEWTON_STEPS = 3  # along an interval
 _CHI2_95 = 3.84  # that 95 % are below, of one degree of freedom
 _LONGEST = 6.0  # errors that half of an interval may be long
 _HALVES = 8  # in which its end is looked for
@@ -97,13 +105,16 @@ class LayerKind(NamedTuple):
     terms: Mapping[str, str] = {}
     """What is fitted then, and how."""
     material: Mapping[str, str] = {}
-    """Fields of `core.rig.Layer` that are otherwise; without these fields it is left out."""
+    """Fields of `core.rig.Layer` that are otherwise."""
 
 
+_OF_LAYERS = ('layer.loss_tangent', STICKING)
+_LOSS, _STICKING = {_OF_LAYERS[0]: 'free'}, {STICKING: '+- 2e-4'}
 _KINDS = (
     LayerKind('without loss'),
-    LayerKind('with loss', {'layer.loss_tangent': 'free'}),
-    LayerKind('that sticks', {STICKING: '+- 2e-4'}),
+    LayerKind('with loss', _LOSS),
+    LayerKind('that sticks', _STICKING),
+    LayerKind('with loss that sticks', _LOSS | _STICKING),
     LayerKind('of large strain', material={'elasticity': 'neo_hookean'}),
 )
 _EXPLANATIONS = {
@@ -147,6 +158,8 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
             if name in model.places:
                 start[model.places_of(name)] = value
         starts.append(start)
+    if fit.is_mismatch:
+        starts.insert(0, _without_faults(model, fit.values))
     found = [fit]
     for start in starts[:_MOST_STARTS]:
         try:
@@ -155,18 +168,52 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
             break
         except FitError:
             continue
-        if all(np.abs((each.values - other.values) / other.errors).max() > 1.0 for each in found):
-            found.append(other)
-    found.sort(key=lambda each: each.chi2)
-    best = fit if found[0] is fit else model.fit(found[0].values)
-    excesses = [each.chi2 - found[0].chi2 for each in found]
-    return best.spanning(
-        [
-            Alternative(each.values, excess)
-            for each, excess in zip(found[1:], excesses[1:], strict=True)
-            if excess < NEAR
-        ]
-    )
+        found.append(other)
+    first, *rest = sorted(found, key=attrgetter('chi2'))
+    alternatives: list[Alternative] = []
+    known = [first]
+    for each in rest:
+        if each.chi2 - first.chi2 < NEAR and all(_is_apart(one, each) for one in known):
+            known.append(each)
+            alternatives.append(Alternative(each.values, each.chi2 - first.chi2))
+    best = fit if first is fit else model.fit(first.values)
+    return best.spanning(alternatives)
+
+
+def _is_apart(fit: Fit, other: Fit) -> bool:
+    """Tell another minimum from the slope of a valley, where chi squared is a parabola."""
+    way = other.values - fit.values
+    parabola = float(way @ np.linalg.lstsq(fit.covariance, way, rcond=1e-14)[0])
+    return parabola > _APART + 2.0 * (other.chi2 - fit.chi2)
+
+
+def _without_faults(model: RigModel, values: Floats) -> Floats:
+    """Put what a bench may add back to what is known of it, lest a fit go astray with that."""
+    start: Floats = values.copy()
+    for place, known in model.known.items():
+        if not model.names[place].startswith('plate'):  # as the plates alone have it
+            start[place] = known.value
+    return start
+
+
+def _start_layer(model: RigModel, values: Floats, noise: Floats) -> Floats:
+    """Find where to start from with a layer of another kind: it alone is fitted first."""
+    start = _without_faults(model, values)
+    for name, value in _TRIED_FIRST.items():
+        if name in model.places:
+            start[model.places_of(name)] = value
+    tried: list[tuple[float, Floats]] = []
+    for part in _SOFTER:
+        moved = start.copy()
+        moved[model.places_of('layer.wave_speed')] *= part
+        with contextlib.suppress(FitError):
+            found = model.fit(
+                moved, noise=noise, only=(*LAYER, STICKING, *OWN), max_evaluations=_EVALUATIONS
+            )
+            moved[[model.names.index(name) for name in found.names]] = found.values
+            tried.append((found.chi2, moved))
+    best: Floats = min(tried, key=lambda each: each[0])[1] if tried else start
+    return best
 
 
 def _find_valleys(model: RigModel, fit: Fit) -> list[Floats]:
@@ -229,7 +276,10 @@ def add_terms(
             gain, best = max(gains, key=itemgetter(0), default=(0.0, None))
             if best is None or gain <= 0.0:
                 break
-            found = best.model.fit(best.model.start_from(fit, plates))
+            start = best.model.start_from(fit, plates)
+            if best.name in _OF_LAYERS and 'layer.wave_speed' in best.model.places:
+                start = _start_layer(best.model, start, _noise_of(model, fit))
+            found = best.model.fit(start)
         except EffortError as error:
             remarks.append(f'not all that may be on a bench was looked for: {error}')
             break
@@ -286,7 +336,7 @@ def _gain(model: RigModel, fit: Fit, candidate: _Candidate) -> float:
     left = system.project(system.left(fit.values))
     sizes = np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
     found, *_ = np.linalg.lstsq(extra / sizes, left, rcond=1e-6)
-    if candidate.name in _POSITIVE and found.max() <= 0.0:
+    if candidate.name in _OF_LAYERS and found.max() <= 0.0:
         return 0.0
     gain = float(left @ left - np.sum((left - extra / sizes @ found) ** 2))
     return gain / max(1.0, fit.reduced_chi2 if fit.is_mismatch else 1.0)
@@ -328,60 +378,115 @@ class _Linear:
 
 
 def let_stick(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> tuple[RigModel, Fit]:
-    """Fit how long the layer sticks, too; the same other minima are spanned."""
-    wider = replace(model, description=model.description.see(STICKING))
-    found = wider.fit(wider.start_from(fit, plates))
-    own = wider.places_of(STICKING)
-    others = []
-    for each in fit.alternatives:
-        values = wider.start_from(replace(fit, values=each.values), plates)
-        values[own] = found.values[own]
-        others.append(each._replace(values=values))
-    return wider, found.spanning(others)
-
-
-def spread_sticking(model: RigModel, fit: Fit) -> tuple[Fit, float]:
     """
-    Let the covariance span how long the layer may stick, as its profile tells.
+    Let the layer stick, too, as far as the tracks allow.
 
-    Returns the fit, and by how much chi squared is larger if it does not stick.
+    It sticks for no time unless that lowers chi squared by more than chance does; then all is
+    fitted again from where its profile is lowest, and taken if it is better in truth.
     """
     if STICKING not in model.places:
-        return fit, 0.0
+        narrower = model
+        model = replace(model, description=model.description.see(STICKING))
+        fit = _widen(narrower, fit, model, plates)
+    profile = _profile_sticking(model, fit)
+    if profile is not None and profile.gain > _NOTICED:
+        with contextlib.suppress(FitError):
+            start = fit.values + profile.best
+            found = model.fit(start, noise=_noise_of(model, fit), max_evaluations=_EVALUATIONS)
+            if found.dof >= fit.dof and fit.chi2 - found.chi2 > _NOTICED:
+                fit = model.fit(found.values).spanning(fit.alternatives)
+                profile = _profile_sticking(model, fit)
+    return model, _spread_sticking(model, fit, profile)
+
+
+def _widen(model: RigModel, fit: Fit, wider: RigModel, plates: Sequence[PlateFit]) -> Fit:
+    """Take a fit for one of a wider model, in which the layer might stick, but does not."""
+
+    def widened(values: Floats) -> Floats:
+        found = wider.start_from(replace(fit, values=values), plates)
+        found[wider.places_of(STICKING)] = 0.0
+        return found
+
+    places = [wider.names.index(name) for name in model.names]
+    covariance = np.zeros(2 * (len(wider.names),))
+    covariance[np.ix_(places, places)] = fit.covariance
+    return replace(
+        fit,
+        names=tuple(wider.names),
+        values=widened(fit.values),
+        covariance=covariance,
+        known=wider.known,
+        alternatives=tuple(e._replace(values=widened(e.values)) for e in fit.alternatives),
+    )
+
+
+class _Profile(NamedTuple):
+    """How a fit changes with the time that a layer sticks, all else being adapted."""
+
+    changes: Floats
+    """Of all values, from those of the fit, shape (k, n)."""
+    weights: Floats
+    """Of these, shape (k,), whose sum is 1."""
+    gain: float
+    """By how much chi squared is lower than that of the fit, at its lowest, ..."""
+    best: Floats
+    """... and the change of the values that leads there."""
+
+
+def _profile_sticking(model: RigModel, fit: Fit) -> _Profile | None:
+    """Follow chi squared along the time that the layer sticks; None if that cannot be done."""
     places = model.places_of(STICKING)
     known = model.known.get(places[0])
+    best, width = float(fit.values[places[0]]), known.error if known else START_OF_STICKING
     try:
         system = _Linear(model, fit, places)
-    except EffortError:
-        return fit, 0.0
-    scale = max(1.0, fit.reduced_chi2)
-    best, width = float(fit.values[places[0]]), known.error if known else START_OF_STICKING
-    for _ in range(_PROFILE_ROUNDS):
-        times = np.unique(np.maximum(best + width * np.append(_PROFILE, -best / width), 0.0))
-        profile, changes = [], []
-        for time in times.tolist():
-            moved = fit.values.copy()
-            moved[places] = time
-            try:
+        for _ in range(_PROFILE_ROUNDS):
+            tried = best + width * np.append(_PROFILE, -best / width)
+            times = np.unique(np.maximum(tried, 0.0))
+            chi2, changes = [], []
+            for time in times.tolist():
+                moved = fit.values.copy()
+                moved[places] = time
                 left = system.left(moved)
-            except FitError:
-                return fit, 0.0
-            change = np.zeros_like(moved)
-            change[places] = time - fit.values[places]
-            change[system.others] = system.change(left)
-            prior = ((time - known.value) / known.error) ** 2 if known else 0.0
-            profile.append(float(np.sum(system.project(left) ** 2)) + prior)
-            changes.append(change)
-        excess = (np.array(profile) - min(profile)) / scale
-        weights = np.exp(-0.5 * excess) * np.gradient(times)
-        weights /= weights.sum()
-        width = max(math.sqrt(float(weights @ (times - best) ** 2)), 1e-3 * START_OF_STICKING)
+                change = np.zeros_like(moved)
+                change[places] = time - best
+                change[system.others] = system.change(left)
+                prior = ((time - known.value) / known.error) ** 2 if known else 0.0
+                chi2.append(float(np.sum(system.project(left) ** 2)) + prior)
+                changes.append(change)
+            excess = (np.array(chi2) - min(chi2)) / max(fit.variance_scale, 1e-300)
+            weights = np.exp(-0.5 * excess) * np.gradient(times)
+            weights /= weights.sum()
+            old, width = width, math.sqrt(float(weights @ (times - best) ** 2))
+            if _SAME < width / old < 1.0 / _SAME:
+                break
+            width = max(
+                width, _NARROWER * old
+            )  # between two of the times that were tried it is blind
+    except FitError:
+        return None
+    here = chi2[int(np.argmin(np.abs(times - best)))]
+    return _Profile(
+        np.array(changes),
+        weights,
+        (here - min(chi2)) / max(1.0, fit.reduced_chi2),
+        changes[int(np.argmin(chi2))],
+    )
+
+
+def _spread_sticking(model: RigModel, fit: Fit, profile: _Profile | None) -> Fit:
+    """Let the covariance span how long the layer may stick: as its profile tells, or the prior."""
+    places = model.places_of(STICKING)
     covariance = fit.covariance.copy()
     own = covariance[np.ix_(places, places)] + 1e-300 * np.eye(len(places))
     covariance -= covariance[:, places] @ np.linalg.solve(own, covariance[places])
-    covariance += np.einsum('k,ki,kj->ij', weights, np.array(changes), np.array(changes))
-    unstuck = profile[int(np.argmin(times))] - min(profile)
-    return replace(fit, covariance=covariance), unstuck
+    if profile is not None:
+        changes = profile.changes
+        covariance += np.einsum('k,ki,kj->ij', profile.weights, changes, changes)
+    else:
+        for place in places:
+            covariance[place, place] += model.known[place].error ** 2 if model.known else 0.0
+    return replace(fit, covariance=covariance)
 
 
 def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float]]:
@@ -415,7 +520,7 @@ def _end_of_interval(system: _Linear, fit: Fit, place: int, sign: float) -> floa
     def is_inside(distance: float) -> bool:
         moved = fit.values + sign * distance * direction
         try:
-            for _ in range(_PROFILE_ROUNDS):
+            for _ in range(_NEWTON_STEPS):
                 moved[system.others] += system.change(system.left(moved))
             return bool(np.sum(system.project(system.left(moved)) ** 2) - lowest < limit)
         except EffortError:
@@ -430,75 +535,105 @@ def _end_of_interval(system: _Linear, fit: Fit, place: int, sign: float) -> floa
     return float(fit.values[place] + sign * inside)
 
 
-def compare_layers(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit, unstuck: float
-) -> list[LayerModel]:
-    """
-    Say how well each kind of layer explains the throws; none if that is not to be found out.
+class LayerComparison(NamedTuple):
+    """Kinds of layers side by side."""
 
-    Chi squared is larger by `unstuck` if the layer does not stick.
-    """
+    layers: list[LayerModel]
+    other: tuple[Rig, Fit] | None = None
+    """A layer of another material, if it alone explains the throws, and its fit."""
+
+
+def compare_layers(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> LayerComparison:
+    """Say how well each kind of layer explains the throws; none if that is not to be found out."""
     if not model.projectiles or not model.description.is_free('layer.wave_speed'):
-        return []
-    held = {'layer.loss_tangent': '0', STICKING: '0'}
-    simple = replace(
-        model,
-        description=model.description.change(held),
-        rig=changed_rig(model.rig, {'layer.loss_tangent': 0.0}),
-    )
+        return LayerComparison([])
     noise = _noise_of(model, fit)
-    # Of what was fitted before it is known already what it leaves
-    loss = 'layer.loss_tangent'
-    seen = loss if loss in model.places else STICKING if STICKING in model.places else ''
+    seen = {name for name in _OF_LAYERS if name in model.places}
+    simple, plain = model, fit
     found: list[tuple[LayerKind, float, bool]] = []
+    others: dict[str, tuple[Rig, Fit]] = {}
     try:
-        start = simple.start_from(fit, plates)
-        plain = simple.fit(start, noise=noise, max_evaluations=_EVALUATIONS)
+        if seen:
+            simple = replace(
+                model,
+                description=model.description.change(dict.fromkeys(_OF_LAYERS, '0')),
+                rig=changed_rig(model.rig, {_OF_LAYERS[0]: 0.0}),
+            )
+            plain = simple.fit(
+                simple.start_from(fit, plates), noise=noise, max_evaluations=_EVALUATIONS
+            )
         for kind in _KINDS:
             chi2, is_fitted = plain.chi2, True
             if kind.material:
                 other = _fit_material(simple, plain, noise, kind)
                 if other is None:
                     continue
-                chi2 = other.chi2
-            elif seen in kind.terms:
-                chi2 = fit.chi2 + unstuck * (seen == loss)
+                chi2, others[kind.name] = other[1].chi2, other
+            elif kind.terms and seen == set(kind.terms):
+                chi2 = fit.chi2
+            elif len(kind.terms) > 1:
+                continue
             elif kind.terms:
                 wider = simple.description.change(kind.terms)
                 each = _try_term(simple, plates, plain, next(iter(kind.terms)), wider)
                 chi2, is_fitted = chi2 - (_gain(simple, plain, each) if each else 0.0), False
             found.append((kind, chi2, is_fitted))
     except FitError:
-        return []  # it cannot be followed, or not in time
+        return LayerComparison([])  # it cannot be followed, or not in time
     samples = plain.dof + plain.values.size
     scale = max(1.0, min(chi2 for _, chi2, _ in found) / plain.dof)
     criteria = [chi2 / scale + len(kind.terms) * math.log(samples) for kind, chi2, _ in found]
-    return [
-        LayerModel(kind.name, chi2, plain.dof - len(kind.terms), each - min(criteria), is_fitted)
-        for (kind, chi2, is_fitted), each in zip(found, criteria, strict=True)
+    layers = [
+        LayerModel(kind.name, chi2, plain.dof - len(kind.terms), each - min(criteria), fitted)
+        for (kind, chi2, fitted), each in zip(found, criteria, strict=True)
     ]
+    best, second, *_ = sorted(range(len(layers)), key=lambda k: layers[k].criterion)
+    is_proven = layers[second].criterion > _PROVEN
+    return LayerComparison(layers, others.get(layers[best].name) if is_proven else None)
 
 
-def _fit_material(model: RigModel, fit: Fit, noise: Floats, kind: LayerKind) -> Fit | None:
-    """Fit a layer of another material; None if there is none such, or it takes too long."""
-    if not set(kind.material) <= {each.name for each in fields(Layer)}:
+def _fit_material(
+    model: RigModel, fit: Fit, noise: Floats, kind: LayerKind
+) -> tuple[Rig, Fit] | None:
+    """Fit a layer of another material; None if it is one, or cannot be followed in time."""
+    layer = model.rig.layer
+    if not layer.is_uniform or all(
+        getattr(layer, name) == value for name, value in kind.material.items()
+    ):
         return None
-    layer = replace(model.rig.layer, **kind.material)  # type: ignore[arg-type]
-    other = replace(model, rig=replace(model.rig, layer=layer))
+    rig = replace(model.rig, layer=replace(layer, **kind.material))  # type: ignore[arg-type]
+    other = replace(model, rig=rig)
+    start = fit.values.copy()
+    start[model.places_of('layer.wave_speed')] = model.rig_of(start).layer.wave_speed
+    if 'layer.stiffening' in model.places:  # which it has by itself
+        start[model.places_of('layer.stiffening')] = 0.0
+    tried: list[Fit] = []
     with contextlib.suppress(FitError):
-        return other.fit(fit.values, noise=noise, max_evaluations=_EVALUATIONS)
-    return None
+        tried.append(other.fit(start, noise=noise, max_evaluations=_EVALUATIONS))
+    if fit.is_mismatch and (not tried or tried[0].chi2 > fit.chi2):
+        with contextlib.suppress(FitError):
+            start = _start_layer(other, start, noise)
+            tried.append(other.fit(start, noise=noise, max_evaluations=_EVALUATIONS))
+    return (rig, min(tried, key=attrgetter('chi2'))) if tried else None
 
 
 def describe_layers(layers: Sequence[LayerModel], fit: Fit) -> str:
     """Say in a sentence which layers explain the throws, and which do not."""
-    best, *others = sorted(layers, key=lambda each: each.criterion)
-    worse = [each for each in others if each.chi2 - best.chi2 > _PROVEN]
+    ranked = sorted(layers, key=attrgetter('criterion'))
+    good = [each for each in ranked if each.criterion < _STRONG]
+    # Of the fewest parameters, and the first in the table among those
+    best = max((each for each in layers if each in good), key=attrgetter('dof'))
+    others = [each for each in ranked if each is not best]
     found = f'a layer {best.name} explains these throws' + ' best' * fit.is_mismatch
     found += f' (chi squared {best.chi2 / best.dof:.3g} per degree of freedom)'
-    if worse:
-        listed = ' or one '.join(f'{each.name} ({each.chi2 / each.dof:.3g})' for each in worse)
-        found += f'; one {listed} does not'
+    for verb, some in (
+        # What only has more parameters is no other explanation
+        ('does as well', [each for each in others if each in good and each.dof >= best.dof]),
+        ('does not', [each for each in others if each.chi2 - best.chi2 > _PROVEN]),
+    ):
+        if some:
+            listed = ' or one '.join(f'{each.name} ({each.chi2 / each.dof:.3g})' for each in some)
+            found += f'; one {listed} {verb}'
     if fit.is_mismatch:
         off = max(fit.residuals, key=lambda residual: residual.reduced_chi2)
         found += '; none does well: most is left of {} from {:.4g} s to {:.4g} s'.format(

@@ -49,7 +49,6 @@ from soft_throw_ros.identification.model_choice import (
     LayerModel,
     let_stick,
     profile_intervals,
-    spread_sticking,
     STICKING,
 )
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
@@ -245,12 +244,17 @@ def fit_rig(
     tell('looking for other minima')
     fit = find_best_minimum(model, fit, others)
     tell('looking for what a bench may add')
+    simple = model
     model, fit, more = add_terms(model, plates, fit)
-    if sticks and STICKING not in model.places and model.projectiles:
-        model, fit = let_stick(model, plates, fit)
-    fit, unstuck = spread_sticking(model, fit)
     tell('comparing layers')
-    layers = compare_layers(model, plates, fit, unstuck)
+    compared = compare_layers(model, plates, fit)
+    if compared.other is not None:
+        model = replace(simple, rig=compared.other[0])
+        fit = model.fit(model.start_from(compared.other[1], plates))
+        model, fit, more = add_terms(model, plates, fit)
+    layers = compared.layers
+    if sticks and model.projectiles:
+        model, fit = let_stick(model, plates, fit)
     intervals = profile_intervals(model, fit)
     simulator.unbind()
     remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
@@ -277,7 +281,10 @@ def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, 
     """Fit the plates alone, and find what they do beside a step, which no layer changes."""
     alone = replace(model, throws=tuple(replace(throw, projectile=None) for throw in model.throws))
     alone, fit, remarks = add_terms(alone, plates, alone.fit(alone.start(plates)))
-    return replace(model, description=alone.description, mode=alone.mode), fit, remarks
+    # What their own tracks do not show may later explain no projectile
+    unseen = [name for name in alone.description.if_seen if name.startswith('plate')]
+    description = alone.description.change(dict.fromkeys(unseen, 'held'))
+    return replace(model, description=description, mode=alone.mode), fit, remarks
 
 
 def _find_layers(

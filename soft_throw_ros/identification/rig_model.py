@@ -72,6 +72,13 @@ _STEPS = {  # absolute
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
     **dict.fromkeys((*WAVES['plate.ringing'], *WAVES['plate.mode'], MODE[1]), 1e-3),
 }
+_MOVING = {  # what another value of makes another throw, which has to be followed
+    *PARAMETERS,
+    'layer.stiffening',
+    *WAVES['plate.ringing'],
+    *WAVES['plate.mode'],
+    *MODE,
+}
 _MODE_ERRORS = (0.05, 0.05)  # of the frequency, relative, and the damping of a mode that is seen
 _EVALUATIONS = 60  # of the model, in one run of the solver, unless ...
 _SHARE_OF_FIT = 0.3  # of all effort goes into it; but there are ...
@@ -446,7 +453,10 @@ class RigModel:
             start[free],
             self.tracks(),
             noise=noise,
-            max_evaluations=min(max_evaluations, self._affordable(start, 2 * len(free) + 1)),
+            max_evaluations=min(
+                max_evaluations,
+                self._affordable(start, 1 + 2 * sum(names[place] in _MOVING for place in free)),
+            ),
         )
 
     def _affordable(self, values: Floats, paths: int) -> int:

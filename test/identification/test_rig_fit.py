@@ -313,9 +313,9 @@ def test_second_mode_of_a_plate_is_seen_and_said():
     assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
 
 
-def imperfect_throw(imperfections, *, seed=0, noise=2e-5):
+def imperfect_throw(imperfections, *, rig=None, seed=0, noise=2e-5):
     """Tracks of a throw by small cells, which share nothing with what is fitted."""
-    thrown = throw(Rig(), imperfections, until=0.07, start=-0.016, cells=128)
+    thrown = throw(rig or Rig(), imperfections, until=0.07, start=-0.016, cells=128)
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 0.08, 2e-4)
     heights = thrown.plate(time - 0.0153), thrown.projectile(time - 0.0153)
@@ -330,6 +330,25 @@ def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
     found = ejection_of(fit_rig([tracks], Rig()))
     for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
         assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
+    held = ejection_of(fit_rig([tracks], Rig(), FitDescription({'projectile.sticking': 'held'})))
+    assert held.time.error < found.time.error < 4e-4
+    assert abs(held.time.value - release.time) > 5.0 * held.time.error  # it does matter
+
+
+@pytest.mark.parametrize('phase', [0.5, 3.5])
+def test_plate_that_rings_before_leads_to_no_other_minimum(phase):
+    # So thin a layer that the projectile does not leave it before the throw
+    rig = Rig(layer=Layer(thickness=8e-3))
+    tracks, release = imperfect_throw(Imperfections(ringing=0.015, ringing_phase=phase), rig=rig)
+    assert release.time > 0.0
+    found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
+    assert 'a plate that rings' in found.remarks[0]
+    assert found.fit.warnings() == []
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+    peak = found.peak_plate_speed(0)  # which averages go by, too
+    truth = Underdamped.of(Rig().engine).peak_velocity
+    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
+    assert ejection_of(found).speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
 def test_other_minimum_is_named_and_spanned():
@@ -372,6 +391,52 @@ def test_loss_is_seen_without_being_asked_for():
     assert best.chi2 == pytest.approx(found.fit.chi2)
     loss = found.estimates()['layer.loss_tangent']
     assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
+
+
+def followed(rig, *, name='followed', seed=0, noise=2e-5):
+    """Tracks of a throw by the model that is fitted, with noise."""
+    time = np.arange(0.0, 0.08, 2e-4)
+    since = time - 0.0153
+    heights = (
+        Underdamped.of(rig.engine).position(since),
+        ThrowSimulator().follow(rig, since).position,
+    )
+    rng = np.random.default_rng(seed)
+    plate, projectile = (
+        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
+    )
+    return ThrowTracks(name=name, plate=plate, projectile=projectile)
+
+
+def test_layer_of_large_strain_is_told_from_linear_ones():
+    rig = Rig(engine=Engine(amplitude=5e-3), layer=Layer(elasticity='neo_hookean'))
+    found = fit_rig([followed(rig)], KNOWN)
+    assert found.rig.layer.elasticity == 'neo_hookean'
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig), ENGINE).values())) < 3.5
+    speed = found.estimates()['layer.wave_speed']
+    assert speed.value == pytest.approx(7.8, abs=3.5 * speed.error)
+    assert found.fit.warnings() == []
+    assert re.fullmatch(
+        r'a layer of large strain explains these throws \(chi squared (0.9|1.0).*'
+        r'; one .*without loss .* does not',
+        found.remarks[-1],
+    )
+    best = min(found.layers, key=lambda layer: layer.criterion)
+    assert (best.name, best.is_fitted) == ('of large strain', True)
+
+
+def test_layer_that_is_linear_stays_so(make_throw):
+    found = fit_rig([make_throw(Rig(engine=Engine(amplitude=5e-3)))], KNOWN)
+    assert found.rig.layer.elasticity == 'linear'
+    assert found.remarks[-1].startswith('a layer without loss explains these throws')
+
+
+def test_loss_that_nobody_told_is_found_beside_all_that_a_bench_may_add():
+    rig = Rig(layer=Layer(loss_tangent=0.1))
+    found = fit_rig([followed(rig)], KNOWN)
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 3.5
+    assert found.fit['layer.loss_tangent'].error < 0.02
+    assert found.fit.warnings() == []
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
