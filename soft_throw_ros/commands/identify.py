@@ -279,6 +279,7 @@ def _identify_throws(
         }
         lines += [*ejection_lines(columns), *more]
     relevant = PARAMETERS if has_projectile else ENGINE
+    elasticity = found.rig.layer.elasticity
     values = {name: value for name, value in found.estimates().items() if name in relevant}
     if arguments.figure:
         summary = [
@@ -291,6 +292,7 @@ def _identify_throws(
         sources=tuple(throw.name for throw in found.throws),
         found=values,
         held={name: value for name, value in found.held_values().items() if name in relevant},
+        chosen={'layer.elasticity': elasticity} if elasticity != rig.layer.elasticity else {},
         lines=tuple(lines),
         data={
             'fit': fit_data(found.fit),

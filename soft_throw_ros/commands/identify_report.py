@@ -48,6 +48,8 @@ class IdentificationReport:
         Parameters of the twin.
     held : mapping of str to float
         Those that were taken to be known.
+    chosen : mapping of str to str
+        Those that are no numbers, and are otherwise than somebody said.
     lines : tuple of str
         More for people.
     data : mapping
@@ -60,6 +62,7 @@ class IdentificationReport:
     sources: tuple[str, ...]
     found: Mapping[str, Estimate]
     held: Mapping[str, float] = field(default_factory=dict)
+    chosen: Mapping[str, str] = field(default_factory=dict)
     lines: tuple[str, ...]
     data: Mapping[str, Any]
     warnings: tuple[str, ...]
@@ -72,6 +75,7 @@ class IdentificationReport:
             unit, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
             text = f'{factor * value:.6g} {unit}'.rstrip()
             lines.append(f'{name:{width}}  {text}, taken as known')
+        lines += [f'{name:{width}}  {value}' for name, value in self.chosen.items()]
         return '\n'.join([*lines, '', *self.lines]) + '\n'
 
     def json(self) -> str:
@@ -80,7 +84,7 @@ class IdentificationReport:
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
         }
         parts = {'sources': self.sources, 'found': found, 'held': self.held}
-        return to_json({**parts, **self.data, 'warnings': self.warnings})
+        return to_json({**parts, 'chosen': self.chosen, **self.data, 'warnings': self.warnings})
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
         for name, value in self.found.items():
@@ -88,7 +92,10 @@ class IdentificationReport:
 
     def put_into(self, settings: Settings) -> dict[str, Any]:
         """Put what was found into settings of the twin, or raise ParameterError."""
-        request = {name: float(f'{value.value:.8g}') for name, value in self.found.items()}
+        request: dict[str, Any] = {
+            name: float(f'{value.value:.8g}') for name, value in self.found.items()
+        }
+        request |= self.chosen
         try:
             return {**settings, **TWIN.change(settings, request)}
         except ParameterError as error:

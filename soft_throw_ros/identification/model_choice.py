@@ -588,7 +588,8 @@ def compare_layers(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> Lay
         for (kind, chi2, fitted), each in zip(found, criteria, strict=True)
     ]
     best, second, *_ = sorted(range(len(layers)), key=lambda k: layers[k].criterion)
-    is_proven = layers[second].criterion > _PROVEN
+    # Somebody who holds the stiffening knows that the layer is linear
+    is_proven = layers[second].criterion > _PROVEN and 'layer.stiffening' in model.places
     return LayerComparison(layers, others.get(layers[best].name) if is_proven else None)
 
 
