@@ -260,7 +260,7 @@ def _identify_throws(
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
     found = fit_rig(throws, rig, description, tell=_show_progress)
-    warnings = found.fit.warnings()
+    warnings = found.warnings()
     lines = [*budget_lines(found), '', *found.remarks, *layer_lines(found.layers)]
     lines += fit_lines(found.fit)
     ejection, averages = None, dict[int, Ejection]()

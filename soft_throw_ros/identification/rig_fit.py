@@ -61,6 +61,7 @@ _LEAST_NOISE = 0.1  # of the largest, and ...
 _MODEL_ERROR = 5e-6  # of the way a projectile goes, which models leave out
 _IN_FLIGHT = 0.97  # of the time until the landing is looked at
 _STEP = 1e-5  # relative, for derivatives
+_SEEN = 3.0  # errors, from which on a layer is said to stick
 _LANDING_ROUNDS = 4  # of finding out when that is
 
 
@@ -122,6 +123,18 @@ class RigFit:
     def held_values(self) -> dict[str, float]:
         """Return what was taken to be known exactly of the rig."""
         return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.places])
+
+    def warnings(self) -> list[str]:
+        """Say what there is to doubt, each in a sentence."""
+        sticking = self.terms().get(STICKING)
+        if sticking is None or sticking.value < _SEEN * sticking.error:
+            return self.fit.warnings()
+        warning = (
+            f'the layer seems to hold the projectile for {1e3 * sticking.value:.2g} ms when it '
+            'would leave; one whose stiffness changes does much alike, from which it leaves so '
+            f'much earlier (as with --hold {STICKING})'
+        )
+        return [*self.fit.warnings(), warning]
 
     def start_time(self, throw: int) -> Estimate:
         """When a throw began, on the clock of its tracks; they count from 0. [s]"""
