@@ -151,7 +151,10 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
     if 'layer.wave_speed' not in model.places:
         return fit
     noise = _noise_of(model, fit)
-    starts = _find_valleys(model, fit)
+    try:
+        starts = _find_valleys(model, fit)
+    except EffortError:
+        return fit
     for rig in others:
         start = fit.values.copy()
         for name, value in values_of(rig, LAYER).items():
@@ -176,8 +179,10 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig]) -> Fit:
         if each.chi2 - first.chi2 < NEAR and all(_is_apart(one, each) for one in known):
             known.append(each)
             alternatives.append(Alternative(each.values, each.chi2 - first.chi2))
-    best = fit if first is fit else model.fit(first.values)
-    return best.spanning(alternatives)
+    if first is not fit:
+        with contextlib.suppress(EffortError):
+            first = model.fit(first.values)  # with its own noise
+    return first.spanning(alternatives)
 
 
 def _is_apart(fit: Fit, other: Fit) -> bool:

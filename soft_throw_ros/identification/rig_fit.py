@@ -38,7 +38,12 @@ from soft_throw_ros.identification.fit_description import (
     PARAMETERS,
     values_of,
 )
-from soft_throw_ros.identification.forward import first_releases, FirstReleases, ThrowSimulator
+from soft_throw_ros.identification.forward import (
+    EffortError,
+    first_releases,
+    FirstReleases,
+    ThrowSimulator,
+)
 from soft_throw_ros.identification.layer_search import find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.model_choice import (
@@ -262,14 +267,15 @@ def fit_rig(
     tell('comparing layers')
     compared = compare_layers(model, plates, fit)
     if compared.other is not None:
-        model = replace(simple, rig=compared.other[0])
-        fit = model.fit(model.start_from(compared.other[1], plates))
-        model, fit, more = add_terms(model, plates, fit)
+        other = replace(simple, rig=compared.other[0])
+        with contextlib.suppress(EffortError):
+            fit = other.fit(other.start_from(compared.other[1], plates))
+            model, fit, more = add_terms(other, plates, fit)
     layers = compared.layers
+    simulator.unbind()  # what is left does not take long
     if sticks and model.projectiles:
         model, fit = let_stick(model, plates, fit)
     intervals = profile_intervals(model, fit)
-    simulator.unbind()
     remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
     kept = {
         (channel.throw, channel.body): residual.track
