@@ -8,7 +8,7 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import math
 from pathlib import Path
 import sys
@@ -27,6 +27,7 @@ from soft_throw_ros.commands.identify_report import (
     fit_data,
     fit_lines,
     IdentificationReport,
+    layer_lines,
     unit_of,
     with_unit,
 )
@@ -51,7 +52,7 @@ from soft_throw_ros.identification.fit_description import (
 )
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.ringing import (
     change_of_length,
     fit_loss_tangent,
@@ -59,7 +60,12 @@ from soft_throw_ros.identification.ringing import (
     fit_wave_speed,
     Ringing,
 )
-from soft_throw_ros.identification.throw_analysis import analyse_throw, Ejection, ejection_of
+from soft_throw_ros.identification.throw_analysis import (
+    analyse_throw,
+    Ejection,
+    ejection_of,
+    SeenPlate,
+)
 from soft_throw_ros.identification.track_csv import UNITS
 from soft_throw_ros.identification.tracks import ThrowTracks
 
@@ -254,8 +260,9 @@ def _identify_throws(
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
     found = fit_rig(throws, rig, description, tell=_show_progress)
-    warnings = found.fit.warnings()
-    lines = [*budget_lines(found), '', *found.remarks, *fit_lines(found.fit)]
+    warnings = found.warnings()
+    lines = [*budget_lines(found), '', *found.remarks, *layer_lines(found.layers)]
+    lines += fit_lines(found.fit)
     ejection, averages = None, dict[int, Ejection]()
     if has_projectile:
         ejection = ejection_of(found)
@@ -264,7 +271,7 @@ def _identify_throws(
                 'within the errors the projectile may leave one echo of the wave earlier or '
                 'later: ejection time and energy transfer jump there'
             )
-        averages, more = _running_averages(found.throws, rig.gravity, ejection)
+        averages, more = _running_averages(found, rig.gravity)
         several = len(averages) > 1
         columns = {'model': ejection} | {
             f'averages, throw {number + 1}' if several else 'running averages': each
@@ -272,6 +279,7 @@ def _identify_throws(
         }
         lines += [*ejection_lines(columns), *more]
     relevant = PARAMETERS if has_projectile else ENGINE
+    elasticity = found.rig.layer.elasticity
     values = {name: value for name, value in found.estimates().items() if name in relevant}
     if arguments.figure:
         summary = [
@@ -284,15 +292,18 @@ def _identify_throws(
         sources=tuple(throw.name for throw in found.throws),
         found=values,
         held={name: value for name, value in found.held_values().items() if name in relevant},
+        chosen={'layer.elasticity': elasticity} if elasticity != rig.layer.elasticity else {},
         lines=tuple(lines),
         data={
             'fit': fit_data(found.fit),
             'terms': found.terms(),
             'remarks': found.remarks,
+            'layers': found.layers,
+            'intervals': found.intervals,
             'throws': [
                 {
                     'name': throw.name,
-                    'start_time': found.start_time(number),
+                    'start_time': found.start_time(number).value,
                     'running_averages': ejection_data(averages.get(number)),
                 }
                 for number, throw in enumerate(found.throws)
@@ -309,18 +320,16 @@ def _show_progress(text: str) -> None:
         print(f'identify: {text} ...', file=sys.stderr, flush=True)
 
 
-def _running_averages(
-    throws: Sequence[ThrowTracks], gravity: float, ejection: Ejection
-) -> tuple[dict[int, Ejection], list[str]]:
+def _running_averages(found: RigFit, gravity: float) -> tuple[dict[int, Ejection], list[str]]:
     """Analyse throws without a model of the layer, and say of which that cannot be done."""
-    plate_speed = ejection.peak_plate_speed if len(throws) == 1 else None
     averages: dict[int, Ejection] = {}
     refused: list[str] = []
-    for number, throw in enumerate(throws):
+    for number, throw in enumerate(found.throws):
         if throw.projectile is not None:
+            plate = SeenPlate.of(found, number)
             try:
                 averages[number] = analyse_throw(
-                    throw, gravity=gravity, peak_plate_speed=plate_speed
+                    found.without_drift(number), gravity=gravity, plate=plate
                 )
             except FitError as error:
                 refused.append(str(error))

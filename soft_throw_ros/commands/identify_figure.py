@@ -57,7 +57,7 @@ def draw_throws(
     for body in bodies[1:]:
         panels[body].sharex(panels['plate'])
     for number, throw in enumerate(found.throws[:_MOST]):
-        start = found.start_time(number)
+        start = found.start_time(number).value
         rest = found.heights(number, np.array([start]))
         for place, body in enumerate(bodies):
             track = (throw.plate, throw.projectile)[place]

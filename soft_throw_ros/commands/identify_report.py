@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -14,6 +14,7 @@ from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
+from soft_throw_ros.identification.model_choice import LayerModel
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.throw_analysis import Ejection
 
@@ -47,6 +48,8 @@ class IdentificationReport:
         Parameters of the twin.
     held : mapping of str to float
         Those that were taken to be known.
+    chosen : mapping of str to str
+        Those that are no numbers, and are otherwise than somebody said.
     lines : tuple of str
         More for people.
     data : mapping
@@ -59,6 +62,7 @@ class IdentificationReport:
     sources: tuple[str, ...]
     found: Mapping[str, Estimate]
     held: Mapping[str, float] = field(default_factory=dict)
+    chosen: Mapping[str, str] = field(default_factory=dict)
     lines: tuple[str, ...]
     data: Mapping[str, Any]
     warnings: tuple[str, ...]
@@ -71,6 +75,7 @@ class IdentificationReport:
             unit, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
             text = f'{factor * value:.6g} {unit}'.rstrip()
             lines.append(f'{name:{width}}  {text}, taken as known')
+        lines += [f'{name:{width}}  {value}' for name, value in self.chosen.items()]
         return '\n'.join([*lines, '', *self.lines]) + '\n'
 
     def json(self) -> str:
@@ -79,7 +84,7 @@ class IdentificationReport:
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
         }
         parts = {'sources': self.sources, 'found': found, 'held': self.held}
-        return to_json({**parts, **self.data, 'warnings': self.warnings})
+        return to_json({**parts, 'chosen': self.chosen, **self.data, 'warnings': self.warnings})
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
         for name, value in self.found.items():
@@ -87,7 +92,10 @@ class IdentificationReport:
 
     def put_into(self, settings: Settings) -> dict[str, Any]:
         """Put what was found into settings of the twin, or raise ParameterError."""
-        request = {name: float(f'{value.value:.8g}') for name, value in self.found.items()}
+        request: dict[str, Any] = {
+            name: float(f'{value.value:.8g}') for name, value in self.found.items()
+        }
+        request |= self.chosen
         try:
             return {**settings, **TWIN.change(settings, request)}
         except ParameterError as error:
@@ -131,6 +139,10 @@ def budget_lines(found: RigFit) -> Iterator[str]:
     """Say what else the fit has found, and of what an error is made that is not mere noise."""
     for name, value in found.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
+    for name, ends in found.intervals.items():
+        shown, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+        low, high = (f'{factor * end:.4g}' for end in ends)
+        yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
     for name in found.estimates():
         if name not in found.fit or found.fit.names.index(name) in found.fit.known:
             continue
@@ -144,6 +156,18 @@ def budget_lines(found: RigFit) -> Iterator[str]:
                 for n, part in sorted(large.items(), key=lambda item: -item[1])
             )
             yield f'error of {name}: {factor * total:.2g} {shown}'.rstrip() + f', by {listed}'
+
+
+def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
+    """Write a table of how well kinds of layers explain the throws."""
+    if layers:
+        yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
+    for each in layers:
+        note = '' if each.is_fitted else '  to first order'
+        yield (
+            f'{each.name:{_NAME_WIDTH}} {each.chi2:12.1f} {each.chi2 / each.dof:8.3f} '
+            f'{each.criterion:+8.1f}{note}'
+        )
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:

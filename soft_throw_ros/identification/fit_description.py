@@ -62,7 +62,7 @@ DEFAULTS: Mapping[str, str] = dict.fromkeys((*PARAMETERS, *TERMS), 'held') | {
     'projectile.mass': '+- 1 %',
     'projectile.scale': '+- 0.5 %',
     'projectile.delay': '+- 1e-4',
-    'projectile.sticking': '+- 2e-4 if seen',
+    'projectile.sticking': '+- 2e-4',
     'plate.drift': '+- 0.02 per throw',
     'projectile.drift': '+- 0.02 per throw',
     'plate.ringing': '+- 0.02 per throw if seen',

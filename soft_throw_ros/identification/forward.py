@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +22,19 @@ from soft_throw_ros.core.stepper import (
 )
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.plate_modes import PlateWithModes
 
 Floats = NDArray[np.float64]
 
-MAX_COST = 4.0
-"""Longest that following one throw with all its trial rigs takes of a processor. [s]"""
+MAX_COST = 8.0
+"""What following one throw with all its trial rigs should take of a processor at most. [s]"""
 
-_COST_PER_SAMPLE = 1e-6  # of being asked for a state [s]
+_COST_PER_THROW = 1e-3  # of being set up [s]
+_COST_PER_SAMPLE = 4e-6  # of being asked for a state [s]
 _SHARE_OF_PATH = 0.02  # of all that, which following a single rig takes at most
+_HARD = 4.0  # times that, from which on even what has to be done is refused
+_MORE = 1.3  # times what the fit has taken that all takes together at most
+_KEPT = 64  # throws that are remembered
 
 
 class EffortError(FitError):
@@ -47,15 +53,26 @@ class ThrowSimulator:
     """Follows throws, so many one by one, and refuses to go on when that takes too long."""
 
     def __init__(self, *, throws: int = 1) -> None:
-        self._limit = MAX_COST * throws
-        self._cost = 0.0
+        self.cost = 0.0
+        """What it has taken of a processor so far. [s]"""
+        self._usual = MAX_COST * throws
+        self._limit = _HARD * self._usual
+        self._kept: dict[Hashable, ProjectilePath] = {}
+
+    def bound(self) -> None:
+        """Let what is left to do be refused where it would take too long."""
+        self._limit = max(self._usual, _MORE * self.cost)
+
+    def unbind(self) -> None:
+        """Refuse nothing any more."""
+        self._limit = math.inf
 
     def follow(
         self,
         rig: Rig,
         time: Floats,
         *,
-        motion: SampledMotion | None = None,
+        motion: PlateWithModes | None = None,
         by_cells: bool = False,
     ) -> ProjectilePath:
         """
@@ -66,7 +83,7 @@ class ThrowSimulator:
         rig : Rig
         time : ndarray, shape (n,)
             Since the plate began to move, in any order; before that all is at rest. [s]
-        motion : SampledMotion, optional
+        motion : PlateWithModes, optional
             How the plate moves; by default as the engine has it.
         by_cells : bool
             Whether to take cells though there is no internal loss: where the loss is fitted, all
@@ -78,6 +95,18 @@ class ThrowSimulator:
             If the model refuses the rig, or would take too long.
 
         """
+        key = rig, motion, by_cells, time.tobytes()
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            sampled = motion and motion.sampled(float(time.min()), float(time.max()))
+            self._kept[key] = self._follow(rig, time, sampled, by_cells)
+        return self._kept[key]
+
+    def _follow(
+        self, rig: Rig, time: Floats, motion: SampledMotion | None, by_cells: bool
+    ) -> ProjectilePath:
+        """Follow a throw whose plate moves as it was sampled."""
         begin = 0.0  # steppers begin at 0
         if motion is not None:
             begin = motion.start_time
@@ -112,15 +141,15 @@ class ThrowSimulator:
         has_cells = by_cells or rig.layer.needs_cells
         model = 'finite_difference' if has_cells else 'travelling_wave'
         stepper = make_stepper(rig, motion, model=model, field_points=2)
-        cost = stepper.cost * until + _COST_PER_SAMPLE * samples
-        self._cost += cost
+        cost = stepper.cost * until + _COST_PER_THROW + _COST_PER_SAMPLE * samples
+        self.cost += cost
         limit = _SHARE_OF_PATH * MAX_COST
         if cost > limit:
             raise FitError(
                 f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
                 f'{cost:.2g} s to follow, the limit is {limit:.2g} s; leave out what comes late'
             )
-        if self._cost > self._limit:
+        if self.cost > self._limit:
             raise EffortError(
                 f'the fit takes more than {self._limit:.2g} s of following the model; leave out '
                 'what comes late in the tracks, or fit less'

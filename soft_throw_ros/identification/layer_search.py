@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import changed_rig, DEFAULTS, LAYER
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.identification.fit_description import changed_rig, LAYER
 from soft_throw_ros.identification.forward import EffortError
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.plate_fit import PlateFit
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.plate_modes import PlateWithModes
+from soft_throw_ros.identification.rig_model import cut_after, OWN, RigModel, START
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -38,6 +39,14 @@ _MAX_RATIO = 20.0  # their sum of squares is so many times that of the best, or 
 _ALIKE = 5e-3  # they differ by less, relatively
 
 
+class PlateAtWork(NamedTuple):
+    """What the plate of a throw does, and from when on [s]."""
+
+    engine: Engine
+    motion: PlateWithModes
+    start_time: float
+
+
 class LayerCandidate(NamedTuple):
     """A rig to start from, and the sum of squares that it leaves."""
 
@@ -51,11 +60,16 @@ class LayerCandidate(NamedTuple):
         return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
 
 
-def find_layers(model: RigModel, plates: Sequence[PlateFit]) -> list[Rig]:
+def find_layers(
+    model: RigModel,
+    plates: Sequence[PlateFit],
+    of_plates: Fit,
+) -> list[Rig]:
     """
     Find about which layer it is: look at many, nearer where it looks good, and refine the best.
 
-    Returns the best, and then others that might turn out to be.
+    Returns the best, and then others that might turn out to be. `of_plates` is a fit of the plates
+    alone.
 
     Where a stiff layer makes the projectile chatter, the sum of squares has valleys less than a
     percent wide. A loss that is looked for is none at first; it is small, and the model without
@@ -63,10 +77,17 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit]) -> list[Rig]:
     """
     free = {name for name in LAYER if model.description.is_free(name)}
     used = [channel.throw for channel in model.projectiles[:_THROWS]]
-    throws = tuple(model.throws[throw].without_spikes() for throw in used)
+    throws = tuple(
+        throw.without_spikes() if number in used else replace(throw, projectile=None)
+        for number, throw in enumerate(model.throws)
+    )
     model = replace(model, throws=throws)
-    plates = [plates[throw] for throw in used]
-    early = model.cut(plates, _PERIODS / model.rig.engine.frequency)
+    start = model.start_from(of_plates, plates)
+    at_work = {}
+    for throw in used:
+        rig, motion = model.motion(start, throw)
+        at_work[throw] = PlateAtWork(rig.engine, motion, model.value(start, START, throw))
+    early = cut_after(model, plates, _PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
     rig = model.rig
@@ -78,7 +99,7 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit]) -> list[Rig]:
     candidates = []
     for thickness in _thicknesses(model, plates, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _valleys(early, plates, [changed_rig(rig, each) for each in row])
+        candidates += _valleys(early, at_work, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     if 'layer.thickness' in free:
@@ -89,26 +110,26 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit]) -> list[Rig]:
                 {'layer.wave_speed': speed * part**power, 'layer.thickness': thickness * part}
                 for part in _THICKNESSES_NEARBY.tolist()
             ]
-            candidates += _valleys(early, plates, [changed_rig(each.rig, part) for part in row])
+            candidates += _valleys(early, at_work, [changed_rig(each.rig, part) for part in row])
     # What a projectile does early is much alike on many layers; how it flies then is not
-    seen = model.cut(plates, _fall_time(model, plates))
+    seen = cut_after(model, plates, _fall_time(model, plates))
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
-    description = replace(
-        model.description,
-        parameters={name: 'free' if name in free else 'held' for name in DEFAULTS},
-    )
     refined = []
     for candidate in _best_of(candidates, _REFINED):
         rig = changed_rig(candidate.rig, loss)
-        trial = replace(seen, rig=rig, description=description)
+        trial = replace(seen, rig=rig)
         noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in trial.tracks()])
         try:
-            found = trial.fit(trial.start(plates), noise=noise, max_evaluations=_REFINING_STEPS)
+            found = trial.fit(
+                trial.start_from(of_plates, plates), noise=noise, only=(*free, *OWN),
+                max_evaluations=_REFINING_STEPS,
+            )  # fmt: skip
+            rig = trial.rig_of(trial.start_from(found, plates))
         except EffortError:
             raise
         except FitError:
             continue  # it went where no model can follow
-        refined.append(LayerCandidate(found.chi2, trial.rig_of(found.values)))
+        refined.append(LayerCandidate(found.chi2, rig))
     return [candidate.rig for candidate in _best_of(refined or candidates, _REFINED)]
 
 
@@ -137,11 +158,15 @@ def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
     return max(min(ends), _PERIODS / model.rig.engine.frequency)
 
 
-def _valleys(model: RigModel, plates: Sequence[PlateFit], rigs: list[Rig]) -> list[LayerCandidate]:
+def _valleys(
+    model: RigModel,
+    at_work: Mapping[int, PlateAtWork],
+    rigs: list[Rig],
+) -> list[LayerCandidate]:
     """Find rigs in a row that fit better than their neighbours, and of the best the wave speed."""
 
     def mismatch(rig: Rig) -> LayerCandidate:
-        return LayerCandidate(_mismatch(model, plates, rig), rig)
+        return LayerCandidate(_mismatch(model, at_work, rig), rig)
 
     outside = LayerCandidate(math.inf, model.rig)
     row = [outside, *map(mismatch, rigs), outside]
@@ -164,20 +189,24 @@ def _valleys(model: RigModel, plates: Sequence[PlateFit], rigs: list[Rig]) -> li
     return found
 
 
-def _mismatch(model: RigModel, plates: Sequence[PlateFit], rig: Rig) -> float:
+def _mismatch(
+    model: RigModel,
+    at_work: Mapping[int, PlateAtWork],
+    rig: Rig,
+) -> float:
     """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
     trial = replace(model, rig=rig)
-    alike: dict[Rig, list[tuple[Floats, Track]]] = {}
+    alike: dict[tuple[Rig, PlateWithModes], list[tuple[Floats, Track]]] = {}
     for throw, _, track in model.projectiles:
-        alike.setdefault(trial.rigs[throw], []).append(
-            (track.time - plates[throw].start_time, track)
-        )
+        plate = at_work[throw]
+        each = replace(trial.rigs[throw], engine=plate.engine)
+        alike.setdefault((each, plate.motion), []).append((track.time - plate.start_time, track))
     total = 0.0
-    for each, tracks in alike.items():
+    for (each, motion), tracks in alike.items():
         parts = [slice(None, None, -(-track.time.size // _SAMPLES)) for _, track in tracks]
         times = [since[part] for (since, _), part in zip(tracks, parts, strict=True)]
         try:
-            path = model.simulator.follow(each, np.concatenate(times))
+            path = model.simulator.follow(each, np.concatenate(times), motion=motion)
         except EffortError:
             raise
         except FitError:

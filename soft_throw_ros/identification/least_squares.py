@@ -12,9 +12,9 @@ squared per degree of freedom if that is above 1 or the noise was estimated, and
 correlation of the residuals adds to the variance of a mean (`TrackResidual.inflation`).
 
 A sample is an outlier if its residual is away from those around it by more than `OUTLIER_LIMIT`
-times the noise; what a model that does not fit leaves changes slowly, and makes none. If there
-are any, the fit is repeated with a robust loss; then they are left out, and the rest is fitted by
-plain least squares.
+times the noise; what a model that does not fit leaves changes slowly, and makes none. So they are
+seen, and left out, before anything is fitted. If a fit shows more, it is repeated with a robust
+loss; then these are left out, too, and the rest is fitted by plain least squares.
 
 What is known with an error is one more residual. Information adds up, :math:`C^{-1} = \sum_i
 F_i`, hence :math:`C = \sum_i C F_i C`: what each source of it, noise or something known with an
@@ -50,6 +50,7 @@ _RANKS = (2, 4)  # from the third to the fifth of them in size
 _MAX_OUTLIER_SHARE = 0.1  # of a track; if there are more, it is the model that does not fit
 _OUTLIER_ROUNDS = 6  # of leaving them out and fitting again
 _AUTOCORRELATION_LAGS = 10
+_TOLERANCE = 1e-8  # of chi squared, relative: 1e-2 of an error, which steppers are exact to
 _SPARSE_ABOVE = 40  # parameters: of many throws each has its own, which no other depends on
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
 _NEGLIGIBLE_RMS = 0.5  # of the noise, below which the colour of residuals does not matter
@@ -58,6 +59,7 @@ _NOISE_ROUNDS = 2  # of estimating the noise and fitting again, unless ...
 _NOISE_TOLERANCE = 0.1  # it changes by less, relatively
 _STRAY = 5.0  # standard deviations beyond which a difference tells nothing of the noise
 _JITTER_SIGNIFICANCE = 4.0  # standard errors by which noise must grow with the speed
+_CONTRADICTION = 4.0  # errors of what is known, by which nothing differs by chance
 _SLOW_PART = 25  # samples over which residuals are averaged to see where they are not noise
 _CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # as large as white noise itself
 
@@ -235,6 +237,13 @@ class Fit:
         return self.chi2 / self.dof
 
     @property
+    def variance_scale(self) -> float:
+        """By how much variances are larger than the noise that was taken. [-]"""
+        if self.is_mismatch or not all(each.track.known_noise for each in self.residuals):
+            return self.reduced_chi2
+        return 1.0
+
+    @property
     def correlation(self) -> Floats:
         """Correlations of the errors, shape (n, n)."""
         errors = self.errors
@@ -283,6 +292,13 @@ class Fit:
                     f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
                     f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
                     f'{factor:.0f} times what it would be if the other were known; hold one'
+                )
+        for place, known in self.known.items():
+            off = abs(self.values[place] - known.value) / known.error
+            if off > _CONTRADICTION:
+                found.append(
+                    f'{self.names[place]} is found {off:.1f} errors from what is known of it, '
+                    f'{known}: something is not as it is said to be'
                 )
         if self.is_mismatch:
             worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
@@ -398,7 +414,7 @@ def fit_tracks(
             f'{samples} samples are too few for {start.size} parameters: {", ".join(model.names)}'
         )
     problem = _LeastSquares(model, tracks, noise, max_evaluations)
-    values = problem.leave_out(problem.solve(start))
+    values = problem.begin(start)
     if noise is None:
         for _ in range(_NOISE_ROUNDS):
             if not problem.reweigh(values):
@@ -505,26 +521,32 @@ class _LeastSquares:
             tr_options={'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {},
             bounds=(model.low, model.high),
             x_scale='jac',
-            xtol=1e-10,
-            ftol=1e-10,
-            gtol=1e-10,
+            xtol=_TOLERANCE,
+            ftol=_TOLERANCE,
+            gtol=_TOLERANCE,
             loss=loss,
             max_nfev=self._max_evaluations,
         )
         return np.asarray(solution.x)
 
+    def begin(self, start: Floats) -> Floats:
+        """Return the best values without outliers, which are no outliers of the start alone."""
+        # Fitted with what is an outlier already here, it might go where there is no way back from
+        self._kept = ~self._find_outliers(np.clip(start, self._model.low, self._model.high))
+        return self.leave_out(self.solve(start))
+
     def leave_out(self, values: Floats) -> Floats:
         """Leave outliers out, if there are any, and fit again until they stay the same."""
-        if (self._find_outliers(values) == ~self._kept).all():
-            return values
-        if self._kept.all():
+        outliers = self._find_outliers(values)
+        if (outliers & self._kept).any():
             values = self.solve(values, loss='soft_l1')
-        for _ in range(_OUTLIER_ROUNDS):
             outliers = self._find_outliers(values)
+        for _ in range(_OUTLIER_ROUNDS):
             if (outliers == ~self._kept).all():
                 break
             self._kept = ~outliers
             values = self.solve(values)
+            outliers = self._find_outliers(values)
         return values
 
     def reweigh(self, values: Floats) -> bool:
@@ -589,9 +611,7 @@ class _LeastSquares:
             residuals=residuals,
             known=dict(self._model.known),
         )
-        scale = 1.0
-        if fit.is_mismatch or not all(track.known_noise for _, track in self._tracks):
-            scale = max(math.sqrt(chi2 / dof), 1e-150)
+        scale = max(math.sqrt(fit.variance_scale), 1e-150)
         sizes = [residual.values.size for residual in residuals]
         scales = [scale * math.sqrt(max(residual.inflation, 1.0)) for residual in residuals]
         jacobian = self._jacobian(values)

@@ -265,8 +265,6 @@ class Planner:
     def information(self) -> tuple[Floats, ...]:
         """What each condition tells of them."""
         jacobian = self._model.jacobian(self._values) / self.sight.noise
-        sizes = [channel.track.time.size for channel in self._model.channels]
-        rows = np.repeat([channel.throw for channel in self._model.channels], sizes)
         shared = list(self._shared.values())
         told = []
         for number in range(1, len(self.conditions) + 1):
@@ -277,7 +275,7 @@ class Planner:
             ]
             known = np.array([1.0 / self._model.known[p].error if p in self._model.known else 0.0
                               for p in own])  # fmt: skip
-            seen = jacobian[rows == number]
+            seen = jacobian[self._model.rows == number]
             of_shared = np.concatenate([seen[:, shared], np.zeros((len(own), len(shared)))])
             basis, _ = np.linalg.qr(np.concatenate([seen[:, own], np.diag(known)]))
             left = of_shared - basis @ (basis.T @ of_shared)

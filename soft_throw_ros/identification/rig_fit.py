@@ -21,13 +21,14 @@ is so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
@@ -37,12 +38,26 @@ from soft_throw_ros.identification.fit_description import (
     PARAMETERS,
     values_of,
 )
-from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.forward import (
+    EffortError,
+    first_releases,
+    FirstReleases,
+    ThrowSimulator,
+)
 from soft_throw_ros.identification.layer_search import find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.model_choice import add_terms, find_best_minimum
+from soft_throw_ros.identification.model_choice import (
+    add_terms,
+    compare_layers,
+    describe_layers,
+    find_best_minimum,
+    LayerModel,
+    let_stick,
+    profile_intervals,
+    STICKING,
+)
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import RigModel, START
+from soft_throw_ros.identification.rig_model import cut_after, RigModel, shift_of_release, START
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -50,6 +65,8 @@ Floats = NDArray[np.float64]
 _LEAST_NOISE = 0.1  # of the largest, and ...
 _MODEL_ERROR = 5e-6  # of the way a projectile goes, which models leave out
 _IN_FLIGHT = 0.97  # of the time until the landing is looked at
+_STEP = 1e-5  # relative, for derivatives
+_SEEN = 3.0  # errors, from which on a layer is said to stick
 _LANDING_ROUNDS = 4  # of finding out when that is
 
 
@@ -71,6 +88,10 @@ class RigFit:
         What they were found from: without what comes after a landing, and without outliers.
     remarks : tuple of str
         What had to be assumed to explain these throws, each in a sentence.
+    layers : tuple of LayerModel
+        How well several kinds of layers explain them.
+    intervals : mapping of str to tuple of float
+        Intervals of 95 % of parameters for which errors are no good, see `profile_intervals`.
 
     """
 
@@ -78,6 +99,8 @@ class RigFit:
     rig: Rig
     throws: tuple[ThrowTracks, ...]
     remarks: tuple[str, ...] = ()
+    layers: tuple[LayerModel, ...] = ()
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     _model: RigModel
 
     def estimates(self) -> dict[str, Estimate]:
@@ -106,13 +129,21 @@ class RigFit:
         """Return what was taken to be known exactly of the rig."""
         return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.places])
 
-    def start_time(self, throw: int) -> float:
-        """When a throw began, on the clock of its tracks; they count from 0. [s]"""
-        return self._model.value(self.fit.values, START, throw)
+    def warnings(self) -> list[str]:
+        """Say what there is to doubt, each in a sentence."""
+        sticking = self.terms().get(STICKING)
+        if sticking is None or sticking.value < _SEEN * sticking.error:
+            return self.fit.warnings()
+        warning = (
+            f'the layer seems to hold the projectile for {1e3 * sticking.value:.2g} ms when it '
+            'would leave; one whose stiffness changes does much alike, from which it leaves so '
+            f'much earlier (as with --hold {STICKING})'
+        )
+        return [*self.fit.warnings(), warning]
 
-    def release_shift(self) -> tuple[float, float]:
-        """How sticking and waves of the plate change time [s] and speed [m/s] of leaving."""
-        return self._model.release_shift(self.fit.values, 0)
+    def start_time(self, throw: int) -> Estimate:
+        """When a throw began, on the clock of its tracks; they count from 0. [s]"""
+        return self.fit[self.fit.names[self._model.places[START][throw]]]
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
@@ -120,16 +151,61 @@ class RigFit:
         plate, projectile = self._model.paths(self.fit.values, places)
         return plate.height, projectile.height
 
-    def draw(self, count: int, seed: int = 0) -> list[Rig]:
-        """Draw rigs that may be as well as the one that was fitted, of those that can be."""
+    def without_drift(self, throw: int) -> ThrowTracks:
+        """Take the drift that was found off the projectile of a throw."""
+        tracks = self.throws[throw]
+        if tracks.projectile is None:
+            return tracks
+        time = tracks.projectile.time
+        drift = self._model.drift(self.fit.values, throw, 'projectile', time)
+        return replace(
+            tracks,
+            projectile=replace(tracks.projectile, position=tracks.projectile.position - drift),
+        )
+
+    def peak_plate_speed(self, throw: int) -> Estimate:
+        """Find the largest speed of the step of a throw, :math:`V_p^*` (D4). [m/s]"""
+        values, places = self.fit.values, self._model.places
+
+        def speed(moved: Floats) -> float:
+            return Underdamped.of(self._model.rig_of(moved, throw).engine).peak_velocity
+
+        slopes = np.zeros_like(values)
+        for name in ENGINE:
+            place = places.get(name, {}).get(throw)
+            if place is not None:
+                step = np.zeros_like(values)
+                step[place] = _STEP * values[place]
+                slopes[place] = (speed(values + step) - speed(values)) / max(step[place], 1e-300)
+        error = math.sqrt(float(slopes @ self.fit.covariance @ slopes))
+        return Estimate(speed(values), error)
+
+    def releases(self, count: int, seed: int = 0) -> FirstReleases:
+        """
+        Find how projectiles leave: that of the rig, and of others that may be as well.
+
+        The first is of the rig that was fitted. Waves of the plate and a layer that sticks change
+        when and how fast they leave.
+        """
         rng = np.random.default_rng(seed)
         powers, axes = np.linalg.eigh(self.fit.correlation)
         steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
-        drawn = []
-        for step in steps @ axes.T:
+        rigs, stuck = [], []
+        for step in (np.zeros(powers.size), *(steps @ axes.T)):
+            values = self.fit.values + self.fit.errors * step
             with contextlib.suppress(ValueError):
-                drawn.append(self._model.rig_of(self.fit.values + self.fit.errors * step))
-        return drawn
+                rigs.append(self._model.rig_of(values))
+                stuck.append(self._model.value(values, 'projectile.sticking', 0))
+        found = first_releases(rigs)
+        shift = shift_of_release(self._model, self.fit.values, 0)
+        # A time below 0 stands for as much less of what a layer that sticks does
+        slowed = 0.5 * shift.jerk * np.array(stuck) * np.abs(stuck)
+        speed = found.speed + shift.speed + slowed
+        return found._replace(
+            time=found.time + shift.time + stuck,
+            speed=speed,
+            energy_transfer=(speed / found.peak_plate_speed) ** 2,
+        )
 
 
 def fit_rig(
@@ -166,21 +242,41 @@ def fit_rig(
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
+    sticks = description.treatment(STICKING).is_varied
+    if sticks:  # a loss looks much alike: first it is seen whether either is needed
+        description = description.change({STICKING: f'{description.text(STICKING)} if seen'})
     throws = _with_like_noise(throws)
     plates = [_fit_plate(throw, description) for throw in throws]
     rig = _with_engine_of(plates, description.prepare(rig), description)
     simulator = ThrowSimulator(throws=len(throws))
     model = RigModel(tuple(throws), rig, description, simulator)
+    tell('fitting the plate')
+    model, of_plates, remarks = _fit_plates(model, plates)
     others: list[Rig] = []
     if free:
         tell('looking at all layers that it may be')
-        model, others = _find_layers(model, plates, free)
+        model, others = _find_layers(model, plates, of_plates, free)
     tell('fitting')
-    model, fit = _fit_until_landing(model, plates)
+    model, fit = _fit_until_landing(model, plates, of_plates)
+    simulator.bound()
     tell('looking for other minima')
-    fit = find_best_minimum(model, plates, fit, others)
+    fit = find_best_minimum(model, fit, others)
     tell('looking for what a bench may add')
-    model, fit, remarks = add_terms(model, plates, fit)
+    simple = model
+    model, fit, more = add_terms(model, plates, fit)
+    tell('comparing layers')
+    compared = compare_layers(model, plates, fit)
+    if compared.other is not None:
+        other = replace(simple, rig=compared.other[0])
+        with contextlib.suppress(EffortError):
+            fit = other.fit(other.start_from(compared.other[1], plates))
+            model, fit, more = add_terms(other, plates, fit)
+    layers = compared.layers
+    simulator.unbind()  # what is left does not take long
+    if sticks and model.projectiles:
+        model, fit = let_stick(model, plates, fit)
+    intervals = profile_intervals(model, fit)
+    remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
     kept = {
         (channel.throw, channel.body): residual.track
         for channel, residual in zip(model.channels, fit.residuals, strict=True)
@@ -194,12 +290,24 @@ def fit_rig(
         rig=model.rig_of(fit.values),
         throws=throws,
         remarks=tuple(remarks),
+        layers=tuple(layers),
+        intervals=intervals,
         _model=model,
     )
 
 
+def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, Fit, list[str]]:
+    """Fit the plates alone, and find what they do beside a step, which no layer changes."""
+    alone = replace(model, throws=tuple(replace(throw, projectile=None) for throw in model.throws))
+    alone, fit, remarks = add_terms(alone, plates, alone.fit(alone.start(plates)))
+    # What their own tracks do not show may later explain no projectile
+    unseen = [name for name in alone.description.if_seen if name.startswith('plate')]
+    description = alone.description.change(dict.fromkeys(unseen, 'held'))
+    return replace(model, description=description, mode=alone.mode), fit, remarks
+
+
 def _find_layers(
-    model: RigModel, plates: Sequence[PlateFit], free: Sequence[str]
+    model: RigModel, plates: Sequence[PlateFit], of_plates: Fit, free: Sequence[str]
 ) -> tuple[RigModel, list[Rig]]:
     """Find about which layer each throw has, and what else it may be if all have the same."""
     groups: dict[str | None, list[int]] = {}
@@ -209,8 +317,11 @@ def _find_layers(
             groups.setdefault(conditions.get('layer'), []).append(number)
     found: dict[int, dict[str, float]] = {}
     for numbers in groups.values():
-        part = replace(model, throws=tuple(model.throws[number] for number in numbers))
-        best, *others = find_layers(part, [plates[number] for number in numbers])
+        throws = tuple(
+            throw if number in numbers else replace(throw, projectile=None)
+            for number, throw in enumerate(model.throws)
+        )
+        best, *others = find_layers(replace(model, throws=throws), plates, of_plates)
         if len(groups) == 1:
             return replace(model, rig=best), others
         found |= dict.fromkeys(numbers, values_of(best, free))
@@ -263,7 +374,9 @@ def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescri
     return changed_rig(rig, values)
 
 
-def _fit_until_landing(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, Fit]:
+def _fit_until_landing(
+    model: RigModel, plates: Sequence[PlateFit], of_plates: Fit
+) -> tuple[RigModel, Fit]:
     """Fit to what comes before the projectile lands, which depends on the fit."""
     seen, rig = model, model.rig
     for _ in range(_LANDING_ROUNDS):
@@ -271,7 +384,7 @@ def _fit_until_landing(model: RigModel, plates: Sequence[PlateFit]) -> tuple[Rig
         if seen is not model and _sizes(cut) == _sizes(seen):
             break
         seen = cut
-        found = seen.fit(seen.start(plates))
+        found = seen.fit(seen.start_from(of_plates, plates))
         rig = seen.rig_of(found.values)
     return seen, found
 
@@ -290,7 +403,7 @@ def _before_landing(model: RigModel, rig: Rig, plates: Sequence[PlateFit]) -> Ri
         float(track.time[-1]) - plates[throw].start_time for throw, _, track in model.projectiles
     )
     landing = model.simulator.landing_time(rig, max(longest, 0.0), by_cells=model.by_cells)
-    seen = seen.cut(plates, _IN_FLIGHT * landing)
+    seen = cut_after(seen, plates, _IN_FLIGHT * landing)
     if not seen.projectiles:
         raise FitError(
             f'the projectile is seen at less than {FEWEST} moments before it lands, '

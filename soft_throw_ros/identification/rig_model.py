@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 import math
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
@@ -23,22 +24,27 @@ from soft_throw_ros.identification.fit_description import (
     TERMS,
     values_of,
 )
-from soft_throw_ros.identification.forward import ProjectilePath, ThrowSimulator
+from soft_throw_ros.identification.forward import MAX_COST, ProjectilePath, ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate, Fit, fit_tracks, FitModel
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 """What each throw has for itself: when it begins, and the heights of its bodies at rest."""
 
 WAVES = {
     'plate.ringing': ('plate.ringing_cosine', 'plate.ringing_sine'),
     'plate.mode': ('plate.mode_cosine', 'plate.mode_sine'),
 }
-"""Terms that are waves, each of two parts."""
+"""Terms that are waves, and their amplitudes."""
+
+MODE = ('plate.mode_frequency', 'plate.mode_damping_ratio')
+"""What is fitted with a second mode beside its amplitudes, and is the same in all throws."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -51,14 +57,36 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
     'projectile.sticking': (0.0, math.inf),
+    MODE[0]: (1e-3, math.inf),
+    MODE[1]: (1e-4, 0.5),
 }
 _ANYTHING = (-math.inf, math.inf)
-_STEP = 3e-4  # relative, for derivatives: large against what steppers leave out ...
-_LEAST_STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # ... and absolute
+_STEP = 3e-4  # relative, for derivatives: large against what steppers leave out; or ...
+_STEPS = {  # absolute
+    'engine.damping_ratio': 3e-5,
+    'layer.loss_tangent': 3e-4,
+    'layer.stiffening': 2e-2,
+    'projectile.sticking': 1e-5,
+    PLATE_ZERO: 1e-5,
+    PROJECTILE_ZERO: 1e-5,
+    **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
+    **dict.fromkeys((*WAVES['plate.ringing'], *WAVES['plate.mode'], MODE[1]), 1e-3),
+}
+_MOVING = {  # what another value of makes another throw, which has to be followed
+    *PARAMETERS,
+    'layer.stiffening',
+    *WAVES['plate.ringing'],
+    *WAVES['plate.mode'],
+    *MODE,
+}
+_MODE_ERRORS = (0.05, 0.05)  # of the frequency, relative, and the damping of a mode that is seen
+_EVALUATIONS = 60  # of the model, in one run of the solver, unless ...
+_SHARE_OF_FIT = 0.3  # of all effort goes into it; but there are ...
+_FEWEST_EVALUATIONS = 8
 _RELEASED = 3.0  # plate periods until it is looked whether the projectile left
-_WAVE_STEP = 1e-3  # for derivatives, of the plate's amplitude
 START_OF_STICKING = 1e-4  # [s]
-_JERK_STEP = 1e-2  # of the ejection time, over which the force is seen to vanish
+_TRIED = 400  # moments of that
+_JERK_STEP = 0.05  # of the ejection time, over which the force is seen to vanish, at least
 
 
 class Channel(NamedTuple):
@@ -70,31 +98,21 @@ class Channel(NamedTuple):
 
 
 class Path(NamedTuple):
-    """
-    Height [m] and velocity [m/s] of a body as it is seen.
-
-    `travel` is how far it is from where it rests, and `stuck` how the height changes with the time
-    for which the projectile is held. [m], [m/s]
-    """
+    """Height [m] and velocity [m/s] of a body as it is seen."""
 
     height: Floats
     velocity: Floats
-    travel: Floats
-    stuck: Floats
 
 
-class Nudge(NamedTuple):
-    """A parameter that is changed in all throws by a part of its value, or by so much at least."""
+class ReleaseShift(NamedTuple):
+    """How waves of the plate change the release, and what a layer does that sticks."""
 
-    name: str
-    part: float
-    least: float = 0.0
-
-    def apply(self, value: float) -> float:
-        """Change a value within its bounds."""
-        low, high = _BOUNDS[self.name]
-        step = math.copysign(max(abs(self.part * value), self.least), self.part)
-        return min(max(value + step, low), high)
+    time: float
+    """[s]"""
+    speed: float
+    """[m/s]"""
+    jerk: float
+    """By how much the acceleration changes in a second in which the layer sticks. [m/s3]"""
 
 
 @dataclass(frozen=True)
@@ -105,11 +123,9 @@ class RigModel:
     Notes
     -----
     The values that are fitted stand in a series, see `places`: first those that all throws have in
-    common, and then those of one or some of them. Drift, scale, delay, start and zeros change
-    heights in ways that are known. Density and diameter matter by :math:`m / (\rho_s S)` alone,
-    so their derivatives are those by the mass, and a layer that stiffens has another wave speed.
-    The other derivatives are central differences, for which a parameter changes in all throws at
-    once.
+    common, and then those of one or some of them. Derivatives are central differences, for which
+    a parameter changes in all throws at once; where only what is seen of a throw changes, and not
+    the throw, it is not followed again.
 
     """
 
@@ -155,6 +171,12 @@ class RigModel:
         return [channel for channel in self.channels if channel.body == 'projectile']
 
     @cached_property
+    def rows(self) -> Integers:
+        """The throw of each sample of all tracks."""
+        sizes = [each.track.time.size for each in self.channels]
+        return np.repeat([each.throw for each in self.channels], sizes)
+
+    @cached_property
     def groups(self) -> dict[tuple[str, Hashable], list[int]]:
         """Throws that have a parameter in common, by its name and by what tells them apart."""
         described, heights = self.description, self.description.heights
@@ -166,6 +188,8 @@ class RigModel:
                     key = described.group(name, throw.name, number)
                     for part in WAVES.get(name, (name,)):
                         groups.setdefault((part, key), []).append(number)
+                    for part in MODE if name == 'plate.mode' else ():
+                        groups.setdefault((part, None), []).append(number)
         own = [START]
         own += [] if heights == 'absolute' else [PLATE_ZERO]
         own += [PROJECTILE_ZERO] if heights == 'own' else []
@@ -203,6 +227,11 @@ class RigModel:
                 )
                 if known is not None:
                     found[place] = known
+            if part in MODE and self.mode is not None:
+                error = (_MODE_ERRORS[0] * self.mode.frequency, _MODE_ERRORS[1])
+                found[place] = Estimate(
+                    *list(zip(self.mode, error, strict=True))[MODE.index(part)]
+                )
         return found
 
     def places_of(self, name: str) -> list[int]:
@@ -218,7 +247,7 @@ class RigModel:
             return self.description.value(name, self.rigs[throw], self.throws[throw].name)
         return 0.0
 
-    def rig_of(self, values: Floats, throw: int | None = None, nudge: Nudge | None = None) -> Rig:
+    def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
         """
         Make the rig of a throw, with the wave speed that its layer has at this strain.
 
@@ -235,22 +264,12 @@ class RigModel:
                 if any(isinstance(key, int) for part, key in self.groups if part == name):
                     changes[name] = float(np.mean(values[self.places_of(name)]))
         rig = changed_rig(self.rigs[number], changes)
-        if nudge is not None:
-            value = values_of(rig, [nudge.name])[nudge.name]
-            rig = changed_rig(rig, {nudge.name: nudge.apply(value)})
         stiffening = self.value(values, 'layer.stiffening', number)
         if stiffening:
             low, high = _BOUNDS['layer.wave_speed']
             speed = rig.layer.wave_speed + stiffening * rig.engine.speed_scale
             rig = changed_rig(rig, {'layer.wave_speed': min(max(speed, low), high)})
         return rig
-
-    def nominal(self, values: Floats, name: str, throw: int) -> float:
-        """Look up a parameter of the rig of a throw."""
-        place = self.places.get(name, {}).get(throw)
-        if place is not None:
-            return float(values[place])
-        return values_of(self.rigs[throw], [name])[name]
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -269,11 +288,7 @@ class RigModel:
         return np.asarray(np.abs(np.concatenate([path.velocity for path in self.paths(values)])))
 
     def paths(
-        self,
-        values: Floats,
-        places: Sequence[tuple[int, str, Floats]] | None = None,
-        *,
-        nudge: Nudge | None = None,
+        self, values: Floats, places: Sequence[tuple[int, str, Floats]] | None = None
     ) -> list[Path]:
         """
         Compute what is seen of bodies, or raise FitError if a throw cannot be followed.
@@ -286,14 +301,14 @@ class RigModel:
         found: dict[int, Path] = {}
         alike: dict[tuple[Rig, PlateWithModes, float], list[int]] = {}
         since: dict[int, Floats] = {}
+        motions = {throw: self.motion(values, throw) for throw in {place[0] for place in places}}
         for number, (throw, body, time) in enumerate(places):
-            rig, motion = self._rig_and_motion(values, throw, nudge)
+            rig, motion = motions[throw]
             since[number] = time - self.value(values, START, throw)
             if body == 'plate':
                 height = self.value(values, PLATE_ZERO, throw) + motion.position(since[number])
-                height += self._drift(values, throw, body, time)
-                nothing = np.zeros_like(height)
-                found[number] = Path(height, motion.velocity(since[number]), nothing, nothing)
+                height += self.drift(values, throw, body, time)
+                found[number] = Path(height, motion.velocity(since[number]))
             else:
                 since[number] = since[number] - self.value(values, 'projectile.delay', throw)
                 sticking = self.value(values, 'projectile.sticking', throw)
@@ -301,68 +316,27 @@ class RigModel:
         for (rig, motion, sticking), numbers in alike.items():
             times = np.concatenate([since[number] for number in numbers])
             ends = np.cumsum([since[number].size for number in numbers])[:-1]
-            parts = self._follow(rig, motion, times, sticking)
-            pieces = zip(*(np.split(each, ends) for each in parts), strict=True)
-            for number, (travel, velocity, stuck) in zip(numbers, pieces, strict=True):
+            follow = partial(self.simulator.follow, rig, motion=motion, by_cells=self.by_cells)
+            travel, velocity = _travel(follow(times), rig, times, sticking)
+            pieces = zip(np.split(travel, ends), np.split(velocity, ends), strict=True)
+            for number, (way, speed) in zip(numbers, pieces, strict=True):
                 throw, body, time = places[number]
                 scale = self.value(values, 'projectile.scale', throw)
-                height = self._projectile_rest(values, throw, rig) + scale * travel
-                height += self._drift(values, throw, body, time)
-                found[number] = Path(height, scale * velocity, travel, scale * stuck)
+                height = self._projectile_rest(values, throw, rig) + scale * way
+                height += self.drift(values, throw, body, time)
+                found[number] = Path(height, scale * speed)
         return [found[number] for number in range(len(places))]
 
-    def _rig_and_motion(
-        self, values: Floats, throw: int, nudge: Nudge | None
-    ) -> tuple[Rig, PlateWithModes]:
+    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithModes]:
         """Make the rig of a throw, and how its plate moves."""
-        rig = self.rig_of(values, throw, nudge)
+        rig = self.rig_of(values, throw)
         waves = tuple(self.value(values, part, throw) for pair in WAVES.values() for part in pair)
-        return rig, PlateWithModes(Underdamped.of(rig.engine), waves, self.mode)
+        mode = self.mode
+        if mode is not None and MODE[0] in self.places:
+            mode = Mode(*(self.value(values, part, throw) for part in MODE))
+        return rig, PlateWithModes(Underdamped.of(rig.engine), waves, mode)
 
-    def _follow(
-        self,
-        rig: Rig,
-        motion: PlateWithModes,
-        since: Floats,
-        sticking: float,
-    ) -> tuple[Floats, Floats, Floats]:
-        """Follow a projectile: travel, velocity, and how the former changes with sticking."""
-        sampled = motion.sampled(float(since.min()), float(since.max()))
-        follow = partial(self.simulator.follow, rig, motion=sampled, by_cells=self.by_cells)
-        path = follow(since)
-        travel, velocity = path.position - rest_height(rig), path.velocity
-        left = ejections(path.events)
-        if not sticking or not left:
-            return travel, velocity, np.zeros_like(travel)
-        jerk = _jerk(follow, left[-1].time)
-        after = np.maximum(since - left[-1].time, 0.0)
-        held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
-        travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
-        velocity = velocity + 0.5 * jerk * held**2
-        return travel, velocity, jerk * sticking * free
-
-    def release_shift(self, values: Floats, throw: int) -> tuple[float, float]:
-        """How sticking and waves of the plate change time [s] and speed [m/s] of leaving."""
-        rig, motion = self._rig_and_motion(values, throw, None)
-        sticking = self.value(values, 'projectile.sticking', throw)
-        until = np.array([_RELEASED / rig.engine.frequency])
-        sampled = motion.sampled(
-            self.throws[throw].plate.time[0] - self.value(values, START, throw), until[0]
-        )
-        follow = partial(self.simulator.follow, rig, by_cells=self.by_cells)
-        plain, found = (
-            ejections(follow(until).events),
-            ejections(follow(until, motion=sampled).events),
-        )
-        if not plain or not found or not (sticking or sampled):
-            return 0.0, 0.0
-        pull = 0.0
-        if sticking:
-            pull = 0.5 * sticking**2 * _jerk(partial(follow, motion=sampled), found[0].time)
-        change = found[0].time - plain[0].time, found[0].velocity - plain[0].velocity
-        return change[0] + sticking, change[1] + pull
-
-    def _drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
+    def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record. [m]"""
         plate = self.throws[throw].plate
         part = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
@@ -377,18 +351,38 @@ class RigModel:
         scale = self.value(values, 'projectile.scale', throw)
         return self.value(values, PLATE_ZERO, throw) + scale * (half + rest_height(rig))
 
-    def jacobian(self, values: Floats) -> Floats:
-        """Differentiate `predict`."""
+    def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
+        """Differentiate `predict` by all parameters, or some of them."""
+        rows = self.rows
         sizes = [each.track.time.size for each in self.channels]
-        rows = np.repeat([each.throw for each in self.channels], sizes)
-        paths = self.paths(values)
+        is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
+        velocity = np.concatenate([path.velocity for path in self.paths(values)])
         jacobian = np.zeros((rows.size, values.size))
-        slopes = _Slopes(self, values, paths)
         for name, by_throw in self.places.items():
-            slope = slopes.of(name)
+            if only and name not in only:
+                continue
+            if name in (START, 'projectile.delay'):
+                slope = -velocity * (1.0 if name == START else ~is_plate)
+            else:
+                slope = self._slope(values, name)
             for throw, place in by_throw.items():
                 jacobian[rows == throw, place] = slope[rows == throw]
         return jacobian
+
+    def _slope(self, values: Floats, name: str) -> Floats:
+        """Take a central difference by a parameter, which changes in all throws."""
+        places = self.places_of(name)
+        low, high = _BOUNDS.get(name, _ANYTHING)
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[places])
+            moved[places] = np.clip(values[places] + sign * step, low, high)
+            ends.append(moved)
+        width = np.ones(len(self.throws))
+        for throw, place in self.places[name].items():
+            width[throw] = ends[0][place] - ends[1][place]
+        return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
 
     def start(self, plates: Sequence[PlateFit]) -> Floats:
         """Find where to start from, given fits of the plates alone."""
@@ -399,6 +393,8 @@ class RigModel:
                     values[place] = values_of(self.rigs[throw], [name])[name]
                 elif name in TERMS:
                     values[place] = self.description.value(name, self.rig, self.throws[throw].name)
+                elif name in MODE and self.mode is not None:
+                    values[place] = self.mode[MODE.index(name)]
         if 'projectile.sticking' in self.places:
             values[self.places_of('projectile.sticking')] = START_OF_STICKING
         for throw, plate in enumerate(plates):
@@ -426,143 +422,105 @@ class RigModel:
         )
 
     def fit(
-        self, start: Floats, *, noise: Floats | None = None, max_evaluations: int = 100
+        self,
+        start: Floats,
+        *,
+        noise: Floats | None = None,
+        max_evaluations: int = _EVALUATIONS,
+        only: Sequence[str] | None = None,
     ) -> Fit:
-        """Fit, or raise FitError if it cannot be done; see `fit_tracks`."""
-        low, high = np.full((2, start.size), [[-math.inf], [math.inf]])
-        for place, (name, _) in enumerate(self.groups):
-            low[place], high[place] = _BOUNDS.get(name, _ANYTHING)
+        """Fit, or raise FitError if it cannot be done; see `fit_tracks`. `only` some may vary."""
+        names = [name for name, _ in self.groups]
+        free = [place for place, name in enumerate(names) if not only or name in only]
+        low, high = np.transpose([_BOUNDS.get(names[place], _ANYTHING) for place in free])
+
+        def whole(values: Floats) -> Floats:
+            full: Floats = start.copy()
+            full[free] = values
+            return full
+
         model = FitModel(
-            names=self.names,
-            predict=self.predict,
-            jacobian=self.jacobian,
+            names=tuple(self.names[place] for place in free),
+            predict=lambda values: self.predict(whole(values)),
+            jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
             high=high,
-            known=self.known,
-            speed=self.speed,
+            known={k: self.known[place] for k, place in enumerate(free) if place in self.known},
+            speed=lambda values: self.speed(whole(values)),
         )
         return fit_tracks(
-            model, start, self.tracks(), noise=noise, max_evaluations=max_evaluations
+            model,
+            start[free],
+            self.tracks(),
+            noise=noise,
+            max_evaluations=min(
+                max_evaluations,
+                self._affordable(start, 1 + 2 * sum(names[place] in _MOVING for place in free)),
+            ),
         )
 
-    def cut(self, plates: Sequence[PlateFit], after: float) -> RigModel:
-        """Leave out what the projectiles do later than so long after the start. [s]"""
-        throws = []
-        for throw, plate in zip(self.throws, plates, strict=True):
-            projectile = throw.projectile
-            if projectile is not None:
-                end = plate.start_time + after
-                is_seen = int((projectile.time <= end).sum()) >= FEWEST
-                projectile = projectile.between(-math.inf, end) if is_seen else None
-            throws.append(replace(throw, projectile=projectile))
-        return replace(self, throws=tuple(throws))
+    def _affordable(self, values: Floats, paths: int) -> int:
+        """Tell how many evaluations of so many paths may be made."""
+        before = self.simulator.cost
+        self.predict(values)
+        cost = (self.simulator.cost - before) * paths
+        share = _SHARE_OF_FIT * MAX_COST * len(self.throws)
+        return max(_FEWEST_EVALUATIONS, int(share / max(cost, 1e-9)))
 
 
-class _Slopes:
-    """Derivatives of the heights of all tracks by parameters, each computed once."""
-
-    def __init__(self, model: RigModel, values: Floats, paths: Sequence[Path]) -> None:
-        self._model = model
-        self._values = values
-        self._paths = paths
-        self._sizes = [channel.track.time.size for channel in model.channels]
-        self._is_plate = self._spread([channel.body == 'plate' for channel in model.channels])
-        self._by_rig: dict[str, Floats] = {}
-
-    def of(self, name: str) -> Floats:
-        """Differentiate by a parameter."""
-        model, paths, is_plate = self._model, self._paths, self._is_plate
-        velocity = np.concatenate([path.velocity for path in paths])
-        if name == START:
-            return -velocity
-        if name == PLATE_ZERO:
-            return is_plate if model.description.heights == 'own' else np.ones_like(is_plate)
-        if name == PROJECTILE_ZERO:
-            return 1.0 - is_plate
-        if name == 'projectile.delay':
-            return -velocity * (1.0 - is_plate)
-        if name == 'projectile.scale':
-            return self._of_scale()
-        if name == 'projectile.sticking':
-            return np.concatenate([path.stuck for path in paths])
-        if name.endswith('.drift'):
-            return self._of_drift(name)
-        if name == 'layer.stiffening':
-            return self._of_rig('layer.wave_speed') * self._spread(
-                [rig.engine.speed_scale for rig in self._rigs()]
-            )
-        if name in ('layer.density', 'layer.diameter'):
-            power = {'layer.density': -1.0, 'layer.diameter': -2.0}[name]
-            return self._of_rig('projectile.mass') * self._spread(
-                [
-                    power * rig.projectile.mass / values_of(rig, [name])[name]
-                    for rig in self._rigs()
-                ]
-            )
-        return self._of_rig(name) if name in PARAMETERS else self._of_wave(name)
-
-    def _rigs(self) -> list[Rig]:
-        return [self._model.rig_of(self._values, each.throw) for each in self._model.channels]
-
-    def _spread(self, numbers: Sequence[float]) -> Floats:
-        """Repeat a number for each sample of each track."""
-        return np.repeat(np.asarray(numbers, dtype=np.float64), self._sizes)
-
-    def _of_rig(self, name: str) -> Floats:
-        """Take a central difference of the rigs of all throws."""
-        if name not in self._by_rig:
-            nudges = [
-                Nudge(name, sign * _STEP, _LEAST_STEPS.get(name, 0.0)) for sign in (1.0, -1.0)
-            ]
-            ahead, behind = (self._model.paths(self._values, nudge=each) for each in nudges)
-            change = [up.height - down.height for up, down in zip(ahead, behind, strict=True)]
-            widths = []
-            for each in self._model.channels:
-                value = self._model.nominal(self._values, name, each.throw)
-                widths.append(nudges[0].apply(value) - nudges[1].apply(value))
-            self._by_rig[name] = np.concatenate(change) / self._spread(widths)
-        return self._by_rig[name]
-
-    def _of_wave(self, name: str) -> Floats:
-        """Take a central difference by a part of a wave, in all throws at once."""
-        change = np.zeros_like(self._values)
-        change[self._model.places_of(name)] = _WAVE_STEP
-        ahead, behind = (self._model.predict(self._values + sign * change) for sign in (1.0, -1.0))
-        return np.asarray((ahead - behind) / (2.0 * _WAVE_STEP))
-
-    def _of_scale(self) -> Floats:
-        """Differentiate by the scale of the projectile, about where its heights count from."""
-        model = self._model
-        travel = np.concatenate([path.travel for path in self._paths])
-        if model.description.heights == 'own':
-            return travel
-        rests = []
-        for (_, body, _), rig in zip(model.channels, self._rigs(), strict=True):
-            half = 0.5 * rig.projectile.length if model.description.reference == 'centre' else 0.0
-            rests.append(0.0 if body == 'plate' else half + rest_height(rig))
-        return travel + self._spread(rests)
-
-    def _of_drift(self, name: str) -> Floats:
-        """Differentiate by the drift of a body."""
-        model = self._model
-        values = self._values.copy()
-        values[model.places_of(name)] = 1.0
-        return np.concatenate(
-            [
-                model._drift(values, throw, body, track.time)
-                if name == f'{body}.drift'
-                else np.zeros_like(track.time)
-                for throw, body, track in model.channels
-            ]
-        )
+def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigModel:
+    """Leave out what the projectiles do later than so long after the start. [s]"""
+    throws = []
+    for throw, plate in zip(model.throws, plates, strict=True):
+        projectile = throw.projectile
+        if projectile is not None:
+            end = plate.start_time + after
+            is_seen = int((projectile.time <= end).sum()) >= FEWEST
+            projectile = projectile.between(-math.inf, end) if is_seen else None
+        throws.append(replace(throw, projectile=projectile))
+    return replace(model, throws=tuple(throws))
 
 
-def _jerk(follow: Callable[[Floats], ProjectilePath], release: float) -> float:
+def _travel(
+    path: ProjectilePath, rig: Rig, since: Floats, sticking: float
+) -> tuple[Floats, Floats]:
+    """Compute how far a projectile is from where it rests, and its velocity, if it is held."""
+    travel, velocity = path.position - rest_height(rig), path.velocity
+    left = ejections(path.events)
+    if not sticking or not left:
+        return travel, velocity
+    jerk = _jerk(since, velocity, left[-1], rig.gravity)
+    after = np.maximum(since - left[-1].time, 0.0)
+    held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
+    travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
+    return travel, velocity + 0.5 * jerk * held**2
+
+
+def shift_of_release(model: RigModel, values: Floats, throw: int) -> ReleaseShift:
+    """How waves of the plate change time and speed of leaving, and what sticking would."""
+    rig, motion = model.motion(values, throw)
+    time = np.linspace(0.0, _RELEASED / rig.engine.frequency, _TRIED)
+    follow = partial(model.simulator.follow, rig, time, by_cells=model.by_cells)
+    path = follow(motion=motion)
+    plain, found = ejections(follow().events), ejections(path.events)
+    if not plain or not found:
+        return ReleaseShift(0.0, 0.0, 0.0)
+    return ReleaseShift(
+        found[0].time - plain[0].time,
+        found[0].velocity - plain[0].velocity,
+        _jerk(time, path.velocity, found[0], rig.gravity),
+    )
+
+
+def _jerk(time: Floats, velocity: Floats, release: Event, gravity: float) -> float:
     """By how much the acceleration changes in a second where the force vanishes. [m/s3]"""
     # While the layer sticks, the force goes on changing like that
-    step = _JERK_STEP * release
-    velocity = follow(release - step * np.arange(3.0)).velocity
-    return float(velocity[0] - 2.0 * velocity[1] + velocity[2]) / step**2
+    before = np.flatnonzero(time < (1.0 - _JERK_STEP) * release.time)
+    if not before.size:
+        return 0.0
+    place = before[np.argmax(time[before])]
+    since = release.time - time[place]
+    return float(2.0 * (velocity[place] - release.velocity - gravity * since) / since**2)
 
 
 def rest_height(rig: Rig) -> float:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.identification.forward import first_releases
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
@@ -57,8 +56,31 @@ class Ejection:
     is_near_jump: bool = False
 
 
+class SeenPlate(NamedTuple):
+    """What has to be known of a plate to say how a projectile left it."""
+
+    start_time: Estimate
+    """On the clock of the track. [s]"""
+    period: float
+    """[s]"""
+    peak_speed: Estimate
+    r""":math:`V_p^*`. [m/s]"""
+
+    @classmethod
+    def by_its_track(cls, track: Track) -> SeenPlate:
+        """Fit a damped step, without a drift or ringing."""
+        found = fit_plate(track)
+        return cls(found.fit['start_time'], 1.0 / found.motion.frequency, found.peak_velocity)
+
+    @classmethod
+    def of(cls, found: RigFit, throw: int) -> SeenPlate:
+        """Take it from a fit, which knows drift and ringing."""
+        period = 1.0 / found.rig.engine.frequency
+        return cls(found.start_time(throw), period, found.peak_plate_speed(throw))
+
+
 def analyse_throw(
-    tracks: ThrowTracks, *, gravity: float, peak_plate_speed: Estimate | None = None
+    tracks: ThrowTracks, *, gravity: float, plate: SeenPlate | None = None
 ) -> Ejection:
     r"""
     Find how the projectile left from running averages and centred differences.
@@ -70,8 +92,8 @@ def analyse_throw(
         vary a little.
     gravity : float
         [m/s2]
-    peak_plate_speed : Estimate, optional
-        :math:`V_p^*`, if it is known better than from the track alone, which may drift. [m/s]
+    plate : SeenPlate, optional
+        From a fit that knows more than the track of the plate alone, which may drift or ring.
 
     Raises
     ------
@@ -85,8 +107,8 @@ def analyse_throw(
     vanishes at :math:`t_e`. That is fitted where it falls short by less than 16 %, and
     :math:`V_e` is the speed of the flight, taken back to :math:`t_e`; if the projectile was
     caught up in between, it is that of the last release. What is smooth is smoothed once more to
-    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*`, if it is not given,
-    is that of the motion that fits the plate (D4).
+    see what that does, and that is taken back (twicing [1]_). :math:`V_p^*` is that of the motion
+    that fits the plate (D4).
 
     Errors are the spread of results with other noise, half of what was taken back, and for
     :math:`t_e` the difference between fitting 12 % and 24 %.
@@ -98,8 +120,8 @@ def analyse_throw(
     """
     if tracks.projectile is None:
         raise FitError(f'{tracks.name}: there is no track of the projectile')
-    plate = fit_plate(tracks.plate)
-    period, interval = 1.0 / plate.motion.frequency, tracks.projectile.interval
+    plate = plate or SeenPlate.by_its_track(tracks.plate)
+    period, interval = plate.period, tracks.projectile.interval
     if interval * _SAMPLES_PER_PERIOD > period:
         raise FitError(
             f'{tracks.name}: running averages need at least {_SAMPLES_PER_PERIOD} samples per '
@@ -116,8 +138,8 @@ def analyse_throw(
         raise FitError(f'{tracks.name}: {error}') from None
     doubt = (others[1] - others[0])[0]
     errors = np.hypot(averages.spread(projectile), 0.5 * taken_back)
-    time_error = math.hypot(errors[0], doubt, plate.fit['start_time'].error)
-    time = Estimate(float(found[0]) - plate.start_time, time_error)
+    time_error = math.hypot(errors[0], doubt, plate.start_time.error)
+    time = Estimate(float(found[0]) - plate.start_time.value, time_error)
     speed = Estimate(float(found[1]), math.hypot(errors[1], gravity * doubt))
     is_seen = time.value > 0.0 and time_error < _MAX_TIME_ERROR * period
     if not (is_seen and speed.error < _MAX_SPEED_ERROR * speed.value):
@@ -125,7 +147,7 @@ def analyse_throw(
             f'{tracks.name}: the ejection is not determined by running averages, for noise: they '
             f'see it after {time} s, at {speed} m/s'
         )
-    plate_speed = peak_plate_speed or plate.peak_velocity
+    plate_speed = plate.peak_speed
     alpha = (speed.value / plate_speed.value) ** 2
     relative = math.hypot(speed.error / speed.value, plate_speed.error / plate_speed.value)
     return Ejection(
@@ -237,21 +259,19 @@ def ejection_of(found: RigFit) -> Ejection:
     so much later, and has slowed the projectile down by then; the error of how long is added.
 
     """
-    releases = first_releases([found.rig, *found.draw(_DRAWS)])
+    releases = found.releases(_DRAWS)
     if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
     seen = ~np.isnan(releases.time)
-    later, faster = found.release_shift()
-    speed = releases.speed + faster
 
     def estimate(values: Floats) -> Estimate:
         error = float(np.std(values[seen], ddof=1)) if seen.sum() > 1 else 0.0
         return Estimate(float(values[0]), error)
 
     return Ejection(
-        time=estimate(releases.time + later),
-        speed=estimate(speed),
+        time=estimate(releases.time),
+        speed=estimate(releases.speed),
         peak_plate_speed=estimate(releases.peak_plate_speed),
-        energy_transfer=estimate((speed / releases.peak_plate_speed) ** 2),
+        energy_transfer=estimate(releases.energy_transfer),
         is_near_jump=bool(np.mean(releases.echoes[seen] != releases.echoes[0]) > _JUMP_SHARE),
     )

@@ -25,7 +25,9 @@ from soft_throw_ros.identification.least_squares import (
 )
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.throw_analysis import ejection_of
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
+from soft_throw_ros.twin.imperfect_rig import Imperfections, throw
 
 KNOWN = Rig(
     engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),  # nonsense, which is no guess
@@ -89,8 +91,8 @@ def test_many_throws_are_as_exact_as_they_should(make_throw):
     assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
     for number in range(4):
         name = f'start_time[{number + 1}]'
-        assert found.fit[name].value == found.start_time(number)
-        assert found.start_time(number) == pytest.approx(
+        assert found.fit[name] == found.start_time(number)
+        assert found.start_time(number).value == pytest.approx(
             0.01 + 1e-4 * number, abs=4.0 * found.fit[name].error
         )
 
@@ -150,7 +152,13 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     )
     throw = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    fit = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'})).fit
+    found = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
+    fit = found.fit
+    for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
+        low, high = found.intervals[name]
+        assert low < truth < high
+        # What the valley bends makes one side longer than the other
+        assert high - low == pytest.approx(2.0 * 1.96 * fit[name].error, rel=0.5)
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
@@ -289,7 +297,7 @@ def test_second_mode_of_a_plate_is_seen_and_said():
     rig = Rig()
     since = np.arange(0.0, 0.1, 2e-4) - 0.0153
     plate = PlateWithModes(Underdamped.of(rig.engine), (0.0, 0.0, 0.0, 0.01), Mode(310.0, 0.02))
-    path = ThrowSimulator().follow(rig, since, motion=plate.sampled(since[0], since[-1]))
+    path = ThrowSimulator().follow(rig, since, motion=plate)
     noise = 2e-5 * np.random.default_rng(3).normal(size=(2, since.size))
     throw = ThrowTracks(
         name='ringing',
@@ -297,10 +305,50 @@ def test_second_mode_of_a_plate_is_seen_and_said():
         projectile=Track(time=since + 0.0153, position=path.position + noise[1]),
     )
     found = fit_rig([throw], rig)
-    (remark,) = found.remarks
-    assert 'plate.mode at 3' in remark
+    remark = found.remarks[0]
+    assert 'a plate with a second mode explains' in remark
+    frequency = found.fit['plate.mode_frequency']
+    assert frequency.value == pytest.approx(310.0, abs=3.5 * frequency.error)
     assert found.fit.warnings() == []
     assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+
+
+def imperfect_throw(imperfections, *, rig=None, seed=0, noise=2e-5):
+    """Tracks of a throw by small cells, which share nothing with what is fitted."""
+    thrown = throw(rig or Rig(), imperfections, until=0.07, start=-0.016, cells=128)
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 0.08, 2e-4)
+    heights = thrown.plate(time - 0.0153), thrown.projectile(time - 0.0153)
+    plate, projectile = (
+        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
+    )
+    return ThrowTracks(name='imperfect', plate=plate, projectile=projectile), thrown.changes[0]
+
+
+def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
+    tracks, release = imperfect_throw(Imperfections(sticking=2e-4))
+    found = ejection_of(fit_rig([tracks], Rig()))
+    for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
+        assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
+    held = ejection_of(fit_rig([tracks], Rig(), FitDescription({'projectile.sticking': 'held'})))
+    assert held.time.error < found.time.error < 4e-4
+    assert abs(held.time.value - release.time) > 5.0 * held.time.error  # it does matter
+
+
+@pytest.mark.parametrize('phase', [0.5, 3.5])
+def test_plate_that_rings_before_leads_to_no_other_minimum(phase):
+    # So thin a layer that the projectile does not leave it before the throw
+    rig = Rig(layer=Layer(thickness=8e-3))
+    tracks, release = imperfect_throw(Imperfections(ringing=0.015, ringing_phase=phase), rig=rig)
+    assert release.time > 0.0
+    found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
+    assert 'a plate that rings' in found.remarks[0]
+    assert found.fit.warnings() == []
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+    peak = found.peak_plate_speed(0)  # which averages go by, too
+    truth = Underdamped.of(Rig().engine).peak_velocity
+    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
+    assert ejection_of(found).speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
 def test_other_minimum_is_named_and_spanned():
@@ -334,9 +382,61 @@ def test_loss_is_seen_without_being_asked_for():
     )
     description = FitDescription({**HELD, 'layer.loss_tangent': 'free if seen'})
     found = fit_rig([throw], Rig(), description)
-    assert any('a layer with loss explains' in remark for remark in found.remarks)
+    (remark,) = found.remarks
+    assert 'a layer with loss explains these throws' in remark
+    assert 'one without loss' in remark
+    assert 'does not' in remark
+    best = min(found.layers, key=lambda layer: layer.criterion)
+    assert (best.name, best.criterion, best.is_fitted) == ('with loss', 0.0, True)
+    assert best.chi2 == pytest.approx(found.fit.chi2)
     loss = found.estimates()['layer.loss_tangent']
     assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
+
+
+def followed(rig, *, name='followed', seed=0, noise=2e-5):
+    """Tracks of a throw by the model that is fitted, with noise."""
+    time = np.arange(0.0, 0.08, 2e-4)
+    since = time - 0.0153
+    heights = (
+        Underdamped.of(rig.engine).position(since),
+        ThrowSimulator().follow(rig, since).position,
+    )
+    rng = np.random.default_rng(seed)
+    plate, projectile = (
+        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
+    )
+    return ThrowTracks(name=name, plate=plate, projectile=projectile)
+
+
+def test_layer_of_large_strain_is_told_from_linear_ones():
+    rig = Rig(engine=Engine(amplitude=5e-3), layer=Layer(elasticity='neo_hookean'))
+    found = fit_rig([followed(rig)], KNOWN)
+    assert found.rig.layer.elasticity == 'neo_hookean'
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig), ENGINE).values())) < 3.5
+    speed = found.estimates()['layer.wave_speed']
+    assert speed.value == pytest.approx(7.8, abs=3.5 * speed.error)
+    assert found.fit.warnings() == []
+    assert re.fullmatch(
+        r'a layer of large strain explains these throws \(chi squared (0.9|1.0).*'
+        r'; one .*without loss .* does not',
+        found.remarks[-1],
+    )
+    best = min(found.layers, key=lambda layer: layer.criterion)
+    assert (best.name, best.is_fitted) == ('of large strain', True)
+
+
+def test_layer_that_is_linear_stays_so(make_throw):
+    found = fit_rig([make_throw(Rig(engine=Engine(amplitude=5e-3)))], KNOWN)
+    assert found.rig.layer.elasticity == 'linear'
+    assert found.remarks[-1].startswith('a layer without loss explains these throws')
+
+
+def test_loss_that_nobody_told_is_found_beside_all_that_a_bench_may_add():
+    rig = Rig(layer=Layer(loss_tangent=0.1))
+    found = fit_rig([followed(rig)], KNOWN)
+    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 3.5
+    assert found.fit['layer.loss_tangent'].error < 0.02
+    assert found.fit.warnings() == []
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):

@@ -13,7 +13,7 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
-from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of
+from soft_throw_ros.identification.throw_analysis import analyse_throw, ejection_of, SeenPlate
 
 RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
 
@@ -75,7 +75,8 @@ def test_running_averages_see_the_last_release_if_the_layer_catches_up(make_thro
 
 def test_energy_transfer_is_by_the_plate_speed_that_is_given(make_throw):
     throw = make_throw(Rig(), duration=0.08)
-    found = analyse_throw(throw, gravity=9.81, peak_plate_speed=Estimate(0.5, 0.1))
+    plate = SeenPlate.by_its_track(throw.plate)._replace(peak_speed=Estimate(0.5, 0.1))
+    found = analyse_throw(throw, gravity=9.81, plate=plate)
     alpha = (found.speed.value / 0.5) ** 2
     assert found.energy_transfer.value == pytest.approx(alpha)
     assert found.energy_transfer.error == pytest.approx(2.0 * alpha * 0.1 / 0.5, rel=1e-2)
