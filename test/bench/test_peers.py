@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the bench compares with is right, too: it converges to the exact release."""
 
+import math
+
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
@@ -87,3 +89,12 @@ def test_library_that_does_not_install_or_is_wrong_is_left_out_with_the_reason()
     assert [case.name for case in found] == ['right']
     assert 'no such library' in left_out[0]
     assert 'off by 25 %' in left_out[1]
+
+
+@pytest.mark.parametrize(('mu', 'rise', 'alpha'), [(0.46, 0.25, 5.65), (0.84, 1.0, 4.78)])
+def test_driven_plate_throws_as_is_known(mu, rise, alpha):
+    """A plate that goes up as fast as it may, without gravity."""
+    args = (mu, 0.0, math.inf, np.array([1.0 / rise]), rise)
+    speed = peers.driven_kernel(*args, 200)
+    assert speed**2 == pytest.approx(alpha, rel=5e-3)
+    assert peers.driven_kernel(mu, 0.0, 1.0, *args[3:], 200) == 0.0  # which takes more travel
