@@ -261,17 +261,8 @@ def fit_rig(
     simulator.bound()
     tell('looking for other minima')
     fit = find_best_minimum(model, fit, others)
-    tell('looking for what a bench may add')
-    simple = model
-    model, fit, more = add_terms(model, plates, fit)
-    tell('comparing layers')
-    compared = compare_layers(model, plates, fit)
-    if compared.other is not None:
-        other = replace(simple, rig=compared.other[0])
-        with contextlib.suppress(EffortError):
-            fit = other.fit(other.start_from(compared.other[1], plates))
-            model, fit, more = add_terms(other, plates, fit)
-    layers = compared.layers
+    tell('looking for what a bench may add, and comparing layers')
+    model, fit, layers, more = _choose_layer(model, plates, fit)
     simulator.unbind()  # what is left does not take long
     if sticks and model.projectiles:
         model, fit = let_stick(model, plates, fit)
@@ -304,6 +295,21 @@ def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, 
     unseen = [name for name in alone.description.if_seen if name.startswith('plate')]
     description = alone.description.change(dict.fromkeys(unseen, 'held'))
     return replace(model, description=description, mode=alone.mode), fit, remarks
+
+
+def _choose_layer(
+    model: RigModel, plates: Sequence[PlateFit], fit: Fit
+) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
+    """Add what the tracks show to be needed, and take the kind of layer that explains them."""
+    simple = model
+    model, fit, remarks = add_terms(model, plates, fit)
+    compared = compare_layers(model, plates, fit)
+    if compared.other is not None:
+        other = replace(simple, rig=compared.other[0])
+        with contextlib.suppress(EffortError):
+            fit = other.fit(other.start_from(compared.other[1], plates))
+            model, fit, remarks = add_terms(other, plates, fit)
+    return model, fit, compared.layers, remarks
 
 
 def _find_layers(

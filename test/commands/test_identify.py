@@ -14,6 +14,7 @@ from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import USUAL
+from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
@@ -68,6 +69,24 @@ def test_readme_shows_what_is_printed_of_the_sample(command, tmp_path, monkeypat
         assert float(line.split()[1]) == pytest.approx(float(other.split()[1]), rel=1e-3)
     thickness = files.read(tmp_path / 'my_rig.yaml')['layer.thickness']
     assert thickness == pytest.approx(12e-3, abs=1e-4)
+
+
+def test_large_strain_is_said_and_written(command, write, tmp_path):
+    engine = Engine(frequency=58.0, damping_ratio=0.05, amplitude=5e-3)
+    rig = Rig(engine=engine, layer=Layer(elasticity='neo_hookean'))
+    time = np.arange(0.0, 0.08, 2e-4)
+    heights = np.stack([
+        Underdamped.of(engine).position(time - 0.0153),
+        ThrowSimulator().follow(rig, time - 0.0153).position,
+    ])  # fmt: skip
+    heights += 2e-5 * np.random.default_rng(2).normal(size=heights.shape)
+    rows = [','.join(map(str, row)) for row in np.column_stack([time, *heights]).tolist()]
+    path = write('\n'.join(['t,plate,projectile', *rows]))
+    output = tmp_path / 'rig.yaml'
+    printed = command.run(path, '--output', output)
+    assert re.search(r'^layer.elasticity +neo_hookean$', printed, re.MULTILINE)
+    assert rig_of(files.read(output)).layer.elasticity == 'neo_hookean'
+    assert command.json(path, '--hold', 'layer.stiffening')['chosen'] == {}
 
 
 @pytest.mark.parametrize(('body', 'row'), [('plate', 40), ('projectile', 0), ('projectile', 80)])

@@ -327,7 +327,9 @@ def imperfect_throw(imperfections, *, rig=None, seed=0, noise=2e-5):
 
 def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
     tracks, release = imperfect_throw(Imperfections(sticking=2e-4))
-    found = ejection_of(fit_rig([tracks], Rig()))
+    fit = fit_rig([tracks], Rig())
+    assert fit.warnings() == []  # it may as well not stick
+    found = ejection_of(fit)
     for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
         assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
     held = ejection_of(fit_rig([tracks], Rig(), FitDescription({'projectile.sticking': 'held'})))
@@ -423,6 +425,15 @@ def test_layer_of_large_strain_is_told_from_linear_ones():
     )
     best = min(found.layers, key=lambda layer: layer.criterion)
     assert (best.name, best.is_fitted) == ('of large strain', True)
+
+
+def test_what_contradicts_what_is_known_is_said(make_throw):
+    throw = make_throw(Rig())
+    wrong = changed(throw, projectile=1.05 * throw.projectile.position)
+    (warning,) = fit_rig([wrong], KNOWN).warnings()
+    assert re.match(
+        r'projectile\.scale is found 10\.\d errors from .* 1\.0000 \+- 0\.0050', warning
+    )
 
 
 def test_layer_that_is_linear_stays_so(make_throw):
