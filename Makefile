@@ -26,9 +26,8 @@ PYTHON ?= python3
 ARGS ?=
 CASES ?= 100000
 
-# Each process of tests has a ROS domain of its own, of which there are 101. Many tests wait, for which a
-# core takes two of them.
-PARALLEL := -n $(shell cores=$$(nproc); echo $$((cores < 16 ? 2 * cores : 32))) --dist worksteal
+# Each process of tests has a ROS domain of its own, of which there are 101.
+PARALLEL := -n auto --maxprocesses 32 --dist worksteal
 
 # What becomes of a process does not depend on the version of numpy.
 PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
