@@ -130,9 +130,9 @@ def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin)
         twin.go(10)
         message = JointState(name=['plate'], position=[0.0], velocity=[math.nan])
         message.header.stamp = time_to_msg(twin.clock.time)
-        sender.publish(message)
 
         def is_taken() -> bool:
+            sender.publish(message)  # the twin may not know of the sender yet
             twin.measurement.take()
             return bool(twin.session.sample_counts.taken > before)
 
