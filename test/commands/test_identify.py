@@ -310,7 +310,8 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         found, error = value(last, name)
         # One throw hardly tells wave speed, thickness and stiffening apart
-        assert found == pytest.approx(expected, rel=1e-4, abs=0.05 * error)
+        slack = 0.05 * error if name == 'layer.wave_speed' else 0.0
+        assert found == pytest.approx(expected, rel=1e-4, abs=slack)
 
 
 def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):
