@@ -440,10 +440,8 @@ def _substitute(nodes, x, case, first, end, quarter):
     rest = high + quarter
     for j in range(int(end), int(rest), -1):
         nodes[x, j - 1] += nodes[share, j - 1] * nodes[x, j]
-    two, odd = (
-        np.uintp(2),
-        quarter & one,
-    )  # the outermost node of each chain, if it is one too many
+    two = np.uintp(2)
+    odd = quarter & one  # the outermost node of each chain, if it is one too many
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     if odd:
         a, b = nodes[x, first], nodes[x, separator - one]

@@ -9,6 +9,7 @@ every few milliseconds.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from statistics import median
 import time
 from typing import Any
 
@@ -62,25 +63,20 @@ class _Run:
         self.gaps = 0
         self.earlier = number - 1
         self.last, self.last_when = number, when
-        self._first = number, when
         self._waited = 0 if began is None else when - began
-        self._counted = number, when  # the last one that tells how often it publishes
+        self._periods: list[float] = []  # at first; a burst may come later
 
     def add(self, number: int, when: int) -> None:
         """Count another message, and those that are missing before it."""
+        if len(self._periods) < _RATE_MESSAGES:
+            self._periods.append((when - self.last_when) / (number - self.last))
         self.gaps += number - self.last - 1
         self.last, self.last_when = number, when
-        if number - self._first[0] <= _RATE_MESSAGES:  # it may do so more often later
-            self._counted = number, when
 
     @property
     def is_late(self) -> bool:
         """Whether the publisher began before we did, by how often it publishes."""
-        (first, first_when), (last, last_when) = self._first, self._counted
-        if last == first:
-            return True
-        period = (last_when - first_when) / (last - first)
-        return self.earlier * period > self._waited
+        return not self._periods or self.earlier * median(self._periods) > self._waited
 
 
 class RawSubscription:

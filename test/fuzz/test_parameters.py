@@ -64,7 +64,7 @@ def test_parameters_are_valid_or_refused(tmp_path: Path, data: Any) -> None:
             assert_refusal(error)
             assert any(repr(value)[:200] in str(error) or f'{name!r}' in str(error)
                        or (isinstance(value, str) and f'{value}: ' in str(error))  # a file
-                           or (isinstance(value, (int, float)) and f'{value:g}' in str(error))
+                       or (isinstance(value, (int, float)) and f'{value:g}' in str(error))
                        for name, value in request.items()), str(error)  # fmt: skip
         else:
             assert_valid(table, settings)

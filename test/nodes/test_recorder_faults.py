@@ -109,12 +109,12 @@ def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tupl
     return int(found[1]), int(found[2]), int(late[1]) if late else 0
 
 
-def written(path: Path) -> int:
-    """How many messages there are in a bag that is being written."""
-    found = 0
+def numbers(path: Path) -> list[int]:
+    """Read what numbers the publisher gave to messages of a bag, which may be being written."""
+    found: list[int] = []
     with (path / 'bag_0.mcap').open('rb') as file, contextlib.suppress(EndOfFile):
-        for record in StreamReader(file).records:
-            found += isinstance(record, Message)
+        records = StreamReader(file).records
+        found.extend(record.sequence for record in records if isinstance(record, Message))
     return found
 
 
@@ -152,7 +152,7 @@ def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_lat
     recorder = record(publisher)
     if not joins_late:
         publisher.begin(period=0.005)
-    while written(tmp_path / 'bag') < 100:  # which tell how often it publishes
+    while len(numbers(tmp_path / 'bag')) < 100:  # which tell how often it publishes
         assert recorder.process.poll() is None
         time.sleep(0.01)
     publisher.publish(0)  # no more for now
@@ -162,7 +162,9 @@ def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_lat
     publisher.publish(10, period=0.1)
     received, lost, late = last_line(recorder)
     assert count(tmp_path / 'bag') == received
-    assert (late > 0) == joins_late
+    first = numbers(tmp_path / 'bag')[0]
+    assert late == (first - 1) * joins_late
+    assert first > 1 or not joins_late
     assert lost == publisher.count - late - received > 0
 
 
