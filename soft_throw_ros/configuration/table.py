@@ -36,14 +36,15 @@ class ParameterError(ValueError):
     Parameters
     ----------
     message : str
-        What was given and what would be right, in one line.
+        What was given and what would be right; the names of files in it may have several lines,
+        an error has one.
     *names : str
         The parameters concerned, the one to blame first.
 
     """
 
     def __init__(self, message: str, *names: str) -> None:
-        super().__init__(message)
+        super().__init__(' '.join(message.splitlines()))
         self.names = names
 
 
