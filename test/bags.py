@@ -57,11 +57,11 @@ def text(content: str) -> bytes:
     return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
 
 
-def write(path: Path, messages: Iterable[Message], **kwargs: Any) -> Path:
-    """Write a bag with a chunk for every thousand messages."""
+def write(path: Path, messages: Iterable[Message], chunk: int = 1000, **kwargs: Any) -> Path:
+    """Write a bag with a chunk for so many messages."""
     with BagWriter(path, distribution='jazzy', **kwargs) as writer:
         for number, message in enumerate(messages):
             writer.write(message)
-            if number % 1000 == 999:
+            if number % chunk == chunk - 1:
                 writer.flush()
     return path

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
+    new_file,
     open_executor,
     read_settings,
     WorkersLostError,
@@ -93,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="projectile over layer, for x and C (default: the rig's; 1 in the paper's maps)",
     )  # fmt: skip
     add(
-        '--output', metavar='FILE', nargs='+', type=Path, default=[],
+        '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
     )  # fmt: skip
     add(
@@ -111,8 +112,6 @@ def run(arguments: argparse.Namespace) -> int:
     if len(names) != 2:
         raise ValueError(f'AXIS must be given twice or not at all, got {" ".join(names)}')
     axes = dict(map(_read_axis, names))
-    for path in arguments.output:
-        _check_output(path)
     has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     total = math.prod(values.size for values in axes.values())
     try:
@@ -173,17 +172,6 @@ def _read_axis(text: str) -> tuple[str, Floats]:
     if is_log and bounds[0] == 0.0:
         raise ValueError(f'{name} cannot begin at 0 with :log, got {text!r}')
     return name, (np.geomspace if is_log else np.linspace)(*bounds, points)
-
-
-def _check_output(path: Path) -> None:
-    """Refuse before the work what could not be written after it."""
-    if path.suffix not in _WRITERS:
-        raise ValueError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
-    if not path.parent.is_dir():
-        raise ValueError(f'{path}: there is no folder {path.parent}')
-    for suffix, module, extra in (('.png', 'matplotlib', 'plot'), ('.rrd', 'rerun', 'rerun')):
-        if path.suffix == suffix:
-            require(str(path), extra, module)
 
 
 def _summary(landscape: Landscape) -> Iterator[str]:

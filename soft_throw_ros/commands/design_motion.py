@@ -26,6 +26,7 @@ import numpy as np
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    new_file,
     OPTIONS,
     read_settings,
     RECOMMENDATION_OPTIONS,
@@ -33,8 +34,6 @@ from soft_throw_ros.commands.options import (
 from soft_throw_ros.commands.output import (
     naming,
     print_text,
-    require,
-    Row,
     slow_notice,
     strain_warning,
     to_json,
@@ -49,21 +48,6 @@ from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.requests import motion_answer
 import yaml
 
-_ROWS = (
-    Row('thickness', 'thickness L_s', 'mm', 1e3),
-    Row('wave_speed', 'wave speed c_s', 'm/s'),
-    Row('plate_speed', 'plate speed', 'm/s'),
-    Row('plate_acceleration', 'plate acceleration', 'm/s2'),
-    Row('plate_travel', 'plate travel', 'mm', 1e3),
-    Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
-    Row('ejection_speed', 'ejection speed V_e', 'm/s'),
-    Row('energy_transfer', 'energy transfer alpha'),
-    Row('peak_strain', 'peak strain', '%', 1e2),
-    Row('peak_acceleration', 'peak acceleration', 'm/s2'),
-    Row('peak_force', 'peak force on plate', 'N'),
-    Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
-)
 _VARY = replace(
     TWIN.by_name['recommendation.vary'],
     default='motion',
@@ -90,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('--json', action='store_true', help='print one object: SI units, full precision')
     add(
-        '--output', metavar='FILE', nargs='+', type=Path, default=[],
+        '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.csv (what --motion reads), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
         'or .rrd (recording of Rerun)',
     )  # fmt: skip
@@ -103,14 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Design a motion, print what it gives, and write it; return 0."""
     settings = read_settings(arguments)
-    for path in arguments.output:
-        if path.suffix not in _WRITERS:
-            raise ValueError(f'--output must end on {", ".join(_WRITERS)}, got {str(path)!r}')
-        if not path.parent.is_dir():
-            raise ValueError(f'{path}: there is no folder {path.parent}')
-        for suffix, module, extra in (('.png', 'matplotlib', 'plot'), ('.rrd', 'rerun', 'rerun')):
-            if path.suffix == suffix:
-                require(str(path), extra, module)
     with slow_notice('design'):
         vary = vars(arguments).get('recommendation.vary', _VARY.default)
         design = motion_answer(settings, vary=vary)
@@ -144,7 +120,7 @@ def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
             'plate_acceleration': does.acceleration,
             'plate_travel': does.travel,
         }
-    yield from write_columns(_ROWS, columns)
+    yield from write_columns(columns)
     beyond = [
         _HEADS.get(name, name)
         for name, throw in design.throws.items()

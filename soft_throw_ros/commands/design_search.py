@@ -30,7 +30,6 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     print_text,
-    Row,
     slow_notice,
     strain_warning,
     to_json,
@@ -38,7 +37,6 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import STANDARD_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.prediction import predict
@@ -52,28 +50,6 @@ NOT_REACHED = 1
 
 Columns = dict[str, Mapping[str, float] | None]
 """Predictions by the heads of their columns."""
-
-_ROWS = (
-    Row('amplitude', 'amplitude A', 'mm', 1e3),
-    Row('thickness', 'thickness L_s', 'mm', 1e3),
-    Row('wave_speed', 'wave speed c_s', 'm/s'),
-    Row('density', 'density', 'kg/m3'),
-    Row('youngs_modulus', 'modulus', 'kPa', 1e-3),
-    Row('loss_tangent', 'loss tangent'),
-    Row('mass_ratio', 'mu'),
-    Row('speed_ratio', 'kappa'),
-    Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
-    Row('ejection_speed', 'ejection speed V_e', 'm/s'),
-    Row('energy_transfer', 'energy transfer alpha'),
-    Row('speed', 'speed of last release', 'm/s'),
-    Row('height', 'rise above the layer', 'mm', 1e3),
-    Row('peak_strain', 'peak strain', '%', 1e2),
-    Row('peak_acceleration', 'peak acceleration', 'm/s2'),
-    Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    Row('peak_force', 'peak force on plate', 'N'),
-    Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
-)
 
 _OBJECTIVE = replace(
     TWIN.by_name['recommendation.objective'],
@@ -173,7 +149,7 @@ def _answer(
 
 def _table(settings: Settings, best: Answer, columns: Columns) -> Iterator[str]:
     """Write predictions side by side, and how far the proposed one may be off."""
-    yield from write_columns(_ROWS, columns)
+    yield from write_columns(columns)
     beyond = [
         head.replace('_', ' ')
         for head, each in columns.items()

@@ -22,16 +22,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 import math
-from pathlib import Path
 import sys
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import read_layer, read_throws
-from soft_throw_ros.commands.identify_plan import (
-    add_plan_options,
-    check_plan_options,
-    plan_throws,
-)
+from soft_throw_ros.commands.identify_plan import add_plan_options, LISTS, plan_throws
 from soft_throw_ros.commands.identify_report import (
     budget_lines,
     ejection_data,
@@ -46,11 +41,14 @@ from soft_throw_ros.commands.identify_report import (
 from soft_throw_ros.commands.identify_video import add_video_options, check_video_options
 from soft_throw_ros.commands.options import (
     add_rig_options,
+    count,
+    new_file,
     number_or_text,
     OPTIONS,
+    positive,
     read_settings,
 )
-from soft_throw_ros.commands.output import naming, print_text, require, run_command
+from soft_throw_ros.commands.output import naming, print_text, run_command
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
@@ -81,7 +79,6 @@ from soft_throw_ros.identification.throw_analysis import (
 from soft_throw_ros.identification.track_csv import UNITS
 from soft_throw_ros.identification.tracks import ThrowTracks
 
-_FIGURES = ('.png', '.pdf', '.svg')
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _MAX_COLUMNS = 4  # of running averages in the table
@@ -125,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('files', metavar='FILE', nargs='*', help='tracks of throws: CSV files, or bags')
-    add('--last', metavar='NUMBER', type=int, help='fit the last throws only (default: all)')
+    add('--last', metavar='NUMBER', type=count, help='fit the last throws only (default: all)')
     add(
         '--free-layer', metavar=('M', 'FILE'), nargs=2, action='append', default=[],
         help='thickness of a layer that rings freely, and a CSV file with tracks of its ends, '
@@ -163,14 +160,19 @@ def _parser() -> argparse.ArgumentParser:
         help='point of the projectile whose heights they are; matters unless each track has a '
         'zero of its own (default face, the lower one)',
     )  # fmt: skip
-    add('--noise', metavar='M', type=float, help='standard deviation of heights, if it is known')
+    add(
+        '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
+    )
     add(
         '--from', dest='start', metavar='S', type=float, default=-math.inf, help='leave out before'
     )
     add('--to', dest='end', metavar='S', type=float, default=math.inf, help='leave out after')
     add('--topic', help='to read from bags, if several have a plate')
-    add('--output', metavar='FILE', type=Path, help='parameter file of the twin to write')
-    add('--figure', metavar='FILE', type=Path, help='picture of data, fit and residuals to draw')
+    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
+    add(
+        '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
+        help='picture of data, fit and residuals to draw',
+    )  # fmt: skip
     add('--json', action='store_true', help='print one object: SI units')
     add_video_options(parser)
     add_plan_options(parser)
@@ -179,32 +181,19 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Refuse before the work what would be no use after it."""
+    """Refuse before the work options that do not go together."""
     is_alone = arguments.plan is not None and not arguments.free_layer  # needs no tracks
     if not is_alone and bool(arguments.files or arguments.video) == bool(arguments.free_layer):
         raise ValueError('either FILE or --video, or --free-layer must be given, and not both')
-    if arguments.last is not None and arguments.last < 1:
-        raise ValueError(f'argument --last: must be at least 1, got {arguments.last}')
-    if arguments.noise is not None and not 0.0 < arguments.noise < math.inf:
-        raise ValueError(f'argument --noise: must be finite and positive, got {arguments.noise:g}')
     if not 0.0 <= arguments.thickness_error < math.inf:
         raise ValueError(
             'argument --thickness-error: must be finite and not negative, '
             f'got {arguments.thickness_error:g}'
         )
     check_video_options(arguments)
-    check_plan_options(arguments)
-    for name in ('output', 'figure', 'tracks', 'space_time'):
-        path = getattr(arguments, name)
-        if path is None:
-            continue
-        option = f'argument --{name.replace("_", "-")}'
-        if not path.parent.is_dir():
-            raise ValueError(f'{option}: there is no folder {path.parent}')
-        if name in ('figure', 'space_time'):
-            if path.suffix not in _FIGURES:
-                raise ValueError(f'{option}: must end on {", ".join(_FIGURES)}, got {str(path)!r}')
-            require('a figure', 'plot', 'matplotlib')
+    for name in LISTS:
+        if getattr(arguments, name) is not None and arguments.plan is None:
+            raise ValueError(f'argument --{name}: is for --plan')
 
 
 def _split_known(arguments: argparse.Namespace) -> dict[str, str]:

@@ -20,13 +20,14 @@ What to read, and how, is said by the options of the command `identify`.
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import replace
+import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.commands.identify_video import read_layer_video, read_throw_video
 from soft_throw_ros.commands.output import naming
 from soft_throw_ros.identification.least_squares import FitError
@@ -43,9 +44,7 @@ from soft_throw_ros.identification.tracks import (
 )
 from soft_throw_ros.identification.video import is_video, SpaceTime
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.recording.cdr import JointStateReader, MessageError
 
 _BODIES = ('plate', 'projectile')
 _TYPE = 'sensor_msgs/msg/JointState'
@@ -66,13 +65,9 @@ def read_throws(path: str, arguments: argparse.Namespace) -> list[ThrowTracks]:
         tracks = _read_csv(path, _BODIES, arguments.unit)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
-    whole = ThrowTracks(
-        name=Path(path).name,
-        plate=_with_noise(tracks['plate'], arguments),
-        projectile=_with_noise(tracks['projectile'], arguments)
-        if 'projectile' in tracks
-        else None,
-    )
+    tracks = {body: _with_noise(track, arguments) for body, track in tracks.items()}
+    plate, projectile = tracks['plate'], tracks.get('projectile')
+    whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
     with _naming(whole.name):
         whole = whole.between(arguments.start, arguments.end)
         return [throw for part in split_at_breaks(whole) for throw in _throws_of(part)]
@@ -133,55 +128,41 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 
 def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
     """Read plate and projectile from the topic that was asked for, or the best of a bag."""
-    datas: dict[str, list[bytes]] = {}
+    heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
+    reads = defaultdict(lambda: JointStateReader().read)
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == _TYPE}
         for message in reader.messages(names):
-            datas.setdefault(message.channel.topic, []).append(message.data)
-    rows: dict[str, Floats] = {}
-    for name, some in datas.items():
-        try:
-            rows[name] = _read_positions(some)
-        except MessageError as error:
-            if name == topic:
-                raise TrackError(f'{path}: {topic}: {error}') from None
-    found = sorted(name for name, each in rows.items() if np.isfinite(each[:, 1]).any())
-    if topic is None:
-        ranks = [[name for name in found if name.endswith(ending)] for ending in _PREFERRED]
-        best = next(filter(None, ranks), found)
-    else:
+            name = message.channel.topic
+            try:
+                values = reads[name](message.data)
+            except MessageError as error:
+                if name == topic:
+                    raise TrackError(f'{path}: {topic}: {error}') from None
+                continue
+            # some may be of other joints, as of the plate alone
+            seen = dict(zip(values.names, values.position))  # noqa: B905  or without positions
+            row = [seen.get(body, math.nan) for body in _BODIES]
+            heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
+    found = sorted(
+        name
+        for name, rows in heights.items()
+        if any(math.isfinite(plate) for plate, _ in rows.values())
+    )
+    ranks = [[name for name in found if name.endswith(ending)] for ending in _PREFERRED]
+    best = next(filter(None, ranks), found)
+    if topic is not None:
         best = [name for name in found if name == topic]
     if len(best) != 1:
         raise TrackError(
             f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
             f'that have: {", ".join(found) or "none"}' + (' (choose with --topic)' * bool(found))
         )
-    time, *heights = rows[best[0]].T
-    return {
-        body: Track(time=time[np.isfinite(each)], position=each[np.isfinite(each)])
-        for body, each in zip(_BODIES, heights, strict=True)
-        if np.isfinite(each).sum() >= FEWEST
-    }
-
-
-def _read_positions(datas: Sequence[bytes]) -> Floats:
-    """
-    Read times since the first message, and heights of both bodies, NaN where one has none.
-
-    Some messages may be of other joints, as of the plate alone.
-    """
-    by_length: dict[int, list[bytes]] = {}
-    for data in datas:
-        by_length.setdefault(len(data), []).append(data)
-    stamps, heights = [], []
-    for some in by_length.values():
-        states = decode_joint_states(some)
-        stamps.append(states.stamps)
-        columns = np.full((states.stamps.size, len(_BODIES)), np.nan)
-        for column, body in enumerate(_BODIES):
-            if body in states.names and states.position.size:
-                columns[:, column] = states.position[:, states.names.index(body)]
-        heights.append(columns)
-    stamps_ns, first = np.unique(np.concatenate(stamps), return_index=True)
-    time = 1e-9 * (stamps_ns - stamps_ns[0])
-    return np.column_stack([time, np.concatenate(heights)[first]])
+    rows = sorted(heights[best[0]].items())
+    time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])
+    tracks = {}
+    for body, each in zip(_BODIES, np.array([row for _, row in rows]).T, strict=True):
+        is_seen = np.isfinite(each)
+        if is_seen.sum() >= FEWEST:
+            tracks[body] = Track(time=time[is_seen], position=each[is_seen])
+    return tracks

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.spots import Picture, Spot
 
@@ -37,18 +36,6 @@ _RADIUS = 8.0  # of the ring around a spot [px]
 _MIN_HEIGHT = 480  # of a video; smaller pictures are enlarged [px]
 _SHOWN_RATE = 25  # pictures per second of a video [Hz]
 _TAIL = 40  # pictures of the path that a video shows
-
-
-def check_overlay(path: Path) -> None:
-    """Refuse a file that cannot be drawn."""
-    if not path.parent.is_dir():
-        raise ValueError(f'argument --overlay: there is no folder {path.parent}')
-    if path.suffix not in (*PICTURES, *VIDEOS):
-        raise ValueError(
-            f'argument --overlay: must end on {", ".join((*PICTURES, *VIDEOS))}, got {str(path)!r}'
-        )
-    if path.suffix in PICTURES:
-        require('a figure', 'plot', 'matplotlib')
 
 
 def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path) -> None:

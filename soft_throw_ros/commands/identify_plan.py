@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands.identify_report import unit_of
-from soft_throw_ros.commands.options import number_or_text
+from soft_throw_ros.commands.options import number_or_text, positive
 from soft_throw_ros.commands.output import print_text, slow_notice, to_json
 from soft_throw_ros.configuration import located_yaml, rig_of, Settings, TWIN
 from soft_throw_ros.core.rig import Rig
@@ -79,16 +79,9 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
             help=f'those at hand (default: {parameter} of the rig)',
         )  # fmt: skip
     add(
-        '--goal', metavar='PERCENT', type=float, default=1.0,
+        '--goal', metavar='PERCENT', type=positive, default=1.0,
         help='error of the energy transfer that is enough (default %(default)g)',
     )  # fmt: skip
-
-
-def check_plan_options(arguments: argparse.Namespace) -> None:
-    """Refuse options that are of no use without `--plan`."""
-    for name in LISTS:
-        if getattr(arguments, name) is not None and arguments.plan is None:
-            raise ValueError(f'argument --{name}: is for --plan')
 
 
 def plan_throws(
@@ -99,8 +92,6 @@ def plan_throws(
 ) -> int:
     """Print the plan; `throws` are those that were made already."""
     rig = description.prepare(rig_of(settings))
-    if not 0.0 < arguments.goal < math.inf:
-        raise ValueError(f'argument --goal: must be finite and positive, got {arguments.goal:g}')
     conditions = _conditions(arguments, rig)
     sight = _sight(arguments, rig, throws)
     with slow_notice('identify'):
@@ -175,13 +166,10 @@ def _sight(arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks
     if throws:
         rate = 1.0 / float(np.median([throw.plate.interval for throw in throws]))
         noise = float(np.median([throw.plate.noise for throw in throws]))
-    rate = rate if arguments.rate is None else arguments.rate
-    if not isinstance(rate, float) or not 0.0 < rate < math.inf:
-        raise ValueError(f'argument --rate: must be finite and positive, got {rate}')
     duration = arguments.end
     if not 0.0 < duration < math.inf:
         duration = _PERIODS_SEEN / rig.engine.frequency
-    return Sight(rate=rate, noise=arguments.noise or noise, duration=duration)
+    return Sight(rate=arguments.rate or rate, noise=arguments.noise or noise, duration=duration)
 
 
 def _lines(

@@ -27,13 +27,8 @@ from pathlib import Path
 import sys
 
 import numpy as np
-from soft_throw_ros.commands.identify_overlay import (
-    check_overlay,
-    draw_overlay,
-    PICTURES,
-    VIDEOS,
-)
-from soft_throw_ros.commands.options import number_or_text
+from soft_throw_ros.commands.identify_overlay import draw_overlay, PICTURES, VIDEOS
+from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import naming, require
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
@@ -64,9 +59,9 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         'the plate, the highest on the projectile. Where one is covered its samples are missing.',
     ).add_argument
     add('--video', metavar='FILE', action='append', default=[], help='video of throws')
-    add('--rate', metavar='HZ', type=number_or_text, help='pictures per second of the camera')
+    add('--rate', metavar='HZ', type=positive, help='pictures per second of the camera')
     add(
-        '--scale', metavar=('M', 'PIXELS'), type=number_or_text, nargs=2,
+        '--scale', metavar=('M', 'PIXELS'), type=positive, nargs=2,
         help='a length that is known, and how long it is in the pictures',
     )  # fmt: skip
     add(
@@ -75,46 +70,43 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add('--light-spots', action='store_true', help='spots are lighter than what is around them')
     add(
-        '--overlay', metavar='FILE', type=Path,
+        '--overlay', metavar='FILE', type=new_file(*PICTURES, *VIDEOS),
         help=f'picture ({", ".join(PICTURES)}) or video ({", ".join(VIDEOS)}) to draw, of what '
         'was followed',
     )  # fmt: skip
-    add('--tracks', metavar='FILE', type=Path, help='CSV file to write what was followed into')
+    add('--tracks', metavar='FILE', type=new_file(), help='CSV file to write what was followed')
     add(
         '--line', metavar=('COLUMN', 'FIRST', 'LAST'), type=int, nargs=3,
         help='with the video of a free layer: follow its edges along a vertical line, in the '
         'pixels of that column from row to row, instead of spots',
     )  # fmt: skip
-    add('--space-time', metavar='FILE', type=Path, help='picture of that line over time to draw')
+    add(
+        '--space-time', metavar='FILE', type=new_file(*PICTURES),
+        help='picture of that line over time to draw',
+    )  # fmt: skip
 
 
 def check_video_options(arguments: argparse.Namespace) -> None:
-    """Refuse what cannot be by a ValueError that names the option."""
+    """Refuse options that do not go together by a ValueError that names one."""
     layers = [path for _, path in arguments.free_layer]
     videos = arguments.video + [path for path in layers if is_video(path)]
-    if not videos:
-        for name in _OPTIONS[1:] if arguments.plan is not None else _OPTIONS:
-            if getattr(arguments, name) not in (None, False):
-                raise ValueError(f'argument --{name.replace("_", "-")}: is for videos')
-        return
-    for name, values in (('rate', [arguments.rate]), ('scale', arguments.scale or [None])):
-        for value in values:
-            if value is None:
+    given = [name for name in _OPTIONS if getattr(arguments, name) not in (None, False)]
+    for is_so, names, reason in (
+        (not videos, _OPTIONS[arguments.plan is not None :], 'is for videos'),
+        (len(videos) > 1, ('tracks', 'line', 'overlay'),
+         f'is for one video at a time, got {len(videos)}'),
+        (bool(arguments.video), ('line',), 'is for the video of a free layer'),
+        (bool(arguments.line), ('overlay',), 'is for spots; --space-time draws a line'),
+        (not arguments.line, ('space_time',), 'needs --line'),
+    ):  # fmt: skip
+        for name in names:
+            if is_so and name in given:
+                raise ValueError(f'argument --{name.replace("_", "-")}: {reason}')
+    if videos:
+        for name in ('rate', 'scale'):
+            if name not in given:
                 raise ValueError(f'argument --{name}: must be given with a video')
-            if not isinstance(value, float) or not 0.0 < value < math.inf:
-                raise ValueError(f'argument --{name}: must be finite and positive, got {value}')
-    for name in ('tracks', 'line', 'overlay'):
-        if getattr(arguments, name) and len(videos) > 1:
-            raise ValueError(f'argument --{name}: is for one video at a time, got {len(videos)}')
-    if arguments.line and arguments.video:
-        raise ValueError('argument --line: is for the video of a free layer')
-    if arguments.line and arguments.overlay:
-        raise ValueError('argument --overlay: is for spots; --space-time draws a line')
-    if arguments.space_time and not arguments.line:
-        raise ValueError('argument --space-time: needs --line')
-    require('a video', 'video', 'imageio', 'av', 'skimage')
-    if arguments.overlay:
-        check_overlay(arguments.overlay)
+        require('a video', 'video', 'imageio', 'av', 'skimage')
 
 
 def read_throw_video(path: str, arguments: argparse.Namespace) -> dict[str, Track]:
@@ -122,7 +114,8 @@ def read_throw_video(path: str, arguments: argparse.Namespace) -> dict[str, Trac
     with _naming_video(path):
         bodies = arguments.spots and [body.strip() for body in arguments.spots.split(',')]
         spots = _follow(path, arguments)
-        tracks = tracks_of(spots, bodies, rate=arguments.rate, scale=_scale(arguments))
+        length, pixels = arguments.scale
+        tracks = tracks_of(spots, bodies, rate=arguments.rate, scale=length / pixels)
         if 'plate' in tracks:
             _check_rate(tracks, arguments.rate)
     _save(tracks, path, arguments)
@@ -133,8 +126,8 @@ def read_layer_video(
     path: str, arguments: argparse.Namespace
 ) -> tuple[dict[str, Track], SpaceTime | None]:
     """Follow bottom and top of a free layer, by spots or along a line."""
-    line = None
-    known = {'rate': arguments.rate, 'scale': _scale(arguments)}
+    line, (length, pixels) = None, arguments.scale
+    known = {'rate': arguments.rate, 'scale': length / pixels}
     with _naming_video(path):
         if arguments.line:
             column, first, last = arguments.line
@@ -226,8 +219,3 @@ def _save(tracks: Mapping[str, Track], path: str, arguments: argparse.Namespace)
     ]
     with naming(arguments.tracks), atomic_file(arguments.tracks) as unfinished:
         unfinished.write_text('\n'.join(lines) + '\n', encoding='utf-8')
-
-
-def _scale(arguments: argparse.Namespace) -> float:
-    length, size = arguments.scale
-    return float(length / size)

@@ -40,6 +40,7 @@ import time
 from typing import NoReturn, TYPE_CHECKING
 
 from soft_throw_ros.commands import rerun_output as output
+from soft_throw_ros.commands.options import new_file, number_or_text
 from soft_throw_ros.commands.output import naming, slow_notice
 from soft_throw_ros.recording import viewer
 from soft_throw_ros.recording.bag_reader import BagReader, read_stream
@@ -104,8 +105,15 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     add = parser.add_argument
     add('bag', metavar='BAG', help='a bag, an .mcap file, or - for standard input')
-    add('--save', metavar='FILE.rrd', type=Path, help='write a recording of Rerun, show nothing')
-    add('--screenshot', metavar='FILE.png', type=Path, help='write a picture, open no window')
+    files = parser.add_mutually_exclusive_group()
+    files.add_argument(
+        '--save', metavar='FILE.rrd', type=new_file(),
+        help='write a recording of Rerun, show nothing',
+    )  # fmt: skip
+    files.add_argument(
+        '--screenshot', metavar='FILE.png', type=new_file(),
+        help='write a picture, open no window',
+    )  # fmt: skip
     add('--size', metavar='WxH', type=_size, default='1600x1000', help='of it (%(default)s)')
     add('--throw', metavar='N', type=int, help='show this throw (default the last whole one)')
     add(
@@ -119,14 +127,9 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
     )  # fmt: skip
     add('--port', type=_port, default=output.PORT, help='of either, here (default %(default)s)')
     arguments = parser.parse_args(args)
-    if arguments.save and arguments.screenshot:
-        parser.error('argument --screenshot: not allowed with argument --save')
     for option in ('screenshot', 'throw', 'at'):
         if arguments.bag == '-' and getattr(arguments, option) is not None:
             parser.error(f'argument --{option}: needs a bag, not a stream')
-    for path in (arguments.save, arguments.screenshot):
-        if path is not None and not path.absolute().parent.is_dir():
-            parser.error(f'{path}: there is no folder {path.parent}')
     return arguments
 
 
@@ -146,11 +149,8 @@ def _port(text: str) -> int:
 
 
 def _time(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
-    if not abs(seconds) <= 1e6:
+    seconds = number_or_text(text)
+    if not isinstance(seconds, float) or not abs(seconds) <= 1e6:
         raise argparse.ArgumentTypeError(f'must be a number of seconds, got {text!r}')
     return seconds
 

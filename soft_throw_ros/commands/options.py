@@ -16,11 +16,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 import contextlib
 from dataclasses import replace
+import math
 import multiprocessing
+from pathlib import Path
 import signal
 
 from soft_throw_ros.commands.output import require
@@ -65,6 +67,12 @@ _MOTION = replace(
 )
 """As an option: nobody measures a plate while a command runs."""
 
+_NEEDED = {
+    '.rrd': ('rerun', 'rerun'),
+    **dict.fromkeys(('.png', '.pdf', '.svg'), ('plot', 'matplotlib')),
+}
+"""What is needed for files of some endings: an extra of the package, and a module."""
+
 _ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
 
 
@@ -98,7 +106,8 @@ def add_options(
         is_text = isinstance(entry.default, str)
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
-            text += f' (default {_format(entry.default)})'
+            values = entry.default if isinstance(entry.default, tuple) else (entry.default,)
+            text += f' (default {" ".join(map(_shortly, values))})'
         group.add_argument(
             _ALL_OPTIONS[name],
             dest=name,
@@ -139,18 +148,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     return settings
 
 
-def number_or_text(text: str) -> float | str:
-    """Read a number if it is one; what it may be is for the table of parameters to say."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-def _format(value: Value) -> str:
-    """Write a default value for the help."""
-    if isinstance(value, tuple):
-        return ' '.join(map(_format, value))
+def _shortly(value: Value) -> str:
     return f'{value:g}' if isinstance(value, float) else str(value)
 
 
@@ -158,7 +156,7 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """Add `--workers` and `--dask`; `open_executor` reads them."""
     who = parser.add_mutually_exclusive_group()
     who.add_argument(
-        '--workers', metavar='N', type=_count, default=1,
+        '--workers', metavar='N', type=count, default=1,
         help='share the work out among N processes (default 1: this one)',
     )  # fmt: skip
     who.add_argument(
@@ -181,7 +179,7 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
 
     """
     if arguments.dask is not None:
-        with _dask(arguments.dask) as executor:
+        with _open_dask(arguments.dask) as executor:
             yield executor
     elif arguments.workers == 1:
         yield None
@@ -202,8 +200,50 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
                 ) from None
 
 
+def number_or_text(text: str) -> float | str:
+    """Read a number if it is one; what it may be is for the table of parameters to say."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def count(text: str) -> int:
+    """Read a whole number above 0, as argparse has it."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
+    return int(text)
+
+
+def positive(text: str) -> float:
+    """Read a number above 0, as argparse has it."""
+    value = number_or_text(text)
+    if not isinstance(value, float) or not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'must be finite and positive, got {text}')
+    return value
+
+
+def new_file(*endings: str) -> Callable[[str], Path]:
+    """Return what reads the name of a file, and refuses one that could not be written."""
+
+    def read(text: str) -> Path:
+        path = Path(text)
+        if endings and path.suffix not in endings:
+            raise argparse.ArgumentTypeError(f'must end on {", ".join(endings)}, got {text!r}')
+        if not path.absolute().parent.is_dir():
+            raise argparse.ArgumentTypeError(f'{text}: there is no folder {path.parent}')
+        if endings and path.suffix in _NEEDED:
+            try:
+                require(text, *_NEEDED[path.suffix])
+            except ValueError as error:
+                raise argparse.ArgumentTypeError(str(error)) from None
+        return path
+
+    return read
+
+
 @contextlib.contextmanager
-def _dask(address: str) -> Iterator[Executor]:
+def _open_dask(address: str) -> Iterator[Executor]:
     """Connect to a Dask scheduler."""
     require('--dask', 'dask', 'distributed')
     from distributed import Client
@@ -222,10 +262,3 @@ def _dask(address: str) -> Iterator[Executor]:
             ) from None
         except CancelledError:
             raise WorkersLostError(f'the Dask scheduler at {address} is gone') from None
-
-
-def _count(text: str) -> int:
-    """Read a whole number above 0."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
-    return int(text)

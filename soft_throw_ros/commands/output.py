@@ -29,6 +29,7 @@ import threading
 from typing import NamedTuple, NoReturn
 
 import numpy as np
+from soft_throw_ros.core.rig import STANDARD_GRAVITY
 
 _WIDTH = 12  # of a column of numbers
 
@@ -135,7 +136,7 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-class Row(NamedTuple):
+class _Row(NamedTuple):
     """A line of a table: the key of its numbers, its title, its unit, and SI times what it is."""
 
     key: str
@@ -144,16 +145,52 @@ class Row(NamedTuple):
     scale: float = 1.0
 
 
-def write_columns(
-    rows: Iterable[Row], columns: Mapping[str, Mapping[str, float] | None]
-) -> Iterator[str]:
+_ROWS = (
+    _Row('amplitude', 'amplitude A', 'mm', 1e3),
+    _Row('thickness', 'thickness L_s', 'mm', 1e3),
+    _Row('wave_speed', 'wave speed c_s', 'm/s'),
+    _Row('density', 'density', 'kg/m3'),
+    _Row('youngs_modulus', 'modulus', 'kPa', 1e-3),
+    _Row('loss_tangent', 'loss tangent'),
+    _Row('mass_ratio', 'mu'),
+    _Row('speed_ratio', 'kappa'),
+    _Row('plate_speed', 'plate speed', 'm/s'),
+    _Row('plate_acceleration', 'plate acceleration', 'm/s2'),
+    _Row('plate_travel', 'plate travel', 'mm', 1e3),
+    _Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
+    _Row('ejection_phase', '  t_e f'),
+    _Row('ejection_speed', 'ejection speed V_e', 'm/s'),
+    _Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
+    _Row('energy_transfer', 'energy transfer alpha'),
+    _Row('recontacts', 're-contacts'),
+    _Row('last_ejection_time', 'last release', 'ms', 1e3),
+    _Row('last_ejection_speed', '  its speed', 'm/s'),
+    _Row('last_energy_transfer', '  its alpha'),
+    _Row('speed', 'speed of last release', 'm/s'),
+    _Row('height', 'rise above the layer', 'mm', 1e3),
+    _Row('apex_height', 'apex above the plate', 'mm', 1e3),
+    _Row('peak_strain', 'peak strain', '%', 1e2),
+    _Row('peak_plate_strain', '  at the plate', '%', 1e2),
+    _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
+    _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
+    _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
+    _Row('peak_plate_force', 'peak force on plate', 'N'),
+    _Row('peak_force', 'peak force on plate', 'N'),
+    _Row('plate_work', 'work of the plate', 'mJ', 1e3),
+    _Row('layer_energy', '  to the layer', 'mJ', 1e3),
+    _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
+    _Row('heat', '  to heat', 'mJ', 1e3),
+    _Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
+)
+"""All that is said of throws in tables."""
+
+
+def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator[str]:
     """
-    Write a table for people, line by line.
+    Write a table for people, line by line: what is known of each of some throws.
 
     Parameters
     ----------
-    rows : iterable of Row
-        One without any number is left out.
     columns : mapping of str to mapping or None
         The numbers by their keys, under heads whose words, joined by `_`, stand one below the
         other.
@@ -162,7 +199,7 @@ def write_columns(
     words = [head.split('_') for head in columns]
     for heads in itertools.zip_longest(*words, fillvalue=''):
         yield _line('', '', heads)
-    for row in rows:
+    for row in _ROWS:
         cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
         if any(cell != '-' for cell in cells):
             yield _line(row.title, row.unit, cells)

@@ -40,7 +40,6 @@ from soft_throw_ros.commands.options import (
 from soft_throw_ros.commands.output import (
     naming,
     print_text,
-    Row,
     run_command,
     slow_notice,
     strain_warning,
@@ -51,7 +50,7 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.requests import uncertainties_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty
@@ -69,30 +68,6 @@ class Prediction(TypedDict):
     uncertainty: dict[str, float | bool] | None
     notes: dict[str, str]
     leaves_linear_range: bool
-
-
-_ROWS = (
-    Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
-    Row('ejection_phase', '  t_e f'),
-    Row('ejection_speed', 'ejection speed V_e', 'm/s'),
-    Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
-    Row('energy_transfer', 'energy transfer alpha'),
-    Row('recontacts', 're-contacts'),
-    Row('last_ejection_time', 'last release', 'ms', 1e3),
-    Row('last_ejection_speed', '  its speed', 'm/s'),
-    Row('last_energy_transfer', '  its alpha'),
-    Row('apex_height', 'apex above the plate', 'mm', 1e3),
-    Row('peak_strain', 'peak strain', '%', 1e2),
-    Row('peak_plate_strain', '  at the plate', '%', 1e2),
-    Row('peak_contact_strain', '  at the projectile', '%', 1e2),
-    Row('peak_acceleration', 'peak acceleration', 'm/s2'),
-    Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    Row('peak_plate_force', 'peak force on plate', 'N'),
-    Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    Row('layer_energy', '  to the layer', 'mJ', 1e3),
-    Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
-    Row('heat', '  to heat', 'mJ', 1e3),
-)
 
 
 def main(args: list[str] | None = None) -> int:
@@ -299,7 +274,7 @@ def table(prediction: Prediction) -> str:
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
-    lines = [numbers, '', *write_columns(_ROWS, prediction['models']), '']
+    lines = [numbers, '', *write_columns(prediction['models']), '']
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
     if prediction['leaves_linear_range']:
         settings = prediction['parameters']

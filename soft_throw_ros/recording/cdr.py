@@ -248,30 +248,6 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
     )
 
 
-def decode_array(data: bytes) -> tuple[list[str], Floats]:
-    """
-    Read std_msgs/Float64MultiArray: the labels of the dimensions, and the values in their shape.
-
-    Raises
-    ------
-    MessageError
-        If it is none, or has not as many values as its dimensions say.
-
-    """
-    cursor = _Cursor(data)
-    labels, sizes = [], []
-    for _ in range(cursor.number()):
-        labels.append(cursor.text())
-        sizes.append(cursor.number())
-        cursor.number()
-    cursor.number()
-    begin, count = cursor.doubles()
-    cursor.end()
-    if math.prod(sizes) != count:
-        raise MessageError(f'an array of {sizes} cannot have {count} values')
-    return labels, np.frombuffer(data, '<f8', count, begin).reshape(sizes)
-
-
 def decode(type_name: str, schema: str, data: bytes) -> Any:
     """
     Read any message.

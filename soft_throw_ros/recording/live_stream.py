@@ -55,17 +55,12 @@ class StreamWriter:
     """
     Makes an MCAP stream for a pipe: nothing is compressed, indexed or kept.
 
-    Every method returns whole records. What comes from `start` goes first; what comes from
-    `define` must arrive before messages of these channels; blocks of messages may be left out.
-
     Examples
     --------
     >>> from io import BytesIO
     >>> from soft_throw_ros.recording.bag_reader import read_stream
     >>> channel = Channel(topic='/phase', type='std_msgs/msg/String', schema='string data')
-    >>> writer = StreamWriter()
-    >>> stream = writer.start() + writer.define(channel)
-    >>> stream += writer.block([Message(channel, b'0123', log_time=7, publish_time=7)])
+    >>> stream = StreamWriter().write([Message(channel, b'0123', log_time=7, publish_time=7)])
     >>> [message.log_time for message in read_stream(BytesIO(stream))]
     [7]
 
@@ -73,33 +68,6 @@ class StreamWriter:
 
     def __init__(self) -> None:
         self._ids: dict[Channel, int] = {}
-        self._begin()
-
-    def start(self) -> bytes:
-        """Begin a stream, for a first reader or the next one, with all channels so far."""
-        self._begin()
-        self._writer.start(PROFILE, LIBRARY)
-        for channel in self._ids:
-            register_channel(self._writer, channel, self._schemas)
-        return self._take()
-
-    def define(self, channel: Channel) -> bytes:
-        """Define a channel; nothing if it has been."""
-        if channel in self._ids:
-            return b''
-        *_, record = register_channel(self._writer, channel, self._schemas)
-        self._ids[channel] = record.id
-        return self._take()
-
-    def block(self, messages: Iterable[Message]) -> bytes:
-        """Write messages of channels that are defined."""
-        for channel, data, log_time, publish_time, sequence in messages:
-            self._writer.add_message(
-                self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
-            )
-        return self._take()
-
-    def _begin(self) -> None:
         self._schemas: dict[tuple[str, str, str], int] = {}
         self._output = BytesIO()
         self._writer = Writer(
@@ -111,14 +79,22 @@ class StreamWriter:
             use_statistics=False,
             use_summary_offsets=False,
         )
+        self._writer.start(PROFILE, LIBRARY)
 
-    def _take(self) -> bytes:
-        """Return what has been written since the last call."""
+    def write(self, messages: Iterable[Message]) -> bytes:
+        """Return the records of messages, after what a reader needs before these."""
+        for channel, data, log_time, publish_time, sequence in messages:
+            if channel not in self._ids:
+                *_, record = register_channel(self._writer, channel, self._schemas)
+                self._ids[channel] = record.id
+            self._writer.add_message(
+                self._ids[channel], log_time, data, publish_time, sequence & 0xFFFFFFFF
+            )
         self._writer.flush()
-        data = self._output.getvalue()
+        stream = self._output.getvalue()
         self._output.seek(0)
         self._output.truncate()
-        return data
+        return stream
 
 
 class LiveStream:
@@ -202,7 +178,7 @@ class LiveStream:
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         self.starts += 1
         self.error = ''
-        self._rest = memoryview(self._stream.start())
+        self._stream, self._rest = StreamWriter(), memoryview(b'')
         self._drop_beyond(0)
         for messages in self._latched.values():
             self._wait(messages)
@@ -245,8 +221,7 @@ class LiveStream:
                     block = [self._next()]
                     while self._waiting and self._size > end:
                         block.append(self._next())
-                    new = [self._stream.define(message.channel) for message in block]
-                    self._rest = memoryview(b''.join(new) + self._stream.block(block))
+                    self._rest = memoryview(self._stream.write(block))
                 self._rest = self._rest[os.write(pipe, self._rest) :]
         except BlockingIOError:
             return True

@@ -120,55 +120,45 @@ class Definitions:
     """
 
     def __init__(self, known: dict[tuple[object, ...], Channel], *, is_strict: bool) -> None:
-        self.doubts: list[str] = []
         self._known = known
         self._is_strict = is_strict
-        self._records: dict[tuple[type, int], tuple[mcap.Schema | mcap.Channel, bool]] = {}
-        self._channels: dict[int, Channel | None] = {}
+        self._schemas: dict[int, tuple[mcap.Schema, bool]] = {}  # and whether it was checked
+        self._records: dict[int, tuple[mcap.Channel, bool]] = {}
+        self._channels: dict[int, Channel] = {}
+        self.doubts: list[str] = []
+        self._is_new = False  # whether there are records that these have not
 
     def add(self, record: mcap.Schema | mcap.Channel, *, is_checked: bool = True) -> None:
         """Take a definition; one that has no checksum only if there is no other."""
-        key = (type(record), record.id)
-        if is_checked or key not in self._records:
-            self._records[key] = record, is_checked
-            self._channels.clear()
+        records: dict[int, Any] = (
+            self._schemas if isinstance(record, mcap.Schema) else self._records
+        )
+        if is_checked or record.id not in records:
+            records[record.id] = record, is_checked
+            self._is_new = True
 
-    def channel(self, number: int) -> Channel | None:
-        """Return a channel, None if it is not defined; BagError if it is not of ROS 2."""
-        if number not in self._channels:
-            record, is_checked = self._records.get((mcap.Channel, number), (None, False))
-            if not isinstance(record, mcap.Channel):
-                return None
-            schema, is_schema_checked = self._records.get(
-                (mcap.Schema, record.schema_id), (None, False)
-            )
-            if not isinstance(schema, mcap.Schema):
-                return None
-            is_trusted = (is_checked and is_schema_checked) or not self._is_strict
-            self._channels[number] = self._make(record, schema, is_trusted=is_trusted)
-        return self._channels[number]
-
-    def all(self) -> dict[int, Channel]:
-        """Return those that are defined."""
-        numbers = [number for kind, number in self._records if kind is mcap.Channel]
-        found = {number: self.channel(number) for number in numbers}
-        return {number: channel for number, channel in found.items() if channel is not None}
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """Those that are defined; BagError if one is not of ROS 2."""
+        if self._is_new:
+            self._channels, self.doubts, self._is_new = {}, [], False
+            for number, (record, is_checked) in self._records.items():
+                schema, is_schema_checked = self._schemas.get(record.schema_id, (None, False))
+                is_trusted = (is_checked and is_schema_checked) or not self._is_strict
+                if schema is not None and (is_trusted or _is_sound(record, schema)):
+                    self._channels[number] = self._make(record, schema, is_trusted=is_trusted)
+        return self._channels
 
     def message(self, record: mcap.Message) -> Message:
         """Return a message, or raise DamageError."""
-        channel = self.channel(record.channel_id)
+        channel = self.channels.get(record.channel_id)
         if channel is None:
             raise DamageError(f'nothing defines channel {record.channel_id} of a message')
         if (record.log_time | record.publish_time) > LATEST:
             raise DamageError('a message has no valid times')
         return Message(channel, record.data, record.log_time, record.publish_time, record.sequence)
 
-    def _make(
-        self, record: mcap.Channel, schema: mcap.Schema, *, is_trusted: bool
-    ) -> Channel | None:
-        text = schema.data.decode(errors='replace')
-        if not is_trusted and not _is_sound(record, schema, text):
-            return None
+    def _make(self, record: mcap.Channel, schema: mcap.Schema, *, is_trusted: bool) -> Channel:
         if record.message_encoding != 'cdr':
             raise BagError(
                 f'{record.topic} has messages in {record.message_encoding!r}, not in '
@@ -180,7 +170,7 @@ class Definitions:
         channel = Channel(
             topic=record.topic,
             type=schema.name,
-            schema=text,
+            schema=schema.data.decode(errors='replace'),
             type_hash=metadata.get('topic_type_hash', ''),
             qos=metadata.get('offered_qos_profiles', ''),
             schema_encoding=schema.encoding,
@@ -261,7 +251,7 @@ class McapFile:
 
     def _numbers(self, topics: Collection[str] | None) -> set[int]:
         """Return the numbers of the channels that are wanted."""
-        channels = self.definitions.all().items()
+        channels = self.definitions.channels.items()
         return {number for number, item in channels if topics is None or item.topic in topics}
 
     def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
@@ -272,7 +262,7 @@ class McapFile:
 
     def _count_by_channel(self) -> dict[Channel, int]:
         """Name the channels of which there are so many messages."""
-        channels = self.definitions.all()
+        channels = self.definitions.channels
         named = dict.fromkeys(channels.values(), 0)
         for number, count in self._counts.items():
             if number in channels:
@@ -348,7 +338,7 @@ class McapFile:
             (told.chunk_count, told.metadata_count, told.attachment_count)
             == (len(self.chunks), len(self.metadata), len(self._attachments))
             and bool(self.chunks or not told.message_count)
-            and self.definitions.all().keys() >= self._counts.keys()
+            and self.definitions.channels.keys() >= self._counts.keys()
         )
 
     def _scan(self) -> None:
@@ -454,17 +444,17 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
         raise DamageError(f'the chunk there cannot be unpacked, {error!s:.100}') from None
 
 
-def _is_sound(record: mcap.Channel, schema: mcap.Schema, text: str) -> bool:
+def _is_sound(record: mcap.Channel, schema: mcap.Schema) -> bool:
     """Tell whether others could read a definition that has no checksum."""
     if not (_TOPIC.fullmatch(record.topic) and _TYPE.fullmatch(schema.name)):
         return False
-    if schema.encoding != 'ros2msg' or '\ufffd' in text:
-        return schema.encoding == 'ros2idl'
+    if schema.encoding == 'ros2idl':
+        return True
     try:
-        decoder_of(schema.name, text)
-    except MessageError:
+        decoder_of(schema.name, schema.data.decode())
+    except (MessageError, UnicodeDecodeError):
         return False
-    return True
+    return schema.encoding == 'ros2msg'
 
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:

@@ -34,7 +34,7 @@ from scipy.interpolate import CubicHermiteSpline
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import find_topic, JOINTS, Topic, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.cdr import decode, decode_array, decode_joint_states, MessageError
+from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -507,7 +507,8 @@ def _published(message: Message) -> int:
 
 def _read_field(message: Message, *, dimensions: int) -> Floats:
     """Read an array with a point at either end of the layer at least."""
-    _, values = decode_array(message.data)
+    array = read_message(message)
+    values = np.reshape(array.data, [each.size for each in array.layout.dim])
     if values.ndim != dimensions or min(values.shape) < 2 or values.size > _LARGEST:
         raise MessageError(f'an array of {dimensions} dimensions, not {values.shape}')
     _check_numbers(values)

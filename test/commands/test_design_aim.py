@@ -32,13 +32,6 @@ def with_amplitude(amplitude):
     return replace(Rig(), engine=replace(Rig().engine, amplitude=amplitude))
 
 
-def test_amplitude_that_is_printed_throws_so_high(command):
-    found = command.json('--target-height', 0.15, '--vary', 'amplitude')['aim']
-    assert last_release(with_amplitude(found['amplitude'])).height == pytest.approx(0.15, rel=1e-6)
-    assert found['is_reached'] is True
-    assert (found['target_height'], found['target_speed']) == (0.15, None)
-
-
 def test_table_has_the_throw_now_the_aimed_one_and_that_with_this_layer(command):
     printed = command.run('--target-height', 0.15)
     best, this = (aim(Rig(), Target(height=0.15), vary=vary) for vary in ('both', 'amplitude'))

@@ -13,7 +13,6 @@
 # limitations under the License.
 """The command `design map`."""
 
-from dataclasses import replace
 import json
 import os
 from pathlib import Path
@@ -58,65 +57,19 @@ if __name__ == '__main__':
 """
 
 
-def test_axes_are_read_with_range_count_and_spacing(command, tmp_path):
-    path = tmp_path / 'map.npz'
-    command.run('mu=0.1:10:5:log', 'engine.damping_ratio=0:0.3', '--output', path)
-    with np.load(path) as file:
-        np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
-        np.testing.assert_allclose(file['engine_damping_ratio'], np.linspace(0.0, 0.3, 256))
-        assert file['energy_transfer'].shape == (5, 256)
-
-
-def test_options_reach_the_map(command, tmp_path):
+def test_axes_and_options_reach_the_map(command, tmp_path):
     path = tmp_path / 'map.npz'
     said = command.run(
-        *SMALL, '--model', 'spring_mass', '--density-ratio', 1, '--frequency', 31.1,
+        'mu=0.1:10:5:log', 'kappa', '--model', 'spring_mass', '--frequency', 31.1,
         '--output', path,
     )  # fmt: skip
     assert 'left out by this model: engine.damping_ratio, gravity' in said
     with np.load(path) as file:
+        np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
+        np.testing.assert_allclose(file['kappa'], np.geomspace(0.5, 50.0, 256))
         attributes = json.loads(str(file['attributes']))
     assert attributes['model'] == 'spring_mass'
-    assert attributes['density_ratio'] == 1.0
     assert attributes['engine_frequency'] == 31.1
-
-
-def test_workers_make_the_same_file(command, tmp_path):
-    for workers in (1, 2):
-        command.run(*SMALL, '--workers', workers, '--output', tmp_path / f'{workers}.npz')
-    assert (tmp_path / '1.npz').read_bytes() == (tmp_path / '2.npz').read_bytes()
-
-
-def rows(path, entity, component):
-    """Return what Rerun reads of a component."""
-    chunk = pytest.importorskip('rerun.chunk', reason='comes with the extra [rerun]')
-    batches = [
-        each.to_record_batch()
-        for each in chunk.RrdReader(path).stream()
-        if each.entity_path == entity
-    ]
-    return [
-        value
-        for batch in batches
-        if component in batch.schema.names
-        for value in batch.column(component).to_pylist()
-    ]
-
-
-def test_recording_has_the_values_and_the_marks(command, tmp_path):
-    path = tmp_path / 'map.rrd'
-    axes = 'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30'
-    command.run(*axes, '--output', path)
-    landscape = compute_landscape(Rig(), AXES)
-    for name in ('ejection_phase', 'energy_transfer'):
-        ((tensor,),) = rows(path, f'/values/{name}', 'Tensor:data')
-        assert tensor['names'] == ['thickness Lₛ (mm)', 'mass m (g)']
-        np.testing.assert_array_equal(
-            np.reshape(tensor['buffer'], tensor['shape']), getattr(landscape, name)
-        )
-        ((first, second),) = rows(path, f'/{name}/mark_texts', 'Points2D:labels')
-        assert first == 'this rig'
-        assert second.endswith(f', {landscape.optimum.energy_transfer:.3f}')
 
 
 def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
@@ -135,8 +88,22 @@ def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
             time.sleep(0.1)
 
 
-def test_picture_has_values_optimum_and_rig_at_their_places(tmp_path, monkeypatch):
+def test_map_without_a_release_says_so_and_can_be_drawn(command, tmp_path):
+    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
+    said = command.run(
+        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
+        '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
+    )  # fmt: skip
+    assert 'the projectile leaves nowhere' in said
+    assert 'finite_difference' in said  # which knows loss
+    assert (tmp_path / 'map.png').exists()
+
+
+def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch):
     module = pytest.importorskip('matplotlib.figure', reason='comes with the extra [plot]')
+    pytest.importorskip('rerun', reason='comes with the extra [rerun]')
+    from test.recording.recordings import Recording
+
     figures = []
     save = module.Figure.savefig
     monkeypatch.setattr(
@@ -144,49 +111,41 @@ def test_picture_has_values_optimum_and_rig_at_their_places(tmp_path, monkeypatc
         'savefig',
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
-    rig = replace(Rig(), layer=Layer(thickness=0.01), projectile=Projectile(mass=2e-3))
+    files = [tmp_path / f'map.{ending}' for ending in ('npz', 'nc', 'png', 'rrd')]
+    said = command.run(
+        'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
+        '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
+    )  # fmt: skip
+    rig = Rig(
+        engine=Engine(damping_ratio=0.0), layer=Layer(thickness=0.01),
+        projectile=Projectile(mass=2e-3), gravity=0.0,
+    )  # fmt: skip
     landscape = compute_landscape(rig, AXES)
-    design_map.draw(landscape, tmp_path / 'map.png')
-    assert (tmp_path / 'map.png').read_bytes().startswith(b'\x89PNG')
-    (figure,) = figures
+    thickness, mass = landscape.optimum.place
+    alpha = f'{landscape.optimum.energy_transfer:.4f}'
+    assert f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg' in said
+    assert all(path.stat().st_size > 1000 for path in files)
+    saved, recording, (figure,) = np.load(files[0]), Recording(files[3]), figures
     for panel, name in zip(figure.axes, ('ejection_phase', 'energy_transfer'), strict=False):
+        values = getattr(landscape, name)
+        np.testing.assert_array_equal(saved[name], values)
         (mesh,) = panel.collections
-        np.testing.assert_array_equal(mesh.get_array().T, getattr(landscape, name))
+        np.testing.assert_array_equal(mesh.get_array().T, values)
         assert (panel.get_xscale(), panel.get_yscale()) == ('log', 'linear')
         assert panel.get_xlim() == pytest.approx((2.0, 50.0))
         assert panel.get_ylim() == pytest.approx((1.0, 5.0))
+        (batch,) = recording.entities[f'/values/{name}']
+        (tensor,) = batch.column('Tensor:data').to_pylist()[0]
+        assert tensor['names'] == ['thickness Lₛ (mm)', 'mass m (g)']
+        np.testing.assert_array_equal(np.reshape(tensor['buffer'], tensor['shape']), values)
+        first, second = recording.last(f'/{name}/mark_texts', 'Points2D:labels')
+        assert first == 'this rig'
+        assert second.endswith(f', {landscape.optimum.energy_transfer:.3f}')
     lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
-    place = np.array(landscape.optimum.place)
-    np.testing.assert_allclose(lines['largest α'].get_xydata(), [1e3 * place])
+    place = [[1e3 * thickness, 1e3 * mass]]
+    np.testing.assert_allclose(lines['largest α'].get_xydata(), place)
     np.testing.assert_allclose(lines['this rig'].get_xydata(), [[10.0, 2.0]])
-
-
-def test_map_without_a_release_says_so_and_can_be_drawn(command, tmp_path):
-    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
-    said = command.run(
-        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
-        '--amplitude', 1e-3, '--output', tmp_path / 'map.png',
-    )  # fmt: skip
-    assert 'the projectile leaves nowhere' in said
-    assert (tmp_path / 'map.png').exists()
-
-
-def test_map_is_saved_and_summed_up(command, tmp_path):
-    path = tmp_path / 'map.npz'
-    said = command.run(*SMALL, '--gravity', 0, '--motion', 'harmonic', '--output', path)
-    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-    landscape = compute_landscape(
-        rig, {'x': np.linspace(0.2, 0.9, 30), 'C': np.linspace(1.0, 12.0, 24)}
-    )
-    with np.load(path) as file:
-        np.testing.assert_array_equal(file['energy_transfer'], landscape.energy_transfer)
-    x, c = landscape.optimum.place
-    assert f'{landscape.optimum.energy_transfer:.4f} at x {x:.5g}, C {c:.5g}' in said
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_loss_is_for_the_model_that_knows_it(command):
-    assert 'finite_difference' in command.run('mu=0.1:1:4', 'kappa=5:10:4', '--loss-tangent', 0.1)
+    saved.close()
 
 
 def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):

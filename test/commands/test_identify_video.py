@@ -137,13 +137,16 @@ def test_video_gives_the_rig_that_was_filmed(command, throw_video, tmp_path):
         )
 
 
-def test_spot_behind_a_wire_is_missing_there_and_the_rig_is_right(
+def test_spot_behind_a_wire_is_missing_there_and_the_rig_of_pictures_in_a_folder_is_right(
     command, throw_pictures, tmp_path
 ):
     wire = np.abs(np.arange(330) - 110.0) < 3.0  # above where the projectile rests
-    pictures = [np.where(wire[:, None], np.uint8(60), picture) for picture in throw_pictures]
-    path = write_video(tmp_path / 'wire.avi', pictures)
-    assert_is_the_rig(command.json('--video', path, *AS_TAKEN, *KNOWN))
+    (tmp_path / 'notes.txt').write_text('no picture')
+    for number, picture in enumerate(throw_pictures):
+        picture = np.where(wire[:, None], np.uint8(60), picture)  # noqa: PLW2901
+        colours = np.stack([picture] * 3, axis=-1)
+        imageio.imwrite(tmp_path / f'shot_{number}.png', colours if number % 2 else picture)
+    assert_is_the_rig(command.json('--video', tmp_path, *AS_TAKEN, *KNOWN))
     said = r'the spot at column 22 row 150 is not seen as a whole in pictures \d+ to \d+;'
     assert re.search(said, command.err)
 
@@ -172,16 +175,6 @@ def test_rate_that_cannot_be_is_refused_before_anything_is_fitted(command, throw
         message = command.refused('--video', throw_video, '--rate', rate, '--scale', scale, 120)
         assert value in message
         assert f'at {rate:g} pictures per second' in message
-
-
-def test_folder_of_pictures_is_read_by_their_numbers(command, throw_pictures, tmp_path):
-    folder = tmp_path / 'pictures'
-    folder.mkdir()
-    (folder / 'notes.txt').write_text('no picture')
-    for number, picture in enumerate(throw_pictures):
-        colours = np.stack([picture] * 3, axis=-1)
-        imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else picture)
-    assert_is_the_rig(command.json('--video', folder, *AS_TAKEN, *KNOWN))
 
 
 def test_spots_are_on_what_is_said(command, throw_video):
@@ -235,67 +228,30 @@ def test_video_without_its_libraries_says_what_to_install(command, throw_video, 
         assert message.startswith("a video needs what pip installs with 'soft_throw_ros[video]': ")
 
 
+THROW = ('--video', 'VIDEO', *AS_TAKEN)
+LAYER = ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN)
+
+
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
         (('--video', 'VIDEO'), 'argument --rate: must be given with a video'),
         (('--video', 'VIDEO', '--rate', '1'), 'argument --scale: must be given with a video'),
-        (
-            ('--video', 'VIDEO', '--rate', 'fast', '--scale', '1', '1'),
-            'argument --rate: must be finite and positive, got fast',
-        ),
-        (
-            ('--video', 'VIDEO', '--rate', '1', '--scale', '1', '0'),
-            'argument --scale: must be finite and positive, got 0',
-        ),
+        ((*THROW, '--rate', 'fast'), 'argument --rate: must be finite and positive, got fast'),
+        ((*THROW, '--scale', '1', '0'), 'argument --scale: must be finite and positive, got 0'),
         (('a.csv', '--rate', '1'), 'argument --rate: is for videos'),
-        (('a.csv', '--space-time', 'a.png'), 'argument --space-time: is for videos'),
-        (
-            ('--free-layer', '0.01', 'a.csv', '--video', 'VIDEO'),
-            'either FILE or --video, or --free-layer',
-        ),
-        (
-            ('--video', 'VIDEO', '--video', 'VIDEO', *AS_TAKEN, '--tracks', 'a.csv'),
-            'argument --tracks: is for one video at a time, got 2',
-        ),
-        (
-            ('--video', 'VIDEO', *AS_TAKEN, '--line', '1', '2', '3'),
-            'argument --line: is for the video of a free layer',
-        ),
-        (
-            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--space-time', 'a.png'),
-            'argument --space-time: needs --line',
-        ),
-        (
-            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--space-time', 'a.gif'),
-            'argument --space-time: ',
-        ),
-        (
-            ('--free-layer', '0.01', 'VIDEO', *AS_TAKEN, '--line', '400', '2', '9'),
-            'VIDEO: a line from row 2 to row 9 of column 400 is not within pictures of 330 rows',
-        ),
-        (
-            ('--video', 'VIDEO', *AS_TAKEN, '--spots', 'ball'),
-            "VIDEO: a spot is on one of plate, layer, projectile, none, got 'ball'",
-        ),
-        (
-            ('--video', 'VIDEO', *AS_TAKEN, '--spots', 'layer,layer,projectile'),
-            'VIDEO: less than 12 positions of the plate',
-        ),
-        (
-            ('--video', 'VIDEO', *AS_TAKEN, '--light-spots'),
-            'VIDEO: the first picture shows no light round spot, but 3 dark ones',
-        ),
-        (
-            ('--video', 'VIDEO', *AS_TAKEN, '--overlay', 'a.gif'),
-            "argument --overlay: must end on .png, .pdf, .svg, .mp4, .mkv, .avi, got 'a.gif'",
-        ),
-        (('a.csv', '--light-spots'), 'argument --light-spots: is for videos'),
+        ((*THROW, '--video', 'VIDEO', '--tracks', 'a.csv'), 'argument --tracks: is for one video'),
+        ((*THROW, '--line', '1', '2', '3'), 'argument --line: is for the video of a free layer'),
+        ((*LAYER, '--space-time', 'a.png'), 'argument --space-time: needs --line'),
+        ((*LAYER, '--line', '400', '2', '9'), 'VIDEO: a line from row 2 to row 9 of column 400'),
+        ((*THROW, '--spots', 'ball'), 'VIDEO: a spot is on one of plate, layer, projectile, none'),
+        ((*THROW, '--spots', 'layer,layer,projectile'), 'VIDEO: less than 12 positions of the'),
+        ((*THROW, '--light-spots'), 'VIDEO: the first picture shows no light round spot, but'),
+        ((*THROW, '--overlay', 'a.gif'), 'argument --overlay: must end on .png, .pdf, .svg, .mp4'),
         (('--video', 'none.avi', *AS_TAKEN), 'none.avi: No such file or directory'),
-        (('--video', 'none.csv', *AS_TAKEN), 'none.csv: No such file'),
-        (('--video', 'VIDEO', *AS_TAKEN, '--tracks', 'no/a.csv'), 'argument --tracks: there is'),
+        ((*THROW, '--tracks', 'no/a.csv'), 'argument --tracks: no/a.csv: there is no folder no'),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_a_video_is_said_in_one_line(command, throw_video, args, message):
     args = [throw_video if arg == 'VIDEO' else arg for arg in args]
     assert command.refused(*args).startswith(message.replace('VIDEO', str(throw_video)))

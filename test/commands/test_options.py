@@ -100,9 +100,10 @@ def test_every_parameter_of_the_rig_is_an_option():
     assert read_settings(parser.parse_args([])) == TWIN.defaults()
 
 
-def test_design_without_a_known_task_names_those_there_are(command):
+def test_design_without_a_known_task_names_those_there_are_in_one_line(command):
     assert "'mop'" in command.refused('mop')
     assert 'TASK' in command.refused()
+    assert command.refused('recommend', '--bogus=1\n2').endswith('--bogus=1 2')
 
 
 def test_slow_command_says_what_it_waits_for_and_a_fast_one_nothing(capsys):
@@ -114,16 +115,10 @@ def test_slow_command_says_what_it_waits_for_and_a_fast_one_nothing(capsys):
     assert capsys.readouterr().err.startswith('throw: computing')
 
 
-def test_one_worker_is_this_process():
+def test_workers_are_other_processes_that_leave_ctrl_c_to_this_one():
     with open_with() as executor:
         assert executor is None
-    with open_with('--workers', '1') as executor:
-        assert executor is None
-
-
-def test_workers_are_other_processes_that_leave_ctrl_c_to_this_one():
     with open_with('--workers', '2') as executor:
-        assert executor.submit(os.getpid).result() != os.getpid()
         blocked = executor.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
     assert signal.SIGINT in blocked
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
@@ -159,23 +154,13 @@ def test_map_is_whole_and_the_same_though_a_dask_worker_is_killed(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_dask_that_does_not_answer_is_quoted():
+def test_dask_that_does_not_answer_or_is_not_installed_is_said(monkeypatch):
     pytest.importorskip('distributed', reason='comes with the extra [dask]')
     with (
         pytest.raises(ValueError, match='--dask nowhere: no scheduler answers there'),
         open_with('--dask', 'nowhere'),
     ):
         pass
-
-
-def test_dask_that_is_not_installed_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with (
-        pytest.raises(ValueError, match=r'pip installs with .*\[dask\]'),
-        open_with('--dask', 'x'),
-    ):
+    with pytest.raises(ValueError, match=r'pip installs with .*\[dask\]'), open_with('--dask=x'):
         pass
-
-
-def test_refusal_of_an_argument_with_line_ends_is_one_line(command):
-    assert command.refused('recommend', '--bogus=1\n2').endswith('--bogus=1 2')

@@ -65,26 +65,19 @@ def test_bag_that_lacks_only_its_end_is_recovered_as_a_whole(command, bag):
         assert recovered.damage == ''
 
 
-def test_what_is_lost_is_told_by_place_number_and_exit_code(command, bag, tmp_path):
-    offset, _ = damage(bag, 1)
-    out = command.run(bag, '--to', tmp_path / 'out/whole', code=1)
-    first, *_, total, gap, missing = out.splitlines()
-    assert first.startswith(f'{tmp_path}/out/whole: 200 messages')
-    size = total.partition(' ')[0]
-    for part in (f'{bag}/run_0.mcap', f'{size} bytes at {offset}', 'crc'):
-        assert part in gap
-    assert '(100 messages)' in missing
-
-
-def test_many_places_are_summed_up(command, tmp_path):
+def test_what_is_lost_is_told_by_place_number_and_exit_code(command, tmp_path):
     with BagWriter(tmp_path / 'run', distribution='', compression='none') as writer:
         for number in range(30):
             writer.write(Message(CHANNELS[0], b'x' * 50, number, number, number))
             writer.flush()
-    for chunk in range(0, 30, 2):
+    offset, _ = damage(tmp_path / 'run', 0)
+    for chunk in range(2, 30, 2):
         damage(tmp_path / 'run', chunk)
-    out = command.run(tmp_path / 'run', code=1)
-    assert 'in 16 places' in out  # with the messages that the end tells of
+    out = command.run(tmp_path / 'run', '--to', tmp_path / 'out/whole', code=1)
+    first, *_, total, place = out.splitlines()[:4]
+    assert first.startswith(f'{tmp_path}/out/whole: 15 messages')
+    assert 'in 16 places' in total  # with the messages that the end tells of
+    assert f'run_0.mcap: {int(total.split()[0]) // 15} bytes at {offset}: ' in place
     assert out.count('crc') == 10
     assert out.endswith('and 6 more\n')
 

@@ -25,9 +25,7 @@ from hypothesis import strategies as st
 import numpy as np
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.recording.cdr import (
-    decode_array,
     decode_joint_states,
-    encode_array,
     JointStateEncoder,
     JointStateReader,
     MessageError,
@@ -40,7 +38,6 @@ from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 BEGIN = 1_700_000_000 * SECOND
 STATE = JointStateEncoder('rig', ('plate', 'projectile')).encode(BEGIN, [0.1, 0.2] * 3)
 OTHERS = JointStateEncoder('', ('a', 'plate', 'b'), series=1).encode(0, [0.0, 1.0, 2.0])
-FIELD = encode_array(['t', 'y'], np.zeros((3, 4)))
 
 
 @fuzzed(0.12)
@@ -60,18 +57,6 @@ def test_messages_are_read_or_refused(tmp_path: Path, messages: list[bytes]) -> 
         except MessageError:
             return
         assert states.stamps.size == len(messages)
-
-
-@fuzzed(0.06)
-@given(message=datas(FIELD))
-def test_arrays_are_read_or_refused(tmp_path: Path, message: bytes) -> None:
-    with bounded(tmp_path):
-        try:
-            labels, values = decode_array(message)
-        except MessageError:
-            return
-    assert len(labels) == values.ndim
-    assert 8 * values.size <= len(message)
 
 
 HEIGHTS = st.floats(-0.01, 0.01) | st.sampled_from(

@@ -33,7 +33,7 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
 _ONES = np.ones(2)
-TIMEOUT = 20.0
+TIMEOUT = 60.0  # reached only when something is wrong [s]
 BEGIN = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')

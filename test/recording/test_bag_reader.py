@@ -127,16 +127,6 @@ def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
         assert ours.counts == [300, 3]
 
 
-@pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_bag_that_rosbag2_compressed_itself_is_named_with_what_converts_it(tmp_path, mode):
-    bag = RosbagsWriter(tmp_path / 'theirs', version=9, storage_plugin=StoragePlugin.MCAP)
-    bag.set_compression(mode, CompressionFormat.ZSTD)
-    with bag:
-        bag.write(bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES), 7, b'')
-    with pytest.raises(BagError, match=r'theirs .*compressed.*rosbags-convert'):
-        BagReader(tmp_path / 'theirs')
-
-
 @pytest.mark.parametrize('chunked', [True, False])
 @pytest.mark.parametrize('index_types', [IndexType.ALL, IndexType.NONE, IndexType.CHUNK])
 @pytest.mark.parametrize('has_statistics', [True, False])
@@ -196,16 +186,23 @@ def test_folder_without_its_metadata_is_read_and_says_so(recording, damage, name
         assert name in bag.damage
 
 
-def test_bag_in_sqlite_is_named_with_what_converts_it(tmp_path):
-    with RosbagsWriter(tmp_path / 'bag', version=9) as bag:
-        connection = bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES)
-        bag.write(connection, 7, b'')
-    for path in (tmp_path / 'bag', tmp_path / 'bag/bag.db3'):
-        with pytest.raises(BagError, match=r'sqlite3.*rosbags-convert'):
+@pytest.mark.parametrize(
+    ('plugin', 'mode', 'reason'),
+    [
+        (StoragePlugin.MCAP, CompressionMode.FILE, 'compressed'),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE, 'compressed'),
+        (StoragePlugin.SQLITE3, None, 'sqlite3'),
+    ],
+)
+def test_bag_that_is_otherwise_is_named_with_what_converts_it(tmp_path, plugin, mode, reason):
+    bag = RosbagsWriter(tmp_path / 'theirs', version=9, storage_plugin=plugin)
+    if mode is not None:
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        bag.write(bag.add_connection('/a', 'std_msgs/msg/String', typestore=TYPES), 7, b'')
+    for path in (tmp_path / 'theirs', *tmp_path.glob('theirs/*.db3')):
+        with pytest.raises(BagError, match=rf'theirs.*{reason}.*rosbags-convert'):
             BagReader(path)
-    (tmp_path / 'bag/metadata.yaml').unlink()
-    with pytest.raises(BagError, match='sqlite3'):
-        BagReader(tmp_path / 'bag')
 
 
 @pytest.mark.parametrize(
@@ -233,25 +230,14 @@ def test_path_that_is_no_bag_is_named(tmp_path):
             BagReader(tmp_path / name)
 
 
-def test_messages_that_are_not_those_of_ros_are_refused(tmp_path):
-    with (tmp_path / 'theirs.mcap').open('wb') as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema('t/T', 'jsonschema', b'{}')
-        writer.add_message(writer.register_channel('/a', 'json', schema), 0, b'{}', 0)
-        writer.finish()
-    with pytest.raises(BagError, match=r"theirs\.mcap: /a .*'json'"):
-        BagReader(tmp_path / 'theirs.mcap')
-
-
-def test_refusal_is_one_line_whatever_the_topic_is_called(tmp_path):
+def test_messages_that_are_not_those_of_ros_are_refused_in_one_line(tmp_path):
     with (tmp_path / 'theirs.mcap').open('wb') as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema('t/T', 'jsonschema', b'{}')
         writer.add_message(writer.register_channel('/a\n/b', 'json', schema), 0, b'{}', 0)
         writer.finish()
-    with pytest.raises(BagError, match=r'^[^\n]*/a /b[^\n]*$'):
+    with pytest.raises(BagError, match=r"^[^\n]*theirs\.mcap: /a /b [^\n]*'json'[^\n]*$"):
         BagReader(tmp_path / 'theirs.mcap')
 
 
@@ -260,15 +246,10 @@ def test_refusal_is_one_line_whatever_the_topic_is_called(tmp_path):
 
 @pytest.fixture
 def stream_parts(recording):
-    """Make a stream: its beginning, definitions, blocks of messages, and its end."""
+    """Make a stream, in parts of a hundred messages."""
     messages = recording.make(1000)
     writer = StreamWriter()
-    parts = [writer.start()]
-    for number in range(0, len(messages), 100):
-        block = messages[number : number + 100]
-        parts += [writer.define(message.channel) for message in block]
-        parts.append(writer.block(block))
-    return [*filter(None, parts)]
+    return [writer.write(messages[n : n + 100]) for n in range(0, len(messages), 100)]
 
 
 def test_stream_comes_out_as_it_went_in(recording, stream_parts, tmp_path):
@@ -284,47 +265,26 @@ def test_stream_comes_out_as_it_went_in(recording, stream_parts, tmp_path):
     assert len(cut) > 250
 
 
-def test_blocks_of_messages_may_be_left_out_and_a_next_reader_gets_all_channels(recording):
-    writer = StreamWriter()
-    messages = recording.make(200)
-    parts = [writer.start()]
-    for message in messages:
-        parts.append(writer.define(message.channel))
-        block = writer.block([message])
-        parts.append(block if message.sequence % 3 else b'')
-    kept = read_stream(BytesIO(b''.join(parts)))
-    assert recording.content(kept) == recording.content(
-        message for message in messages if message.sequence % 3
-    )
-    late = read_stream(BytesIO(writer.start() + writer.block(messages)))
-    assert recording.content(late) == recording.content(messages)
-
-
 def test_items_of_a_pipe_come_as_they_are_written(stream_parts):
     """Nothing is written before what is there already has been read."""
     source, target = os.pipe()
-    blocks = iter(stream_parts)
     with os.fdopen(source, 'rb') as pipe, os.fdopen(target, 'wb', buffering=0) as out:
-        out.writelines(itertools.islice(blocks, 3))  # beginning, and the two channels
         items = read_stream(pipe)
-        for block in itertools.islice(blocks, 5):
-            out.write(block)
+        for part in stream_parts[:5]:
+            out.write(part)
             assert len(list(itertools.islice(items, 100))) == 100
 
 
 @pytest.mark.parametrize(
-    ('damage', 'reason'),
+    ('damage', 'reason', 'count'),
     [
-        (lambda parts: b'hello, this is no stream', 'magic'),
-        (lambda parts: parts[0] + b''.join(parts[4:]), 'channel 1'),
-        (lambda parts: parts[0] + b'\5' + b'\xff' * 8, '18446744073709551615'),
+        (lambda parts: b'hello, this is no stream', 'magic', 0),
+        (lambda parts: parts[0][:8] + parts[1], 'channel 1', 0),
+        (lambda parts: parts[0] + b'\5' + b'\xff' * 8, '18446744073709551615', 100),
     ],
 )
-def test_stream_that_breaks_off_says_so_after_what_it_gave(
-    recording, stream_parts, damage, reason
-):
-    stream = BytesIO(damage(stream_parts))
+def test_stream_that_breaks_off_says_so_after_what_it_gave(stream_parts, damage, reason, count):
     before = []
     with pytest.raises(BagError, match=f'standard input: .*{reason}'):
-        before.extend(read_stream(stream, 'standard input'))
-    assert recording.content(before) == recording.content(recording.messages[: len(before)])
+        before.extend(read_stream(BytesIO(damage(stream_parts)), 'standard input'))
+    assert len(before) == count

@@ -15,28 +15,23 @@
 
 from __future__ import annotations
 
-import functools
-from io import BytesIO
 from pathlib import Path
 import random
 import resource
 import subprocess
 import sys
-import tempfile
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
-from soft_throw_ros.recording.bag_reader import BagReader, read_stream
+from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.message import BagError
 from soft_throw_ros.recording.recovery import recover
 
-from test.recording.conftest import PLAIN, plain
+from test.recording.conftest import plain
 
 ROOT = Path(__file__).parents[2]
 
@@ -72,35 +67,30 @@ from pathlib import Path
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 
-folder, runs, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 texts = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
-numbers = Channel(topic='/number', type='std_msgs/msg/UInt64', schema='uint64 data')
+text = b'\\0\\1\\0\\0' + (1000).to_bytes(4, 'little') + b'x' * 999 + b'\\0'
 flushed = mmap.mmap(-1, 8)  # shared with the process that is killed
 
 
-def write_for_ever(path, number):
-    compression = ('none', 'lz4', 'zstd')[number % 3]
-    text = b'\\0\\1\\0\\0' + (1000).to_bytes(4, 'little') + b'x' * 999 + b'\\0'
+def write_for_ever(path, compression):
     with BagWriter(path, distribution='jazzy', compression=compression, max_size=10**6) as writer:
         for step in range(10**9):
-            data = b'\\0\\1\\0\\0' + step.to_bytes(8, 'little')
-            writer.write(Message(numbers, data, step, step, step))
             writer.write(Message(texts, text, step, step, step))
             if step % 97 == 96:
                 writer.flush()
-                flushed[:] = (2 * (step + 1)).to_bytes(8, 'little')
+                flushed[:] = (step + 1).to_bytes(8, 'little')
 
 
-random.seed(seed)
-for number in range(runs):
+random.seed(7)
+for number in range(15):
     flushed[:] = bytes(8)
     child = os.fork()
     if not child:
         try:
-            write_for_ever(folder / f'bag{number}', number)
+            write_for_ever(Path(sys.argv[1]) / f'bag{number}', ('none', 'lz4', 'zstd')[number % 3])
         finally:
             os._exit(1)
-    while number % 3 and not any(flushed[:]):
+    while not any(flushed[:]):
         time.sleep(0.001)
     time.sleep(random.uniform(0.0, 0.06))
     os.kill(child, signal.SIGKILL)
@@ -110,27 +100,21 @@ for number in range(runs):
 
 
 def test_process_that_is_killed_loses_only_what_came_since_it_flushed(tmp_path, rerun):
-    runs = 30
     killed = subprocess.run(
-        [sys.executable, '-c', KILLED, str(tmp_path), str(runs), '7'],
-        capture_output=True,
+        [sys.executable, '-c', KILLED, str(tmp_path)],
+        stdout=subprocess.PIPE,
         check=True,
         cwd=ROOT,
-        text=True,
         timeout=100,
     )
-    flushed = [int(line) for line in killed.stdout.split()]
-    assert sum(count > 0 for count in flushed) > runs // 2
-    for number, count in enumerate(flushed):
+    for number, count in enumerate(map(int, killed.stdout.split())):
         bag, target = tmp_path / f'bag{number}', tmp_path / f'whole{number}'
-        if count:
-            assert (bag / 'metadata.yaml').exists()
-            recovered = recover(bag, target)
-            assert recovered.message_count >= count
-            data = data_as_read_by_others(target)
-            steps = [int.from_bytes(item[4:], 'little') for item in data if len(item) == 12]
-            assert steps == list(range(len(steps)))
-            assert len(data) == recovered.message_count in (2 * len(steps), 2 * len(steps) - 1)
+        assert (bag / 'metadata.yaml').exists()
+        recovered = recover(bag, target)
+        assert len(data_as_read_by_others(target)) == recovered.message_count >= count
+        with BagReader(target) as reader:
+            steps = [message.sequence for message in reader.messages()]
+        assert steps == list(range(len(steps)))
     for path in sorted(target.glob('*.mcap')):
         rerun('mcap', 'check', path)
 
@@ -203,22 +187,6 @@ def test_gap_says_where_it_is_and_channels_survive_it(recording, tmp_path):
         ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ('found', 'damaged'), [(b'/twin/journal', b'/twin/joUrnal'), (b'RIHS01_', b'RIHS01x')]
-)
-def test_definition_with_a_checksum_wins_over_its_copy_without_one(
-    recording, tmp_path, found, damaged
-):
-    recording.write(100, compression='lz4')
-    (path,) = recording.files
-    path.write_bytes(path.read_bytes().replace(found, damaged, 1)[:-100])
-    recover(path, tmp_path / 'whole')
-    with BagReader(tmp_path / 'whole') as bag:
-        assert {channel.topic: channel.type_hash for channel in bag.channels} == {
-            channel.topic: channel.type_hash for channel in (recording.states, recording.texts)
-        }
-
-
 @pytest.mark.parametrize('size', [1, 9, 5000, 300_000])
 def test_reading_goes_on_after_bytes_that_do_not_belong_there(recording, size):
     recording.write(2000, flush_every=300)
@@ -260,44 +228,29 @@ def test_all_that_a_bag_has_is_recovered_in_its_order(recording, tmp_path):
         assert new.distribution == 'jazzy'
 
 
-def unchunked(count):
-    """Write messages in no chunk; return the file, and where each begins."""
-    writer = StreamWriter()
-    stream = writer.start() + writer.define(PLAIN)
-    begins = []
-    for number in range(count):
-        begins.append(len(stream))
-        stream += writer.block(
-            [Message(PLAIN, b'message %d ' % number * 5, number, number, number)]
-        )
-    return stream, begins
-
-
 def test_messages_in_no_chunk_are_read_up_to_the_damage(tmp_path):
-    data, begins = unchunked(500)
-    path = tmp_path / 'stream.mcap'
-    for place in (begins[100], begins[100] + 7):  # opcode, length
-        path.write_bytes(data)
+    writer = StreamWriter()
+    parts = [writer.write([plain(number)]) for number in range(500)]
+    path, begin = tmp_path / 'stream.mcap', len(b''.join(parts[:100]))
+    for place in (begin, begin + 7):  # opcode, length
+        path.write_bytes(b''.join(parts))
         flip(path, place, 0x40)
         with BagReader(path) as bag:
             assert [message.sequence for message in bag.messages()] == list(range(100))
-            assert bag.gaps[0].offset == begins[100]
+            assert bag.gaps[0].offset == begin
 
 
-def test_empty_file_of_a_bag_is_named_and_the_others_are_read(recording, tmp_path):
+def test_empty_file_and_damaged_attachment_are_named_and_the_rest_is_read(recording, tmp_path):
     recording.write(900, max_duration=0.3)
-    recording.files[1].write_bytes(b'')
+    first, second, third = recording.files
+    second.write_bytes(b'')
+    for path in (first, third):  # each has a copy
+        flip(path, path.read_bytes().index(b'twin:'))
     recovered = recover(recording.folder, tmp_path / 'whole')
     assert recovered.message_count == len(recording.messages) - 303
-    assert str(recording.files[1]) in str(recovered.gaps[0])
-
-
-def test_attachment_with_a_wrong_checksum_is_left_out_and_named(recording, tmp_path):
-    recording.write(100)
-    (path,) = recording.files
-    flip(path, path.read_bytes().index(b'twin:'))
-    recovered = recover(recording.folder, tmp_path / 'whole')
-    assert 'attachment' in recovered.gaps[0].reason
+    empty, damaged, _ = recovered.gaps
+    assert str(second) in str(empty)
+    assert 'attachment' in damaged.reason
     with BagReader(tmp_path / 'whole') as bag:
         assert list(bag.attachments()) == []
 
@@ -317,135 +270,47 @@ def test_messages_whose_definition_is_damaged_are_left_out_and_counted(recording
 
 
 @pytest.mark.parametrize(
-    ('found', 'damaged', 'count'),
+    ('found', 'damaged'),
     [
-        (b'RIHS01_', b'RIHS01x', 50),
-        (b'string data', b'string dataX', 50),
-        (b'string data', b'str\xf1ng data', 0),
-        (b'/twin/journal', b'/twin/\0ournal', 0),
-        (b'std_msgs/msg/String', b'std_msgs/mzg/String', 0),
+        (b'RIHS01_', b'RIHS01x'),
+        (b'string data', b'string dat\n'),
+        (b'string data', b'str\xf1ng data'),
+        (b'/twin/journal', b'/twin/\0ournal'),
+        (b'std_msgs/msg/String', b'std_msgs/mzg/String'),
     ],
 )
 def test_definition_without_a_checksum_is_left_out_where_it_cannot_be_trusted(
-    recording, tmp_path, found, damaged, count
+    recording, tmp_path, found, damaged
 ):
-    writer = StreamWriter()
-    messages = [recording.text(number, 'hello') for number in range(50)]
-    data = writer.start() + writer.define(recording.texts) + writer.block(messages)
+    data = StreamWriter().write([recording.text(number, 'hello') for number in range(50)])
     path = tmp_path / 'stream.mcap'
-    path.write_bytes(data.replace(found, damaged[: len(found)]))
-    if not count:
+    path.write_bytes(data.replace(found, damaged))
+    if found != b'RIHS01_' and damaged != b'string dat\n':
         with pytest.raises(BagError, match='no message to recover'):
             recover(path, tmp_path / 'whole')
         return
     recovered = recover(path, tmp_path / 'whole')
-    assert len(data_as_read_by_others(tmp_path / 'whole')) == count == recovered.message_count
+    assert len(data_as_read_by_others(tmp_path / 'whole')) == 50 == recovered.message_count
     assert '/twin/journal' in recovered.doubts[0]
     with BagReader(tmp_path / 'whole') as bag:
         assert [(channel.type_hash, channel.qos) for channel in bag.channels] == [('', '')]
 
 
-# Anything at all
-
-
-@functools.cache
-def sound_file(kind):
-    """Make a small file in which nothing is wrong."""
-    if kind == 'unchunked':
-        return unchunked(30)[0]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / 'bag'
-        with BagWriter(path, distribution='', compression=kind) as writer:
-            writer.add_metadata('name', {'key': 'value'})
-            writer.attach('file', b'content', 'text/plain')
-            for number in range(30):
-                data = b'message %d ' % number * 5
-                writer.write(Message(PLAIN, data, number, number, number))
-                if number % 10 == 9:
-                    writer.flush()
-        return (path / 'bag_0.mcap').read_bytes()
-
-
-def edited(data, edits):
-    data = bytearray(data)
-    for kind, where, size, number in edits:
-        place = int(where * len(data))
-        if kind == 'flip':
-            data[place : place + 1] = bytes([data[place] ^ (1 << size % 8)] if data else [])
-        elif kind == 'put':
-            data[place : place + 8] = number.to_bytes(8, 'little')
-        elif kind == 'remove':
-            del data[place : place + size]
-        elif kind == 'repeat':
-            data[place:place] = data[place : place + size]
-        else:
-            del data[place:]
-    return bytes(data)
-
-
-@pytest.mark.parametrize('kind', ['lz4', 'zstd', 'none', 'unchunked'])
-@settings(max_examples=60)
-@given(
-    edits=st.lists(
-        st.tuples(
-            st.sampled_from(['flip', 'put', 'remove', 'repeat', 'cut']),
-            st.floats(0.0, 1.0, exclude_max=True),
-            st.integers(0, 300),
-            st.sampled_from([0, 1, 0xFF, 2**31, 2**32 - 1, 2**48, 2**63, 2**64 - 1]),
-        ),
-        min_size=1,
-        max_size=4,
-    )
-)
-def test_edited_file_gives_messages_or_a_reason(tmp_path_factory, kind, edits):
-    path = tmp_path_factory.mktemp('edited') / 'bag.mcap'
-    path.write_bytes(edited(sound_file(kind), edits))
-    found, reasons = [], []
-    for by_scan in (False, True):
-        try:
-            with BagReader(path, by_scan=by_scan) as bag:
-                found.append([message.data for message in bag.messages()])
-                assert all(isinstance(record.metadata, dict) for record in bag.metadata)
-                assert all(record.data == b'content' for record in bag.attachments())
-        except BagError as error:
-            reasons.append(str(error))
-    try:
-        items = read_stream(BytesIO(path.read_bytes()), str(path))
-        found.append([item.data for item in items if isinstance(item, Message)])
-    except BagError as error:
-        reasons.append(str(error))
-    try:
-        count = recover(path, path.with_name('whole')).message_count
-        assert count == len(data_as_read_by_others(path.with_name('whole')))
-    except BagError as error:
-        reasons.append(str(error))
-    assert all(str(path) in reason for reason in reasons)
-    if kind in ('lz4', 'zstd', 'none'):  # nothing is read without a checksum
-        originals = {b'message %d ' % number * 5 for number in range(30)}
-        assert all(originals.issuperset(data) for data in found)
-
-
 # Refused
 
 
-def test_bag_that_is_being_written_is_not_touched(tmp_path):
-    with BagWriter(tmp_path / 'bag', distribution='') as writer:
-        writer.write(plain(0))
-        writer.flush()
-        for source in ('bag', 'bag/bag_0.mcap'):
+def test_bag_that_is_there_or_being_written_is_not_touched(recording, tmp_path):
+    with BagWriter(tmp_path / 'other', distribution='') as writer:
+        for source in ('other', 'other/other_0.mcap'):
             with pytest.raises(BagError, match='being written'):
                 recover(tmp_path / source, tmp_path / 'whole')
-    assert recover(tmp_path / 'bag', tmp_path / 'whole').message_count == 1
-
-
-def test_bag_is_not_overwritten_nor_changed(recording, tmp_path):
+        writer.write(plain(0))
     recording.write(10)
-    (tmp_path / 'other').mkdir()
     for target in (tmp_path / 'other', recording.folder, recording.folder / 'whole'):
         with pytest.raises(BagError, match=str(target)):
             recover(recording.folder, target)
     assert len(list(recording.folder.iterdir())) == 2
-    assert list((tmp_path / 'other').iterdir()) == []
+    assert recover(tmp_path / 'other', tmp_path / 'whole').message_count == 1
 
 
 def test_full_disk_leaves_no_half_of_a_bag(recording, tmp_path):

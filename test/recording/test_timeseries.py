@@ -25,21 +25,18 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from soft_throw_ros.configuration.interface import (
     FORMER_TOPICS,
-    FRAME,
-    LAYER_JOINTS,
     TWIN_TOPICS,
 )
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.cdr import encode_array
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.timeseries import (
     DECODING_ERRORS,
     find_throws,
     identify,
     LayerStates,
     read_statuses,
-    read_text,
     StrainField,
     TwinReader,
 )
@@ -84,7 +81,6 @@ class Read:
         self.throws: list[Any] = []  # positions and layer at the times of the field
         self.positions: dict[Any, list[Any]] = {}
         self.rigs: list[tuple[int, Rig]] = []
-        self.phases: list[tuple[int, str]] = []
         waiting: list[Message] = []
         for message in messages:
             _, topic = identify(message.channel.topic, message.channel.type)
@@ -104,8 +100,6 @@ class Read:
                 self._add(self.layers, reader.read_layer([message]))
             elif topic == FORMER_TOPICS.strain:
                 self._add(self.layers, reader.read_former_strain(message))
-            elif topic == TWIN_TOPICS.phase:
-                self.phases.append((reader.stamp_of(message), read_text(message)))
             elif topic == TWIN_TOPICS.throw_result:
                 for _, _, values in read_statuses(message):
                     reader.note_result(values)
@@ -141,15 +135,6 @@ def joined(found: Sequence[Any], name: str | int) -> Any:
 
 def stamps_of_steps(twin: Any, steps: Sequence[int]) -> list[int]:
     return [twin.pace.deadline(step) for step in steps]
-
-
-def test_states_are_those_of_the_session(slow) -> None:
-    found = Read(slow.messages, batch=100).states
-    states = np.array([outputs.state for outputs in slow.outputs])
-    assert joined(found, 'stamps').tolist() == stamps_of_steps(slow, range(1400))
-    for columns, name in enumerate(('position', 'velocity', 'force')):
-        expected = states[:, 2 * columns : 2 * columns + 2]
-        np.testing.assert_array_equal(joined(found, name), expected)
 
 
 def test_work_of_the_plate_is_conserved_in_projectile_and_layer(slow) -> None:
@@ -207,51 +192,23 @@ def test_work_converges_with_the_square_of_the_step() -> None:
     assert order == pytest.approx(2.0, abs=0.25)
 
 
-def layer_messages(twin: Any, topic: Any) -> list[Message]:
-    """Make messages of the layer as the model has it, a row for every tenth state of a throw."""
-    channel = Channel(topic=topic.at('/twin').name, type=topic.type, schema='')
-    encode_states = JointStateEncoder(FRAME, LAYER_JOINTS).encode
-    rig = Rig()
-    time = np.arange(0, 800, 10) * 1e-5
-    fields = simulate(rig, until=0.02).fields(time, points=64)
-    plate = simulate(rig, until=0.02).trajectory(time).plate_position
-    step = rig.layer.thickness / 63
-    height = plate[:, None] + step * cumulative_trapezoid(1.0 + fields.strain, axis=1, initial=0.0)
-    force = -rig.layer.youngs_modulus * rig.layer.section * fields.strain
-    messages = []
-    for row, number in enumerate(range(0, 800, 10)):
-        stamp = twin.pace.deadline(number)
-        data = encode_array('y', fields.strain[row])
-        if topic == TWIN_TOPICS.layer_joint_states:
-            data = encode_states(stamp, (*height[row], *fields.velocity[row], *force[row]))
-        messages.append(Message(channel, data, stamp + 200_000, stamp + 200_000, 0))
-    return messages
-
-
-@pytest.mark.parametrize('topic', [TWIN_TOPICS.layer_joint_states, FORMER_TOPICS.strain])
-def test_layer_is_that_of_the_model_in_new_and_former_bags(slow, topic) -> None:
-    others = [each for each in slow.messages if '/layer/' not in each.channel.topic]
-    messages = sorted(others + layer_messages(slow, topic), key=lambda message: message.log_time)
-    read = Read(messages)
-    found = read.layers
-    assert joined(found, 'stamps').tolist() == stamps_of_steps(slow, range(0, 800, 10))
-    throw = simulate(Rig(), until=0.02)
-    time = np.arange(0, 800, 10) * 1e-5
-    path, exact = throw.trajectory(time), throw.fields(time, points=64).strain
-    in_contact = time < throw.ejection_time
-    height = joined(found, 'height')
-    np.testing.assert_allclose(height[:, 0], path.plate_position, atol=1e-9)
-    np.testing.assert_allclose(
-        height[in_contact, -1], path.projectile_position[in_contact], atol=2e-6
-    )
-    assert np.abs(joined(found, 'strain') - exact).mean() < 1e-3
-    total = joined(found, 'total_energy')
-    if topic == FORMER_TOPICS.strain:  # which says nothing of its velocity
-        assert np.isnan(total).all()
-        return
-    stamps, work = joined(read.states, 'stamps'), joined(read.states, 'plate_work')
-    work = np.interp(joined(found, 'stamps'), stamps, work)
-    np.testing.assert_allclose(total[1:], work[1:], atol=2e-3 * work.max())
+def test_layer_is_that_of_the_session_in_new_and_former_bags(slow) -> None:
+    rows = [(step, each.layer) for step, each in enumerate(slow.outputs) if each.layer is not None]
+    stamps = stamps_of_steps(slow, [step for step, _ in rows])
+    height, _, force = (np.array([layer[place] for _, layer in rows]) for place in range(3))
+    strain = -force / (Rig().layer.youngs_modulus * Rig().layer.section)
+    channel = slow.channels[FORMER_TOPICS.strain.relative_name]
+    former = [
+        Message(channel, encode_array('y', row), stamp + 200_000, stamp + 200_000)
+        for stamp, row in zip(stamps, strain, strict=True)
+    ]
+    former += [each for each in slow.messages if '/layer/' not in each.channel.topic]
+    for messages in (slow.messages, sorted(former, key=lambda message: message.log_time)):
+        found = Read(messages).layers
+        assert joined(found, 'stamps').tolist() == stamps
+        np.testing.assert_allclose(joined(found, 'height'), height, atol=2e-6)
+        assert np.abs(joined(found, 'strain') - strain).mean() < 1e-3
+    assert np.isnan(joined(found, 'total_energy')).all()  # the former say nothing of its velocity
 
 
 def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None:
@@ -277,55 +234,34 @@ def test_positions_between_states_are_those_of_the_model(real) -> None:
     np.testing.assert_allclose(position[:, 1], path.projectile_position, atol=5e-6)
 
 
-@pytest.mark.parametrize('ahead', [0, 3 * 10**17, -(10**17)])
-def test_message_without_stamp_gets_that_of_its_step(real, ahead) -> None:
-    """Also if the twin follows another clock than messages are published by."""
-    messages = [
-        message._replace(publish_time=message.publish_time + ahead) for message in real.messages
-    ]
-    entered = [
-        (real.pace.deadline(step), phase.value)
-        for step, outputs in enumerate(real.outputs)
-        for phase in outputs.phases
-    ]
-    assert Read(messages).phases == entered
+def test_batches_do_not_matter(real) -> None:
+    one = Read(real.messages).states
+    for batch in (7, 100):
+        many = Read(real.messages, batch=batch).states
+        for name in ('stamps', 'plate_work', 'projectile_energy'):
+            np.testing.assert_allclose(joined(many, name), joined(one, name), rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize('batch', [7, 100])
-def test_batches_do_not_matter(real, batch) -> None:
-    one, many = Read(real.messages), Read(real.messages, batch=batch)
-    for name in ('stamps', 'plate_work', 'projectile_energy'):
-        np.testing.assert_allclose(
-            joined(many.states, name), joined(one.states, name), rtol=0, atol=1e-15
-        )
-
-
-def test_rig_changes_with_a_throw_and_what_is_wanted_is_known_before() -> None:
+def test_rig_changes_with_a_throw_or_reset_and_what_is_wanted_is_known_before() -> None:
     twin = TwinMessages(throw__period=0.1, time_scale=0.1).go(1500)
     twin.change(layer__thickness=0.01)
-    assert Read(twin.messages).reader.wanted_rig() == Rig(layer=Layer(thickness=0.01))
-    assert Read(twin.messages).reader.rig == Rig()
+    before = Read(twin.messages).reader
+    assert (before.wanted_rig(), before.rig) == (Rig(layer=Layer(thickness=0.01)), Rig())
     read = Read(twin.go(1000).messages)
-    assert [rig.layer.thickness for _, rig in read.rigs] == [0.0168, 0.01]
-    start = find_throws(twin.messages)['/twin'][1].stamp
-    assert find_throws(twin.messages)['/twin'][0].has_field
-    since = joined(read.states, 'stamps') >= start
+    first, second = find_throws(twin.messages)['/twin'][:2]
+    assert first.has_field
+    since = joined(read.states, 'stamps') >= second.stamp
     work, stamps = (joined(read.states, name)[since] for name in ('plate_work', 'stamps'))
     assert joined(read.states, 'projectile_energy')[since][0] == work[0] == 0.0
-    layers = [each for each in read.layers if each.stamps[0] >= start]
+    layers = [each for each in read.layers if each.stamps[0] >= second.stamp]
     for layer in layers:
         expected = np.interp(layer.stamps, stamps, work)
         np.testing.assert_allclose(layer.total_energy, expected, atol=4e-5)
     assert layers
-
-
-def test_rig_changes_with_a_reset() -> None:
-    twin = TwinMessages(throw__period=0).go(50)
-    twin.change(layer__thickness=0.01)
-    assert len(Read(twin.messages).rigs) == 1
+    twin.change(layer__thickness=0.012)
     twin.session.reset()
-    changes = Read(twin.go(50).messages).rigs
-    assert [rig.layer.thickness for _, rig in changes] == [0.0168, 0.01]
+    rigs = Read(twin.go(1).messages).rigs
+    assert [rig.layer.thickness for _, rig in rigs] == [0.0168, 0.01, 0.012]
 
 
 @pytest.mark.parametrize(
@@ -350,13 +286,8 @@ def test_lines_of_no_journal_are_refused_as_damage_is(real, line) -> None:
 
 def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> None:
     found = Read(measured.messages).positions
-    predictions = [outputs.prediction for outputs in measured.outputs if outputs.prediction]
-    residuals = [outputs.residual for outputs in measured.outputs if outputs.residual]
-    truth, predicted, residual = (found[topic] for topic in AUXILIARY)
+    (truth, predicted) = (found[topic] for topic in AUXILIARY[:2])
     times, positions = joined(predicted, 0), joined(predicted, 1)
-    assert times.tolist() == [item.stamp_ns for item in predictions]
-    assert positions[:, 0].tolist() == [item.position for item in predictions]
-    assert joined(residual, 1).tolist() == [list(item[1:]) for item in residuals]
     stamps, heights = joined(truth, 0), joined(truth, 1)
     there = (times[0] < stamps) & (stamps < times[20])
     assert there.sum() > 50
@@ -364,18 +295,13 @@ def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> Non
     assert heights[there, 1] == pytest.approx(expected, abs=5e-5)  # the prediction is a polygon
 
 
-def test_measured_throw_starts_with_the_plate(measured) -> None:
-    onset = measured.pace.time_ns + 50_000_000
-    (field,) = Read(measured.messages).fields
-    assert field.stamps[0] == pytest.approx(onset, abs=5000)
+def test_measured_throw_starts_with_the_plate_and_a_lost_result_is_in_the_journal(
+    measured,
+) -> None:
+    results = [each for each in measured.messages if each.channel.topic != '/twin/throw_result']
+    (field,), (whole,) = Read(results).fields, Read(measured.messages).fields
+    assert field.stamps[0] == pytest.approx(measured.pace.time_ns + 50_000_000, abs=5000)
     assert field.times[-1] == pytest.approx(1.5 * field.ejection_time)
-
-
-def test_ejection_time_of_a_lost_result_is_that_of_the_journal(measured) -> None:
-    topics = ('/twin/throw_result', '/twin/throw_field')
-    results = [each for each in measured.messages if each.channel.topic != topics[0]]
-    (field,) = Read(results).fields
-    (whole,) = Read(measured.messages).fields
     assert field.ejection_time == pytest.approx(whole.ejection_time, rel=1e-12)
 
 
