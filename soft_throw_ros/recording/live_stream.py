@@ -228,7 +228,7 @@ class LiveStream:
         return message
 
     def _drop_beyond(self, size: int) -> None:
-        """Drop the oldest that wait, until the rest is not larger than that. [bytes]"""
+        """Drop the oldest that wait, until the rest is not larger than that [bytes]."""
         while self._waiting and (self._size > size or not size):
             self._next()
             self.dropped += 1
@@ -247,7 +247,7 @@ class LiveStream:
                         block.append(self._next())
                     new = [self._stream.define(message.channel) for message in block]
                     self._rest = memoryview(b''.join(new) + self._stream.block(block))
-                self._rest = self._rest[os.write(pipe, self._rest) :]
+                self._rest = self._rest[os.write(pipe, self._rest):]
         except BlockingIOError:
             return True
         except OSError:

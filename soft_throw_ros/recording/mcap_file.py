@@ -148,7 +148,7 @@ class Definitions:
             self._channels[number] = self._make(record, schema, is_trusted=is_trusted)
         return self._channels[number]
 
-    def all(self) -> dict[int, Channel]:
+    def all(self) -> dict[int, Channel]:  # noqa: A003
         """Return those that are defined."""
         numbers = [number for kind, number in self._records if kind is mcap.Channel]
         found = {number: self.channel(number) for number in numbers}
@@ -302,7 +302,7 @@ class McapFile:
         data = self._read(offset, end)
         checksum = int.from_bytes(data[-4:], 'little')
         is_attachment = opcode == Opcode.ATTACHMENT
-        if is_attachment and checksum not in (0, zlib.crc32(data[_HEAD.size : -4])):
+        if is_attachment and checksum not in (0, zlib.crc32(data[_HEAD.size:-4])):
             raise DamageError('the checksum of the attachment there is wrong')
         if opcode >= 0x80:
             return None

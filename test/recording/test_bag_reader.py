@@ -18,6 +18,7 @@ from __future__ import annotations
 from io import BytesIO
 import itertools
 import os
+from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
 from bags import profiles
@@ -33,8 +34,6 @@ from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
-
-from test.recording.conftest import plain, read, TYPES
 
 
 @given(
@@ -265,7 +264,7 @@ def stream_parts(recording):
     writer = StreamWriter()
     parts = [writer.start()]
     for number in range(0, len(messages), 100):
-        block = messages[number : number + 100]
+        block = messages[number:number + 100]
         parts += [writer.define(message.channel) for message in block]
         parts.append(writer.block(block))
     return [*filter(None, parts)]

@@ -23,6 +23,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from test.recording.conftest import PLAIN, plain
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,8 +36,6 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.recording.recovery import recover
-
-from test.recording.conftest import PLAIN, plain
 
 ROOT = Path(__file__).parents[2]
 
@@ -308,7 +307,7 @@ def test_messages_whose_definition_is_damaged_are_left_out_and_counted(recording
     data = bytearray(path.read_bytes())
     first, last = chunks_of(path)[0], data.rindex(b'rosbag2')
     for begin, size in ((first.chunk_start_offset, 40), (last, len(data) - last)):
-        data[begin : begin + size] = bytes(size)
+        data[begin:begin + size] = bytes(size)
     path.write_bytes(data.replace(b'/twin/joint_states', b'/twin/joint_Xtates', 1))
     recovered = recover(recording.folder, tmp_path / 'whole')
     assert recovered.saved == {'/twin/journal': 17}
@@ -371,13 +370,13 @@ def edited(data, edits):
     for kind, where, size, number in edits:
         place = int(where * len(data))
         if kind == 'flip':
-            data[place : place + 1] = bytes([data[place] ^ (1 << size % 8)] if data else [])
+            data[place:place + 1] = bytes([data[place] ^ (1 << size % 8)] if data else [])
         elif kind == 'put':
-            data[place : place + 8] = number.to_bytes(8, 'little')
+            data[place:place + 8] = number.to_bytes(8, 'little')
         elif kind == 'remove':
-            del data[place : place + size]
+            del data[place:place + size]
         elif kind == 'repeat':
-            data[place:place] = data[place : place + size]
+            data[place:place] = data[place:place + size]
         else:
             del data[place:]
     return bytes(data)

@@ -148,7 +148,7 @@ def test_states_are_those_of_the_session(slow) -> None:
     states = np.array([outputs.state for outputs in slow.outputs])
     assert joined(found, 'stamps').tolist() == stamps_of_steps(slow, range(1400))
     for columns, name in enumerate(('position', 'velocity', 'force')):
-        expected = states[:, 2 * columns : 2 * columns + 2]
+        expected = states[:, 2 * columns:2 * columns + 2]
         np.testing.assert_array_equal(joined(found, name), expected)
 
 
@@ -185,7 +185,7 @@ def test_work_begins_anew_with_every_throw() -> None:
     work, stamps = joined(states, 'plate_work'), joined(states, 'stamps')
     first, second = np.searchsorted(stamps, stamps_of_steps(twin, [200, 400]))
     assert work[first] == work[second] == 0.0
-    np.testing.assert_allclose(work[first : first + 90], work[second : second + 90], atol=1e-12)
+    np.testing.assert_allclose(work[first:first + 90], work[second:second + 90], atol=1e-12)
     assert work[first + 10] > 1e-3
     assert np.isnan(work[second - 50])  # being put back
 
