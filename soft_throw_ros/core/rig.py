@@ -27,11 +27,11 @@ from typing import Any, TYPE_CHECKING
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES
 
-LARGEST_STRAIN = 0.5
-"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
-
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
+
+LARGEST_STRAIN = 0.5
+"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
