@@ -29,11 +29,10 @@ from pathlib import Path
 import platform
 import sys
 
+from bench import check, nodes, race, sums
 import numba as nb
 import numpy as np
 import scipy
-
-from bench import check, nodes, race, sums
 
 
 def main() -> int:

@@ -32,8 +32,6 @@ import tempfile
 import time
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from bench.processes import (
     Process,
     RATE,
@@ -47,6 +45,7 @@ from bench.processes import (
     usage,
 )
 from bench.race import Result
+import numpy as np
 
 ROUNDS = 3
 SECONDS = 7.0  # of a round

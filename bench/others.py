@@ -25,9 +25,8 @@ from collections.abc import Callable
 import math
 from typing import Any
 
-import numpy as np
-
 from bench.peers import Case, LONGEST, Release
+import numpy as np
 
 Throw = Callable[[], Release]
 

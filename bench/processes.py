@@ -105,7 +105,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def stamp_of(data: bytes) -> int:
-    """Read the stamp of a message that begins with a header. [ns]"""
+    """Read the stamp of a message that begins with a header [ns]."""
     seconds, nanoseconds = struct.unpack_from('<iI', data, 4)
     return int(seconds * SECOND + nanoseconds)
 

@@ -84,7 +84,7 @@ class Result(NamedTuple):
 
 
 class Times(NamedTuple):
-    """Of one call: by the clock, and of processor time, which a busy machine hardly raises. [s]"""
+    """Of one call: by the clock, and of processor time, which a busy machine hardly raises [s]."""
 
     least: float
     median: float
@@ -138,7 +138,7 @@ def head(*cells: str) -> list[str]:
 
 
 def _time(call: Callable[[], Any], count: int) -> tuple[float, float]:
-    """Return what one call takes by the clock, and of processor time. [s]"""
+    """Return what one call takes by the clock, and of processor time [s]."""
     start, used = time.perf_counter(), time.process_time()
     for _ in range(count):
         call()

@@ -35,12 +35,11 @@ import tempfile
 import time
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench import processes
 from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES, Usage
 from bench.race import head
+import numpy as np
+from numpy.typing import NDArray
 
 SUBSCRIBERS = 4
 CHANGE_PERIOD = 10.0  # [s]

@@ -24,6 +24,8 @@ import sys
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from bench import others, peers
+from bench.race import Case, Table
 from mcap.writer import Writer
 import numba as nb
 import numpy as np
@@ -45,12 +47,9 @@ from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.recording.bag_reader import BagReader
 
-from bench import others, peers
-from bench.race import Case, Table
-
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
 
-from reference.method_of_lines import first_release as first_release_by_lines
+from reference.method_of_lines import first_release as first_release_by_lines  # noqa: E402, I100
 
 Floats = NDArray[np.float64]
 
@@ -482,7 +481,7 @@ def _record(path: Path, seconds: int) -> None:
         for number in range(seconds * TICKS):
             place = number % 1000 * 200
             time = number * 1_000_000
-            writer.add_message(channel, time, states[place : place + 200], time)
+            writer.add_message(channel, time, states[place:place + 200], time)
         writer.finish()
 
 

@@ -106,7 +106,7 @@ def _put_number(draw: Callable[..., Any], text: str) -> str:
         return text
     match = draw(st.sampled_from(found))
     number = draw(st.sampled_from(NUMBERS) | st.floats().map(repr) | st.integers().map(str))
-    return text[: match.start()] + number + text[match.end() :]
+    return text[: match.start()] + number + text[match.end():]
 
 
 def _cut(draw: Callable[..., Any], text: str) -> str:
@@ -146,7 +146,7 @@ def datas(*valid: bytes) -> st.SearchStrategy[bytes]:
                     data[begin % len(data)] ^= 1 << draw(st.integers(0, 7))
                 case 'number':
                     kind, number = draw(st.sampled_from(_RAW_NUMBERS))
-                    data[begin : begin + struct.calcsize(kind)] = struct.pack(kind, number)
+                    data[begin:begin + struct.calcsize(kind)] = struct.pack(kind, number)
                 case 'cut':
                     del data[begin:end]
                 case 'double':

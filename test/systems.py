@@ -23,9 +23,8 @@ import sys
 import time
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from bench import processes
+import numpy as np
 
 ROOT = Path(__file__).parents[1]
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
@@ -64,7 +63,7 @@ class Outcome(NamedTuple):
 
     @property
     def published(self) -> np.ndarray:
-        """Stamps of all states that anybody has got. [ns]"""
+        """Stamps of all states that anybody has got [ns]."""
         return np.union1d(self.bags[-1].stamps, self.heard)
 
     @property
@@ -134,7 +133,7 @@ class System:
             time.sleep(0.1)
 
     def wait_for_states_of(self, moment: int) -> None:
-        """Wait until the subscriber hears states that were published after a moment. [ns]"""
+        """Wait until the subscriber hears states that were published after a moment [ns]."""
         deadline = time.monotonic() + TIMEOUT
         while int(np.fromfile(self._heard, dtype='<i8')[-1]) < moment:
             assert time.monotonic() < deadline, 'only old states are heard'

@@ -27,15 +27,15 @@ from soft_throw_ros.core.throw import simulate
 
 pytest.importorskip('matplotlib', reason='the extra [plot]')
 
-from matplotlib import image
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib import image  # noqa: E402, I100
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from draw import DRAWINGS, main, path_of
-import fits
-from models import SERIES, THICKNESSES
-import style
+from draw import DRAWINGS, main, path_of  # noqa: E402, I100
+import fits  # noqa: E402
+from models import SERIES, THICKNESSES  # noqa: E402
+import style  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / 'docs'
 

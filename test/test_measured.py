@@ -25,8 +25,8 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 pytest.importorskip('av', reason='the extra [video]')
 pytest.importorskip('skimage', reason='the extra [video]')
 
-from matplotlib import image
-from soft_throw_ros.commands import identify
+from matplotlib import image  # noqa: E402, I100
+from soft_throw_ros.commands import identify  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / 'docs' / 'measured.md').read_text(encoding='utf-8')

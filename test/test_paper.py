@@ -35,10 +35,10 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-import comparison
-import draw
-import limits
-from models import best_layer, SERIES, THICKNESSES
+import comparison  # noqa: E402, I100
+import draw  # noqa: E402
+import limits  # noqa: E402
+from models import best_layer, SERIES, THICKNESSES  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / 'docs'
 

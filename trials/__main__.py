@@ -31,7 +31,6 @@ from pathlib import Path
 import sys
 
 from soft_throw_ros.commands.options import add_executor_options, open_executor
-
 from trials import table
 from trials.judge import judge, Verdict
 from trials.rows import Row, ROWS

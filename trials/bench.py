@@ -198,7 +198,7 @@ class Bench:
         is_seen = np.asarray(sample.is_seen)
         while self.lost_runs and (~is_seen).mean() < self.lost_runs:
             first = int(random.integers(time.size))
-            is_seen[first : first + int(random.integers(4, 24))] = False
+            is_seen[first:first + int(random.integers(4, 24))] = False
         return Record(columns=columns[is_seen])
 
 

@@ -30,7 +30,6 @@ import zlib
 
 import numpy as np
 from soft_throw_ros.commands import identify
-
 from trials.bench import Trial
 from trials.rows import ROWS_BY_NAME
 
@@ -92,7 +91,7 @@ class Verdict:
 
     @property
     def wrong(self) -> list[str]:
-        """What is far off."""
+        """List what is far off."""
         return [name for name, each in self.found.items() if each.errors > FAR_OFF]
 
     @property

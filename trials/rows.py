@@ -25,7 +25,6 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import HELD
 from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow
 from soft_throw_ros.twin.sensor_faults import SensorFaults
-
 from trials.bench import Bench, known_of, NOISE, Record, RigRange, Trial, truth_of
 
 Random: TypeAlias = np.random.Generator

@@ -37,7 +37,7 @@ from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
-import style
+import style  # noqa: E402
 
 Floats = NDArray[np.float64]
 

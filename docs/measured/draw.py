@@ -44,7 +44,7 @@ from soft_throw_ros.identification.forward import first_releases
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
-import style
+import style  # noqa: E402
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

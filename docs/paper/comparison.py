@@ -309,7 +309,7 @@ def _range(values: Floats) -> tuple[float, float]:
 
 
 def _strains_at(frequency: float) -> tuple[float, float]:
-    """Return the least and the largest peak strain of the throws at a frequency. [%]"""
+    """Return the least and the largest peak strain of the throws at a frequency [%]."""
     found = [
         100.0 * series.peak_strains(damping_ratio=0.0)
         for series in SERIES
@@ -347,7 +347,7 @@ def _alpha_at_axes() -> float:
 
 
 def _change_by_damping(series: Series) -> Floats:
-    """Compute by how much damping changes the energy transfer from the six layers. [%]"""
+    """Compute by how much damping changes the energy transfer from the six layers [%]."""
     harmonic, damped = (
         np.asarray(series.releases(THICKNESSES, damping_ratio=zeta).energy_transfer)
         for zeta in (0.0, DAMPING_RATIO)

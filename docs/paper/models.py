@@ -154,16 +154,16 @@ class Series:
 
     @property
     def speed(self) -> float:
-        """:math:`c_s / (L_r f)`, by which the paper tells its series apart. [-]"""
+        """:math:`c_s / (L_r f)`, by which the paper tells its series apart [-]."""
         return Layer().wave_speed / (self.projectile_length * self.frequency)
 
     def x_of(self, thickness: ArrayLike) -> Floats:
-        """Tell where layers are on the paper's axis :math:`x = L_s / (L_s + L_r)`. [-]"""
+        """Tell where layers are on the paper's axis :math:`x = L_s / (L_s + L_r)` [-]."""
         thickness = np.asarray(thickness, dtype=np.float64)
         return np.asarray(thickness / (thickness + self.projectile_length))
 
     def thickness_of(self, x: ArrayLike) -> Floats:
-        """Tell how thick a layer at x is. [m]"""
+        """Tell how thick a layer at x is [m]."""
         x = np.asarray(x, dtype=np.float64)
         return np.asarray(self.projectile_length * x / (1.0 - x))
 
@@ -210,7 +210,7 @@ class Series:
         ]
 
     def peak_strains(self, *, damping_ratio: float) -> Floats:
-        """Compute the largest strains in the six layers up to the first release. [-]"""
+        """Compute the largest strains in the six layers up to the first release [-]."""
         return np.array(
             [
                 simulate(

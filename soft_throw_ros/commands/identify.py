@@ -248,7 +248,7 @@ def _read_all(arguments: argparse.Namespace) -> list[ThrowTracks]:
             else:
                 good.append(throw)
         throws += good or found
-    return throws[-arguments.last :] if arguments.last else throws
+    return throws[-arguments.last:] if arguments.last else throws
 
 
 def _identify_throws(

@@ -53,6 +53,7 @@ def draw_throws(
     Parameters
     ----------
     found : RigFit
+        Of these tracks.
     ejection : Ejection or None
         Of the model.
     summary : sequence of str
@@ -105,7 +106,7 @@ def draw_throws(
         xlabel='time since the plate began to move (ms)'
         + (', dotted: the projectile leaves' if ejection is not None else '')
     )
-    rows = [', '.join(summary[k : k + 3]) for k in range(0, len(summary), 3)]
+    rows = [', '.join(summary[k:k + 3]) for k in range(0, len(summary), 3)]
     figure.suptitle('\n'.join(rows).replace('+-', '±'), fontsize='medium')
     _save(figure, path)
 

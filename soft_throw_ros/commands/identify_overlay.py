@@ -47,6 +47,7 @@ def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path)
     pictures : iterable of ndarray, shape (rows, columns)
         Those that they were followed through.
     spots : sequence of Spot
+        As they were found in all pictures.
     path : Path
         A picture has the first one with the paths of the spots, and their rows over the number of
         the picture. A video has rings around the spots that are seen in each picture.
@@ -88,7 +89,7 @@ def _draw_picture(picture: Picture, spots: Sequence[Spot], path: Path, form: str
 def _frames(pictures: Iterable[Picture], spots: Sequence[Spot]) -> Iterator[Bytes]:
     """Draw rings, and the paths of late, into every picture."""
     colours = [
-        np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)], dtype=np.uint8)
+        np.array([int(colour[place:place + 2], 16) for place in (1, 3, 5)], dtype=np.uint8)
         for colour in islice(cycle(_COLOURS), len(spots))
     ]
     low = high = None

@@ -226,7 +226,7 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
 
 
 def _cursor(scene: Scene, at: float | None) -> tuple[str, float | None]:
-    """Return timeline and time of the cursor, which is None without a throw. [s]"""
+    """Return timeline and time of the cursor, which is None without a throw [s]."""
     from soft_throw_ros.recording.rerun_canvas import THROW_TIME
 
     low, high = scene.span

@@ -45,6 +45,7 @@ def run_command(
     Parameters
     ----------
     parser : ArgumentParser
+        Of the command.
     run : callable
         Returns the exit code; a ValueError is a refusal.
     args : list of str, optional
@@ -95,7 +96,7 @@ def require(what: str, extra: str, *modules: str) -> None:
 
 @contextlib.contextmanager
 def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
-    """Say on standard error what a command is waiting for, if it takes longer than that. [s]"""
+    """Say on standard error what a command is waiting for, if it takes longer than that [s]."""
     text = f'{command}: computing; the first run compiles, which takes half a minute'
     timer = threading.Timer(after, print, (text,), {'file': sys.stderr, 'flush': True})
     timer.daemon = True
@@ -206,7 +207,7 @@ def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator
 
 
 def strain_warning(max_strain: float, where: str) -> str:
-    """Say that a throw is beyond the strain up to which a layer is linear. [-]"""
+    """Say that a throw is beyond the strain up to which a layer is linear [-]."""
     return (
         f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range ({where}): a real layer '
         'will do otherwise.'

@@ -278,7 +278,8 @@ def table(prediction: Prediction) -> str:
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
     if prediction['leaves_linear_range']:
         settings = prediction['parameters']
-        most = rig_of(settings).layer.linear_range(float(settings['max_strain']))  # type: ignore[arg-type]
+        largest = float(settings['max_strain'])  # type: ignore[arg-type]
+        most = rig_of(settings).layer.linear_range(largest)
         lines.append(strain_warning(most, '--max-strain'))
     return '\n'.join(lines) + '\n'
 

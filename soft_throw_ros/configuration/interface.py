@@ -88,7 +88,7 @@ class Topic:
     """
 
     name: str
-    type: str
+    type: str  # noqa: A003
     meaning: str
     depth: int = 1
     is_reliable: bool = True
@@ -119,7 +119,7 @@ class Service(NamedTuple):
     """A service, described like a topic."""
 
     name: str
-    type: str
+    type: str  # noqa: A003
     meaning: str
 
 

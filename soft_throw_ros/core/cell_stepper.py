@@ -331,7 +331,7 @@ def _require_model(model: str) -> None:
 
 
 def _spring_step(rig: Rig) -> float:
-    """Choose the time step of a layer without mass. [s]"""
+    """Choose the time step of a layer without mass [s]."""
     return 1.0 / (_SPRING_STEPS * max(rig.engine.frequency, rig.natural_frequency))
 
 
@@ -1103,7 +1103,7 @@ def _aligned_zeros(rows: int, columns: int) -> Floats:
     """Make a table that begins with a line of the cache: 5 % faster than 16 bytes beside it."""
     room = np.zeros(rows * columns + 8)
     start = -room.ctypes.data % 64 // 8
-    return room[start : start + rows * columns].reshape(rows, columns)
+    return room[start:start + rows * columns].reshape(rows, columns)
 
 
 class CellStepper(Stepper):
@@ -1206,7 +1206,7 @@ class CellStepper(Stepper):
 
     @property
     def horizon(self) -> float:
-        """Until when `advance_to` can go: the last step at which the plate is known. [s]"""
+        """Until when `advance_to` can go: the last step at which the plate is known [s]."""
         known = float(self._core['horizon'][0])
         if math.isinf(known):
             return known
@@ -1217,7 +1217,7 @@ class CellStepper(Stepper):
 
     @property
     def cost(self) -> float:
-        """Time of a processor over time of the rig, about. [-]"""
+        """Time of a processor over time of the rig, about [-]."""
         return float(_UPDATE_COST * self._nodes.shape[1] / self.step)
 
     @property
@@ -1231,16 +1231,16 @@ class CellStepper(Stepper):
 
     @property
     def work_so_far(self) -> float:
-        """Work of the plate from the start to now, whatever has happened. [J]"""
+        """Work of the plate from the start to now, whatever has happened [J]."""
         return float(self._core[1]['work'])
 
     @property
     def heat(self) -> float:
-        """What internal loss has taken so far. [J]"""
+        """Return what internal loss has taken so far [J]."""
         return float(self._core[1]['heat'])
 
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+        """Add up the energy of layer and projectile against rest, at the present time [J]."""
         return float(_stored_energy(self._core, self._nodes))
 
 

@@ -157,7 +157,7 @@ class Grid(NamedTuple):
         found = []
         for height in np.linspace(0.0, tops[-1], points).tolist():
             cell = min(int(np.searchsorted(heights, height, side='right')), tops.size) - 1
-            low, high = heights[cell : cell + 2]
+            low, high = heights[cell:cell + 2]
             part = float((height - low) / (high - low))
             ahead = 1 if part > 0.5 else -1
             beside = [
@@ -171,7 +171,7 @@ class Grid(NamedTuple):
 
 
 def fastest_waves(bodies: Floats) -> Floats:
-    """Compute largest speeds of waves over those of slow and weak ones, of rows of `BODY`. [-]"""
+    """Compute largest speeds of waves over those of slow and weak ones, of rows of `BODY` [-]."""
     bound, relaxed = bodies[..., 5], bodies[..., 6]
     tangent = relaxed * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0 + bodies[..., 7:].sum(axis=-1)
     return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _DAMPED, 1.0))
@@ -230,7 +230,7 @@ def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
 
 
 def _sheets(rig: Rig, peak_speed: float | None) -> tuple[Floats, Floats]:
-    """Return a row of `BODY` for each sheet, and what its fastest wave needs through it. [s]"""
+    """Return a row of `BODY` for each sheet, and what its fastest wave needs through it [s]."""
     layer, time, ratios = rig.layer, rig.crossing_time, rig.cell_ratios
     stack = ratios.pop('stack')
     if peak_speed is not None:
@@ -245,7 +245,7 @@ def _sheets(rig: Rig, peak_speed: float | None) -> tuple[Floats, Floats]:
 
 
 def crossing_time(rig: Rig, peak_speed: float | None = None) -> float:
-    """Compute what the fastest wave needs through the layer, see `make_grid`. [s]"""
+    """Compute what the fastest wave needs through the layer, see `make_grid` [s]."""
     return float(_sheets(rig, peak_speed)[1].sum())
 
 

@@ -111,34 +111,34 @@ class Underdamped:
 
     @property
     def exponent(self) -> complex:
-        r""":math:`\lambda = -\zeta \omega + i \omega_d`. [1/s]"""
+        r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
         omega = 2.0 * math.pi * self.frequency
         return omega * complex(-self.damping_ratio, math.sqrt(1.0 - self.damping_ratio**2))
 
     @property
     def velocity_factor(self) -> float:
-        r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}`. [m/s]"""
+        r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}` [m/s]."""
         omega = 2.0 * math.pi * self.frequency
         return self.amplitude * omega / math.sqrt(1.0 - self.damping_ratio**2)
 
     @property
     def peak_velocity(self) -> float:
-        """:math:`V_p^*`, Eq. (D4). [m/s]"""
+        """:math:`V_p^*`, Eq. (D4) [m/s]."""
         omega = 2.0 * math.pi * self.frequency
         return self.amplitude * omega * peak_velocity_ratio(self.damping_ratio)
 
     @property
     def peak_velocity_time(self) -> float:
-        """:math:`t_v`, when the plate is fastest (D3). [s]"""
+        """:math:`t_v`, when the plate is fastest (D3) [s]."""
         return math.acos(self.damping_ratio) / self.exponent.imag
 
     @property
     def start_time(self) -> float:
-        """When it starts. [s]"""
+        """When it starts [s]."""
         return 0.0
 
     def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate, Eq. (D2). [m]"""
+        """Height of the plate, Eq. (D2) [m]."""
         time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         rate = self.exponent
         decayed = np.exp(rate.real * time)
@@ -148,14 +148,14 @@ class Underdamped:
         return np.asarray(self.amplitude * (rise - decayed * sine))
 
     def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate. [m/s]"""
+        """Velocity of the plate [m/s]."""
         time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         rate = self.exponent
         return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
 
 
 def peak_velocity_ratio(damping_ratio: float) -> float:
-    r"""Largest plate speed over :math:`A \omega`, Eq. (D4). [-]"""
+    r"""Largest plate speed over :math:`A \omega`, Eq. (D4) [-]."""
     angle = math.acos(damping_ratio)
     return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
 
@@ -309,26 +309,26 @@ class SampledMotion:
 
     @property
     def start_time(self) -> float:
-        """Time of the first state. [s]"""
+        """Time of the first state [s]."""
         return float(self.times[0])
 
     @property
     def end_time(self) -> float:
-        """Time of the last state. [s]"""
+        """Time of the last state [s]."""
         return float(self.times[-1])
 
     @cached_property
     def peak_velocity(self) -> float:
-        """Largest upward speed, as far as 16 points between states show it. [m/s]"""
+        """Largest upward speed, as far as 16 points between states show it [m/s]."""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
         return float(self.velocity(between).max())
 
     def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate; ValueError beyond the last state, unless `after` is 'hold'. [m]"""
+        """Height of the plate; ValueError beyond the last state, unless `after` is 'hold' [m]."""
         return np.asarray(self._path(self._within(time)))
 
     def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate; ValueError where `position` has it. [m/s]"""
+        """Velocity of the plate; ValueError where `position` has it [m/s]."""
         time = np.asarray(time, dtype=np.float64)
         is_moving = (time >= self.start_time) & (time <= self.end_time)
         return np.where(is_moving, self._path(self._within(time), 1), 0.0)
@@ -429,7 +429,7 @@ def _fit_record(times: Floats, heights: Floats) -> BSpline:
 
 def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
     """Fit by least squares from rest at time 0, with a knot at every so many samples, or all."""
-    inner = times[:-2] if stride == 1 else times[:-1][stride - 1 :: stride]
+    inner = times[:-2] if stride == 1 else times[:-1][stride - 1:: stride]
     knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
     basis = BSpline.design_matrix(times, knots, 3).tocsc()
     away = heights[(np.abs(heights) > _FAR * np.abs(heights).max()).argmax()]

@@ -27,11 +27,11 @@ from typing import Any, TYPE_CHECKING
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES
 
-LARGEST_STRAIN = 0.5
-"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
-
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
+
+LARGEST_STRAIN = 0.5
+"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
@@ -87,12 +87,12 @@ class Engine:
 
     @property
     def angular_frequency(self) -> float:
-        r""":math:`\omega = 2 \pi f`. [rad/s]"""
+        r""":math:`\omega = 2 \pi f` [rad/s]."""
         return 2.0 * math.pi * self.frequency
 
     @property
     def speed_scale(self) -> float:
-        r""":math:`A \omega`, the largest plate speed without damping. [m/s]"""
+        r""":math:`A \omega`, the largest plate speed without damping [m/s]."""
         return self.amplitude * self.angular_frequency
 
 
@@ -139,32 +139,32 @@ class Layer:
 
     @property
     def section(self) -> float:
-        """:math:`S`. [m2]"""
+        """:math:`S` [m2]."""
         return 0.25 * math.pi * self.diameter**2
 
     @property
     def mass(self) -> float:
-        r""":math:`\rho_s S L_s`. [kg]"""
+        r""":math:`\rho_s S L_s` [kg]."""
         return self.density * self.section * self.thickness
 
     @property
     def youngs_modulus(self) -> float:
-        r""":math:`E_s = \rho_s c_s^2`. [Pa]"""
+        r""":math:`E_s = \rho_s c_s^2` [Pa]."""
         return self.density * self.wave_speed**2
 
     @property
     def impedance(self) -> float:
-        """:math:`E_s S / c_s`, force over speed of a travelling wave. [kg/s]"""
+        """:math:`E_s S / c_s`, force over speed of a travelling wave [kg/s]."""
         return self.density * self.wave_speed * self.section
 
     @property
     def stiffness(self) -> float:
-        """:math:`E_s S / L_s`, force over change of thickness. [N/m]"""
+        """:math:`E_s S / L_s`, force over change of thickness [N/m]."""
         return self.youngs_modulus * self.section / self.thickness
 
     @property
     def crossing_time(self) -> float:
-        """:math:`t_s = L_s / c_s`, what a wave needs from plate to top. [s]"""
+        """:math:`t_s = L_s / c_s`, what a wave needs from plate to top [s]."""
         return self.thickness / self.wave_speed
 
     @property
@@ -272,18 +272,18 @@ class Stack(Layer):
 
     @property
     def youngs_modulus(self) -> float:
-        """That of a layer of one material which is squeezed as much at rest. [Pa]"""
+        """Return that of a layer of one material which is squeezed as much at rest [Pa]."""
         compliance = sum(1.0 / sheet.stiffness for sheet in self.sheets)
         return self.thickness / (compliance * self.section)
 
     @property
     def impedance(self) -> float:
-        """Of the top, force over speed of a travelling wave. [kg/s]"""
+        """Of the top, force over speed of a travelling wave [kg/s]."""
         return self.sheets[-1].impedance
 
     @property
     def is_uniform(self) -> bool:
-        """It is not, even if all sheets are the same."""
+        """Say that it is not, even if all sheets are the same."""
         return False
 
 
@@ -358,55 +358,55 @@ class Rig:
 
     @property
     def mass_ratio(self) -> float:
-        r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer. [-]"""
+        r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer [-]."""
         return self.projectile.mass / self.layer.mass
 
     @property
     def speed_ratio(self) -> float:
-        r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
+        r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period [-]."""
         return 1.0 / (self.layer.crossing_time * self.engine.frequency)
 
     @property
     def crossing_time(self) -> float:
-        """:math:`t_s = L_s / c_s`. [s]"""
+        """:math:`t_s = L_s / c_s` [s]."""
         return self.layer.crossing_time
 
     @property
     def relaxation_time(self) -> float:
-        r""":math:`\tau = m c_s / (E_s S) = \mu t_s`, of the mass against the layer. [s]"""
+        r""":math:`\tau = m c_s / (E_s S) = \mu t_s`, of the mass against the layer [s]."""
         return self.projectile.mass / self.layer.impedance
 
     @property
     def natural_frequency(self) -> float:
-        """:math:`f_0` of the projectile on the layer as a massless spring (App. A). [Hz]"""
+        """:math:`f_0` of the projectile on the layer as a massless spring (App. A) [Hz]."""
         return math.sqrt(self.layer.stiffness / self.projectile.mass) / (2.0 * math.pi)
 
     @property
     def static_sag(self) -> float:
-        """How far gravity lowers the resting projectile: its weight over the stiffness. [m]"""
+        """How far gravity lowers the resting projectile: its weight over the stiffness [m]."""
         return self.projectile.mass * self.gravity / self.layer.stiffness
 
     @property
     def gravity_ratio(self) -> float:
-        r""":math:`g / (A \omega^2)`. [-]"""
+        r""":math:`g / (A \omega^2)` [-]."""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
 
     @property
     def crossing_ratio(self) -> float:
-        """What a wave needs through the projectile over what it needs through the layer. [-]"""
+        """Return the time of a wave through the projectile over that through the layer [-]."""
         projectile = self.projectile
         spring = projectile.youngs_modulus * self.layer.section / projectile.length
         return math.sqrt(projectile.mass / spring) / self.crossing_time
 
     @property
     def strain_ratio(self) -> float:
-        r""":math:`A \omega / c_s` if the layer is not linear, else 0. [-]"""
+        r""":math:`A \omega / c_s` if the layer is not linear, else 0 [-]."""
         is_linear = self.layer.elasticity == 'linear'
         return 0.0 if is_linear else self.engine.speed_scale / self.layer.wave_speed
 
     @property
     def cell_ratios(self) -> dict[str, Any]:
-        """What decides a throw by cells: arguments of `cell_stepper.first_throws`."""
+        """Return what decides a throw by cells: arguments of `cell_stepper.first_throws`."""
         layer = self.layer
         return {
             'mass_ratio': self.mass_ratio,

@@ -104,7 +104,7 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
 @functools.cache
 def best_frequency_ratio() -> float:
     """
-    Find the :math:`f_0 / f` that transfers the most energy. [-]
+    Find the :math:`f_0 / f` that transfers the most energy [-].
 
     It is the root of the logarithmic derivative of (A4). The paper gives 1.62, and 3.13 for the
     energy transfer.

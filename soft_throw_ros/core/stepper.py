@@ -411,7 +411,7 @@ class Stepper(ABC):
 
     @property
     def horizon(self) -> float:
-        """Until when `advance_to` can go, since the plate is known. [s]"""
+        """Until when `advance_to` can go, since the plate is known [s]."""
         return float(self._core['horizon'][0])
 
     @property
@@ -433,18 +433,18 @@ class Stepper(ABC):
 
     @property
     def rest_position(self) -> float:
-        """Height of the projectile's lower face at rest. [m]"""
+        """Height of the projectile's lower face at rest [m]."""
         return float(self._core['rest_height'][1])
 
     @property
     def surface_position(self) -> float:
-        """Height of the top of the layer; in contact that of the projectile's lower face. [m]"""
+        """Height of the top of the layer; in contact that of the projectile's lower face [m]."""
         return float(self._core['rest_height'][1] + self._core['surface'][1])
 
     @property
     @abstractmethod
     def cost(self) -> float:
-        """Time of a processor over time of the rig, about. [-]"""
+        """Time of a processor over time of the rig, about [-]."""
 
     @property
     @abstractmethod
@@ -453,7 +453,7 @@ class Stepper(ABC):
 
     @property
     def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come. [J]"""
+        """Work of the plate up to the first release, or so far if that is to come [J]."""
         if not self.event_count:
             return self.work_so_far
         return float(self._work_unit * self._core['first_work'][1])
@@ -461,16 +461,16 @@ class Stepper(ABC):
     @property
     @abstractmethod
     def work_so_far(self) -> float:
-        """Work of the plate from the start to now, whatever has happened. [J]"""
+        """Work of the plate from the start to now, whatever has happened [J]."""
 
     @property
     def heat(self) -> float:
-        """What internal loss has taken so far. [J]"""
+        """Return what internal loss has taken so far [J]."""
         return 0.0
 
     @abstractmethod
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, at the present time. [J]"""
+        """Add up the energy of layer and projectile against rest, at the present time [J]."""
 
 
 @part

@@ -55,7 +55,7 @@ class ThrowUnfinishedError(RuntimeError):
 
 
 class Energies(NamedTuple):
-    """What the plate has done, what layer and projectile have of it, and what became heat. [J]"""
+    """What the plate has done, what layer and projectile have of it, and what became heat [J]."""
 
     plate_work: float
     stored: float
@@ -94,7 +94,7 @@ def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
 
 
 def apex_height(ejection: Event, gravity: float) -> float:
-    """Compute how high the lower face flies, infinite without gravity. [m]"""
+    """Compute how high the lower face flies, infinite without gravity [m]."""
     if gravity == 0.0:
         return math.inf
     return ejection.position + max(ejection.velocity, 0.0) ** 2 / (2.0 * gravity)
@@ -156,37 +156,37 @@ class Throw:
 
     @property
     def peak_plate_speed(self) -> float:
-        """:math:`V_p^*`. [m/s]"""
+        """:math:`V_p^*` [m/s]."""
         return self.motion.peak_velocity
 
     @property
     def peak_strain(self) -> float:
-        """Largest strain magnitude in the layer. [-]"""
+        """Largest strain magnitude in the layer [-]."""
         return self.loads.strain
 
     @property
     def peak_plate_strain(self) -> float:
-        """Largest strain magnitude at the plate. [-]"""
+        """Largest strain magnitude at the plate [-]."""
         return self.loads.plate_strain
 
     @property
     def peak_contact_strain(self) -> float:
-        """Largest strain magnitude at the projectile. [-]"""
+        """Largest strain magnitude at the projectile [-]."""
         return self.loads.contact_strain
 
     @property
     def peak_acceleration(self) -> float:
-        """Largest magnitude of the projectile's acceleration. [m/s2]"""
+        """Largest magnitude of the projectile's acceleration [m/s2]."""
         return self.loads.acceleration
 
     @property
     def peak_plate_force(self) -> float:
-        """Largest magnitude of the layer's force on the plate. [N]"""
+        """Largest magnitude of the layer's force on the plate [N]."""
         return self.loads.plate_force
 
     @property
     def heat(self) -> float:
-        """What internal loss has taken. [J]"""
+        """Return what internal loss has taken [J]."""
         return self.energies.heat
 
     @property
@@ -211,22 +211,22 @@ class Throw:
 
     @property
     def ejection_time(self) -> float:
-        """:math:`t_e` of the first release, since the plate began to move. [s]"""
+        """:math:`t_e` of the first release, since the plate began to move [s]."""
         return self.first_release.time - self.motion.start_time
 
     @property
     def ejection_speed(self) -> float:
-        """:math:`V_e` of the first release. [m/s]"""
+        """:math:`V_e` of the first release [m/s]."""
         return self.first_release.velocity
 
     @property
     def energy_transfer(self) -> float:
-        r""":math:`\alpha = (V_e / V_p^*)^2` of the first release. [-]"""
+        r""":math:`\alpha = (V_e / V_p^*)^2` of the first release [-]."""
         return (self.ejection_speed / self.peak_plate_speed) ** 2
 
     @property
     def last_energy_transfer(self) -> float:
-        r""":math:`\alpha` of the last release. [-]"""
+        r""":math:`\alpha` of the last release [-]."""
         return (self.last_release.velocity / self.peak_plate_speed) ** 2
 
     @property
@@ -236,7 +236,7 @@ class Throw:
 
     @property
     def apex_height(self) -> float:
-        """How high the projectile's lower face flies, see `apex_height`. [m]"""
+        """How high the projectile's lower face flies, see `apex_height` [m]."""
         return apex_height(self.last_release, self.rig.gravity)
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
@@ -280,7 +280,7 @@ class Throw:
         strain, velocity = np.empty((2, time.size, points))
         layer = np.empty((3, points))
         for row, moment in enumerate(time.tolist()):
-            stepper.sample_strain([moment], strain[row : row + 1])
+            stepper.sample_strain([moment], strain[row:row + 1])
             stepper.read_layer(layer)
             velocity[row] = layer[1]
         depth = np.linspace(0.0, self.rig.layer.thickness, points)

@@ -454,8 +454,8 @@ def _write_top(s, offset, a, V, P):
 def _run_in_contact(s, waves, count):
     """Advance by up to `count` steps, stopping before one in which the force ends below 0."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
-    top, answer = waves[0, first - N - 1 :], waves[1, first + 1 :]
-    leaving, coming = waves[0, first + 1 :], waves[1, first + 1 - N :]
+    top, answer = waves[0, first - N - 1:], waves[1, first + 1:]
+    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
     decay, threshold = s.decay, s.release_threshold
     w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
     line0, line1, largest_ripple = s.line[0], s.line[1], s.largest_ripple
@@ -486,8 +486,8 @@ def _run_in_contact(s, waves, count):
 def _run_in_flight(s, waves, count):
     """Advance by up to `count` steps, stopping before one in which the gap ends below 0."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
-    top, answer = waves[0, first - N + 1 :], waves[1, first + 1 :]
-    leaving, coming = waves[0, first + 1 :], waves[1, first + 1 - N :]
+    top, answer = waves[0, first - N + 1:], waves[1, first + 1:]
+    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
     twice, height = 2.0 * s.step, s.launch_height - s.top
     speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
     start = s.cell + 1 - s.launch_cell - s.launch_offset
@@ -515,7 +515,7 @@ def _fill(s, waves, path, last):
     while s.filled < last:
         first = s.filled + 1
         count = last - s.filled
-        leaving, coming = waves[0, first - s.base :], waves[1, first - s.base - s.steps :]
+        leaving, coming = waves[0, first - s.base:], waves[1, first - s.base - s.steps:]
         if s.plate_kind == DAMPED:
             # Rotations of a phasor that is evaluated anew for every block
             k = first % BLOCK
@@ -580,7 +580,7 @@ def _compare_loads(s, waves, count):
     if count == 0:
         return
     N, offset, i = s.steps, s.gravity_offset, s.compared - s.base
-    p, before, after, later = waves[0, i:], waves[1, i - N :], waves[1, i:], waves[1, i + N :]
+    p, before, after, later = waves[0, i:], waves[1, i - N:], waves[1, i:], waves[1, i + N:]
     lowest, highest = waves[2], waves[3]
     low = high = after[0]
     for n in range(1, N):
@@ -815,7 +815,7 @@ class WaveStepper(Stepper):
 
     @property
     def cost(self) -> float:
-        """Time of a processor over time of the rig, about. [-]"""
+        """Time of a processor over time of the rig, about [-]."""
         return _STEP_COST * self.steps / self.rig.crossing_time
 
     @property
@@ -835,13 +835,13 @@ class WaveStepper(Stepper):
 
     @property
     def work_so_far(self) -> float:
-        """Work of the plate from the start to now, by the trapezoidal rule. [J]"""
+        """Work of the plate from the start to now, by the trapezoidal rule [J]."""
         now = self._core[1]
         part = (now['offset'] - 0.5) * now['power']
         return float(self._work_unit * (now['work'] + part))
 
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, to second order. [J]"""
+        """Add up the energy of layer and projectile against rest, to second order [J]."""
         return float(_stored_energy(self._core, self._waves))
 
 

@@ -102,7 +102,7 @@ class Target:
 
     @property
     def summary(self) -> str:
-        """What is aimed at, in words."""
+        """Say what is aimed at."""
         return f'{self.height:g} m high' if self.height else f'{self.speed:g} m/s'
 
     @property
@@ -117,7 +117,7 @@ class Target:
         return throw.height if self.height else throw.speed
 
     def speed_after(self, rise: float, gravity: float) -> float:
-        """Return the speed that reaches it for a projectile that has risen so far. [m/s]"""
+        """Return the speed that reaches it for a projectile that has risen so far [m/s]."""
         if self.height is None:
             return self.value
         return math.sqrt(2.0 * gravity * max(self.height - rise, 1e-3 * self.height))
@@ -165,13 +165,13 @@ class Aim(PredictedThrow):
 
     @property
     def layer_text(self) -> str:
-        """The layer, in words."""
+        """Describe the layer."""
         name = f'{self.layer}, ' if self.layer else ''
         return f'a layer of {name}{1e3 * self.thickness:.4g} mm and {self.wave_speed:.4g} m/s'
 
     @property
     def loads_text(self) -> str:
-        """What it takes, in words."""
+        """Say what it takes."""
         return (
             f'amplitude {1e3 * self.amplitude:.4g} mm, strain {1e2 * self.peak_strain:.3g} %, '
             f'acceleration {self.peak_acceleration:.3g} m/s2'
@@ -275,7 +275,7 @@ def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
 
 
 class _Needs(NamedTuple):
-    """Amplitudes that layers need, infinite if they throw nothing, and are allowed. [m]"""
+    """Amplitudes that layers need, infinite if they throw nothing, and are allowed [m]."""
 
     needed: Floats
     allowed: Floats

@@ -225,7 +225,7 @@ def _batches(
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         size = _SAMPLED_BATCH if is_sampled else size
         for start in range(0, indices.size, size):
-            yield method, indices[start : start + size]
+            yield method, indices[start:start + size]
 
 
 def _stiffness(mass_ratio: Floats, speed_ratio: Floats) -> Floats:

@@ -380,10 +380,10 @@ def compute_landscape(
     compute = functools.partial(_compute, model, release, motion, stack_of(rig.layer), threads)
     is_fast = motion is None and model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
-    blocks = {start: cases[:, start : start + size] for start in range(0, cases.shape[1], size)}
+    blocks = {start: cases[:, start:start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
     for start, part in _computed(compute, blocks, executor):
-        results[:, start : start + size] = part
+        results[:, start:start + size] = part
         if progress is not None:
             progress(part.shape[1])
     phase, transfer = results.reshape(len(RESULTS), *shape)

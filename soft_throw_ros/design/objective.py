@@ -87,12 +87,12 @@ class Limits:
 
     @property
     def thickness(self) -> tuple[float, float]:
-        """Smallest and largest. [m]"""
+        """Smallest and largest [m]."""
         return self.thickness_min, self.thickness_max
 
     @property
     def wave_speed(self) -> tuple[float, float]:
-        """Smallest and largest. [m/s]"""
+        """Smallest and largest [m/s]."""
         return self.wave_speed_min, self.wave_speed_max
 
     @property
@@ -148,7 +148,7 @@ class Robust:
 
     @property
     def summary(self) -> str:
-        """What counts, in words."""
+        """Say what counts."""
         return f'{100.0 * self.quantile:g} % quantile of alpha' if self.quantile else 'worst alpha'
 
     def variants(self, rig: Rig) -> Variants:

@@ -123,17 +123,17 @@ class PlateLimits:
 
     @property
     def peak_acceleration(self) -> float:
-        """The largest on the way to the largest speed; less if the jerk is small. [m/s2]"""
+        """Return the largest on the way to the largest speed; less if the jerk is small [m/s2]."""
         return min(self.acceleration, math.sqrt(self.speed * self.jerk))
 
     @property
     def acceleration_time(self) -> float:
-        """How long it takes to reach the largest acceleration. [s]"""
+        """How long it takes to reach the largest acceleration [s]."""
         return self.peak_acceleration / self.jerk if self.jerk < math.inf else 0.0
 
     @property
     def rise_time(self) -> float:
-        """How long it takes to reach the largest speed. [s]"""
+        """How long it takes to reach the largest speed [s]."""
         return self.speed / self.peak_acceleration + self.acceleration_time
 
 
@@ -146,7 +146,7 @@ class Pulses(NamedTuple):
     def motion(self) -> SampledMotion:
         """Return it as a motion, without the rest before and after it."""
         moving = np.flatnonzero(self.heights)
-        c = np.pad(self.heights[moving[0] : moving[-1] + 1], 3)
+        c = np.pad(self.heights[moving[0]:moving[-1] + 1], 3)
         velocity, acceleration = 0.5 * (c[1:-1] + c[2:]), np.diff(c)[1:] / self.step
         rise = self.step * velocity[:-1]
         rise = rise + self.step**2 * (2.0 * acceleration[:-1] + acceleration[1:]) / 6.0
@@ -365,7 +365,7 @@ def _follow(rig: Rig, motion: SampledMotion, model: str, loads: Limits) -> Throw
 
 
 def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
-    """List times of release that may be worth it, the longest first. [s]"""
+    """List times of release that may be worth it, the longest first [s]."""
     contact = rig.crossing_time * (1.5 + math.pi * math.sqrt(rig.mass_ratio + 0.4))
     longest = contact + limits.rise_time
     if rig.gravity > 0.0:

@@ -53,7 +53,7 @@ _OF_SENSITIVITY = ('elasticity', 'low', 'high', 'tolerance', 'edge')
 
 
 class BestRatios(NamedTuple):
-    r"""Mass ratio, speed ratio, and what they give without gravity and loss. [-]"""
+    r"""Mass ratio, speed ratio, and what they give without gravity and loss [-]."""
 
     damping_ratio: float
     """Of the plate."""
@@ -181,7 +181,7 @@ class Recommendation(PredictedThrow):
 
     @property
     def gain(self) -> float:
-        """Part by which the score would grow, infinite if there is none now. [-]"""
+        """Part by which the score would grow, infinite if there is none now [-]."""
         return self.score / self.now_score - 1.0 if self.now_score > 0.0 else math.inf
 
     def values(self) -> dict[str, float | str | bool]:

@@ -46,7 +46,7 @@ class SearchSpace(NamedTuple):
     @property
     def step(self) -> float:
         """
-        The step, in logarithms, of the grid on which a search begins.
+        Return the step, in logarithms, of the grid on which a search begins.
 
         A line is cheap; throws from a layer with loss, or under strong gravity, cost thirty times
         what others do.

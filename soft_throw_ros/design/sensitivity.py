@@ -82,7 +82,7 @@ class Sensitivity:
 
     @property
     def deviation(self) -> str:
-        """The tolerance with its unit."""
+        """Write the tolerance with its unit."""
         unit, scale = UNITS[self.name]
         return f'{scale * self.tolerance:.2g} {unit}'.rstrip()
 

@@ -306,7 +306,7 @@ class FitDescription:
 
     @property
     def if_seen(self) -> list[str]:
-        """What is held until the tracks show that it is needed."""
+        """List what is held until the tracks show that it is needed."""
         return [name for name in DEFAULTS if self.treatment(name).is_if_seen]
 
     def see(self, name: str) -> FitDescription:

@@ -93,6 +93,7 @@ class ThrowSimulator:
         Parameters
         ----------
         rig : Rig
+            That throws.
         time : ndarray, shape (n,)
             Since the plate began to move, in any order; before that all is at rest. [s]
         motion : PlateWithModes, optional

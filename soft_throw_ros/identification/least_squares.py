@@ -128,32 +128,32 @@ class TrackResidual:
 
     @property
     def values(self) -> Floats:
-        """Data less model. [m]"""
+        """Return data less model [m]."""
         return self.track.position - self.fitted
 
     @property
     def rms(self) -> float:
-        """Root of their mean square. [m]"""
+        """Root of their mean square [m]."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
     def rms_noise(self) -> float:
-        """Root of the mean square of the noise. [m]"""
+        """Root of the mean square of the noise [m]."""
         return float(np.sqrt(np.mean(self.noise**2)))
 
     @property
     def reduced_chi2(self) -> float:
-        """Mean of their squares over those of the noise. [-]"""
+        """Mean of their squares over those of the noise [-]."""
         return float(np.mean((self.values / self.noise) ** 2))
 
     @property
     def autocorrelation(self) -> float:
-        """Correlation of neighbouring residuals: 0 if what is left is white noise. [-]"""
+        """Correlation of neighbouring residuals: 0 if what is left is white noise [-]."""
         return float(self._autocorrelations(1)[0])
 
     @property
     def whiteness(self) -> float:
-        """Probability that white noise is as correlated as this (Ljung and Box). [-]"""
+        """Probability that white noise is as correlated as this (Ljung and Box) [-]."""
         size = self.track.time.size
         lags = np.arange(1, min(_AUTOCORRELATION_LAGS, size // 4) + 1)
         squares = self._autocorrelations(lags.size) ** 2
@@ -168,7 +168,7 @@ class TrackResidual:
 
     @property
     def inflation(self) -> float:
-        r"""Variance of a mean over that of white noise, :math:`1 + 2 \sum_k \rho_k`. [-]"""
+        r"""Variance of a mean over that of white noise, :math:`1 + 2 \sum_k \rho_k` [-]."""
         if self.is_white:
             return 1.0
         found = self._autocorrelations(self.track.time.size // 4)
@@ -178,10 +178,10 @@ class TrackResidual:
 
     @property
     def worst_part(self) -> tuple[float, float]:
-        """From when to when the residuals are least like noise. [s]"""
+        """From when to when the residuals are least like noise [s]."""
         width = min(_SLOW_PART, self.track.time.size)
         slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
-        part = self.track.time[max(0, int(np.argmax(slow)) - width // 2) :][:width]
+        part = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
         return float(part[0]), float(part[-1])
 
     def _autocorrelations(self, lags: int) -> Floats:
@@ -240,7 +240,7 @@ class Fit:
 
     @property
     def errors(self) -> Floats:
-        """Standard errors."""
+        """Return standard errors."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -250,7 +250,7 @@ class Fit:
 
     @property
     def variance_scale(self) -> float:
-        """By how much variances are larger than the noise that was taken. [-]"""
+        """By how much variances are larger than the noise that was taken [-]."""
         if self.is_mismatch or not all(each.track.known_noise for each in self.residuals):
             return self.reduced_chi2
         return 1.0
@@ -405,7 +405,9 @@ def fit_tracks(
     Parameters
     ----------
     model : FitModel
+        What predicts the tracks.
     start : ndarray, shape (n,)
+        Of what the model has free.
     tracks : sequence of (str, Track)
         With their names, in the order of what the model predicts.
     noise : ndarray, optional

@@ -222,7 +222,7 @@ class Planner:
 
     @cached_property
     def _model(self) -> RigModel:
-        """The rig, and then all throws that can be made, as if they were measured."""
+        """Take the rig, and then all throws that can be made, as if they were measured."""
         description, throws = self._described, []
         found = {}
         simulator = ThrowSimulator(throws=len(self.conditions) + 1)
@@ -275,7 +275,7 @@ class Planner:
 
     @cached_property
     def information(self) -> tuple[Floats, ...]:
-        """What each condition tells of them."""
+        """Return what each condition tells of them."""
         jacobian = self._model.jacobian(self._values) / self.sight.noise
         shared = list(self._shared.values())
         told = []

@@ -78,18 +78,18 @@ class PlateFit:
 
     @property
     def motion(self) -> Underdamped:
-        """The motion, from its start on."""
+        """Return the motion, from its start on."""
         frequency, damping_ratio, amplitude = (float(value) for value in self.fit.values[:3])
         return Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
 
     @property
     def start_time(self) -> float:
-        """When it begins, on the clock of the track. [s]"""
+        """When it begins, on the clock of the track [s]."""
         return self.fit['start_time'].value
 
     @property
     def peak_velocity(self) -> Estimate:
-        """:math:`V_p^*` (D4), with its standard error. [m/s]"""
+        """:math:`V_p^*` (D4), with its standard error [m/s]."""
         frequency, damping, amplitude = self.fit.values[:3].tolist()
         rest = 1.0 - damping**2
         by_damping = damping / rest - math.acos(damping) / rest**1.5

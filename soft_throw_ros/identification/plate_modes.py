@@ -59,11 +59,11 @@ class PlateWithModes(NamedTuple):
     mode: Mode | None = None
 
     def position(self, since: Floats) -> Floats:
-        """Height at times since the start. [m]"""
+        """Height at times since the start [m]."""
         return self.step.position(since) + self._of_waves(since, 0)
 
     def velocity(self, since: Floats) -> Floats:
-        """Velocity at times since the start. [m/s]"""
+        """Velocity at times since the start [m/s]."""
         return self.step.velocity(since) + self._of_waves(since, 1)
 
     def sampled(self, first: float, last: float) -> SampledMotion | None:

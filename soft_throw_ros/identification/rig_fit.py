@@ -154,7 +154,7 @@ class RigFit:
         return [*self.fit.warnings(), warning]
 
     def start_time(self, throw: int) -> Estimate:
-        """When a throw began, on the clock of its tracks; they count from 0. [s]"""
+        """When a throw began, on the clock of its tracks; they count from 0 [s]."""
         return self.fit[self.fit.names[self._model.places[START][throw]]]
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
@@ -176,7 +176,7 @@ class RigFit:
         )
 
     def peak_plate_speed(self, throw: int) -> Estimate:
-        """Find the largest speed of the step of a throw, :math:`V_p^*` (D4). [m/s]"""
+        """Find the largest speed of the step of a throw, :math:`V_p^*` (D4) [m/s]."""
         values, places = self.fit.values, self._model.places
 
         def speed(moved: Floats) -> float:

@@ -161,7 +161,7 @@ class RigModel:
 
     @cached_property
     def rigs(self) -> list[Rig]:
-        """The rig of each throw, as far as it is said or was found before."""
+        """Return the rig of each throw, as far as it is said or was found before."""
         return [
             changed_rig(self.description.prepare(self.rig, throw.name), self.found.get(number, {}))
             for number, throw in enumerate(self.throws)
@@ -184,7 +184,7 @@ class RigModel:
 
     @cached_property
     def rows(self) -> Integers:
-        """The throw of each sample of all tracks."""
+        """Return the throw of each sample of all tracks."""
         sizes = [each.track.time.size for each in self.channels]
         return np.repeat([each.throw for each in self.channels], sizes)
 
@@ -229,7 +229,7 @@ class RigModel:
 
     @cached_property
     def known(self) -> dict[int, Estimate]:
-        """What is known with an error, by places."""
+        """Return what is known with an error, by places."""
         found = {}
         for place, ((part, _), throws) in enumerate(self.groups.items()):
             names = [name for name in DEFAULTS if part in WAVES.get(name, (name,))]
@@ -349,14 +349,14 @@ class RigModel:
         return rig, PlateWithModes(Underdamped.of(rig.engine), waves, mode)
 
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
-        """Height that drift adds, none at the middle of a record. [m]"""
+        """Height that drift adds, none at the middle of a record [m]."""
         plate = self.throws[throw].plate
         part = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
         size = self.value(values, f'{body}.drift', throw) * self.rig.engine.amplitude
         return np.asarray(size * part)
 
     def _projectile_rest(self, values: Floats, throw: int, rig: Rig) -> float:
-        """Height of the resting projectile as its track has it. [m]"""
+        """Height of the resting projectile as its track has it [m]."""
         if self.description.heights == 'own':
             return self.value(values, PROJECTILE_ZERO, throw)
         half = 0.5 * rig.projectile.length if self.description.reference == 'centre' else 0.0
@@ -481,7 +481,7 @@ class RigModel:
 
 
 def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigModel:
-    """Leave out what the projectiles do later than so long after the start. [s]"""
+    """Leave out what the projectiles do later than so long after the start [s]."""
     throws = []
     for throw, plate in zip(model.throws, plates, strict=True):
         projectile = throw.projectile
@@ -525,7 +525,7 @@ def shift_of_release(model: RigModel, values: Floats, throw: int) -> ReleaseShif
 
 
 def _jerk(time: Floats, velocity: Floats, release: Event, gravity: float) -> float:
-    """By how much the acceleration changes in a second where the force vanishes. [m/s3]"""
+    """By how much the acceleration changes in a second where the force vanishes [m/s3]."""
     # While the layer sticks, the force goes on changing like that
     before = np.flatnonzero(time < (1.0 - _JERK_STEP) * release.time)
     if not before.size:
@@ -536,5 +536,5 @@ def _jerk(time: Floats, velocity: Floats, release: Event, gravity: float) -> flo
 
 
 def rest_height(rig: Rig) -> float:
-    """Height of the resting projectile's lower face above the plate. [m]"""
+    """Height of the resting projectile's lower face above the plate [m]."""
     return rig.layer.thickness - rig.static_sag

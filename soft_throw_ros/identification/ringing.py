@@ -73,16 +73,16 @@ class Ringing:
 
     @property
     def period(self) -> Estimate:
-        """Eigenperiod :math:`T_0`. [s]"""
+        """Eigenperiod :math:`T_0` [s]."""
         return self.fit['period']
 
     @property
     def loss_tangent(self) -> Estimate:
-        """Loss tangent at the eigenperiod; with this kind of loss it grows with frequency. [-]"""
+        """Loss tangent at the eigenperiod; with this kind of loss it grows with frequency [-]."""
         return self.fit['loss_tangent']
 
     def loss_tangent_at(self, frequency: float) -> Estimate:
-        """Loss tangent at another frequency. [-]"""
+        """Loss tangent at another frequency [-]."""
         factor = frequency * self.period.value
         return Estimate(factor * self.loss_tangent.value, factor * self.loss_tangent.error)
 
@@ -97,7 +97,7 @@ class CommonValue:
 
     @property
     def agreement(self) -> float:
-        """Probability that layers of one material scatter as much; 1 for a single one. [-]"""
+        """Probability that layers of one material scatter as much; 1 for a single one [-]."""
         return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
 
 
@@ -133,7 +133,7 @@ def fit_ringing(length: Track) -> Ringing:
 
     """
     smooth = length.without_spikes()
-    late = smooth.position[smooth.position.size // 2 :]
+    late = smooth.position[smooth.position.size // 2:]
     change = np.abs(smooth.position - np.median(late))
     large = change >= _ONSET * change.max()
     first = int(np.argmax(large))

@@ -379,7 +379,7 @@ class _SpotTracker:
         """Tell the acceleration from three places that are far enough apart not to be noise."""
         span = _ACCELERATION_SPAN
         if len(self._seen) > 2 * span:
-            (first, before), (_, middle), (last, after) = self._seen[-1 - 2 * span :: span]
+            (first, before), (_, middle), (last, after) = self._seen[-1 - 2 * span:: span]
             if last - first == 2 * span:
                 bend = after.place - 2.0 * middle.place + before.place
                 self.acceleration = max(self.acceleration, float(np.linalg.norm(bend)) / span**2)
@@ -389,7 +389,7 @@ class _SpotTracker:
         numbers = np.array([number for number, _ in self._seen], dtype=np.int64)
         runs = np.split(np.arange(numbers.size), np.flatnonzero(np.diff(numbers) > 1) + 1)
         kept = [
-            run[(0 if place == 0 else 1) : run.size - (0 if place == len(runs) - 1 else 1)]
+            run[(0 if place == 0 else 1):run.size - (0 if place == len(runs) - 1 else 1)]
             for place, run in enumerate(runs)
             if run.size >= _MIN_RUN + (place > 0) + (place < len(runs) - 1)
         ]
@@ -423,7 +423,7 @@ class _SpotTracker:
         reach = self._diameter + _MARGIN + self.doubt + self._velocity_doubt + smear
         corner = np.maximum(np.floor(self._expected - reach).astype(int), 0)
         end = np.maximum(np.ceil(self._expected + reach).astype(int), 0)
-        part = picture[corner[0] : end[0], corner[1] : end[1]].astype(np.float64)
+        part = picture[corner[0]:end[0], corner[1]:end[1]].astype(np.float64)
         if min(part.shape) < 2 * _MARGIN:
             return None
         smooth = _smooth(part)

@@ -225,7 +225,7 @@ class _RunningAverages(NamedTuple):
         fastest = int(np.argmax(speed >= _FULL_SPEED * speed.max()))
         is_flight = time > time[fastest] + self.period / 8.0
         fallen = np.flatnonzero(is_flight & (height < height[fastest]))
-        is_flight[fallen[0] if fallen.size else time.size :] = False
+        is_flight[fallen[0] if fallen.size else time.size:] = False
         if is_flight.sum() < _MIN_FLIGHT_SAMPLES:
             raise FitError(
                 f'the projectile is seen flying at {is_flight.sum()} moments, where at least '

@@ -115,12 +115,12 @@ class Track:
 
     @property
     def interval(self) -> float:
-        """Usual time between samples. [s]"""
+        """Usual time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def duration(self) -> float:
-        """Time from the first sample to the last. [s]"""
+        """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     def where(self, kept: Flags | Places) -> Track:
@@ -198,7 +198,7 @@ class ThrowTracks:
 
 def noise_of(time: Floats, position: Floats) -> float:
     r"""
-    Estimate the standard deviation of white noise on a smooth motion. [m]
+    Estimate the standard deviation of white noise on a smooth motion [m].
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ class SpaceTime:
 
     @property
     def time(self) -> Floats:
-        """Of the pictures. [s]"""
+        """Of the pictures [s]."""
         return np.arange(self.levels.shape[0]) / self.rate
 
     def edges(self) -> tuple[Track, Track]:
@@ -252,7 +252,7 @@ def space_time(
                 f'a line from row {first} to row {last} of column {column} is not within pictures '
                 f'of {rows} rows and {columns} columns'
             )
-        part = picture[first : last + 1, column - _SIDE : column + _SIDE + 1]
+        part = picture[first:last + 1, column - _SIDE:column + _SIDE + 1]
         lines.append(part.astype(np.float64).mean(axis=1)[::-1])
     if not lines:
         raise TrackError('there is no picture')

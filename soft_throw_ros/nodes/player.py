@@ -225,7 +225,7 @@ class Player(RunnableNode):
             self._code = 1 if is_bad else 0
 
     def _play_due(self) -> int | None:
-        """Publish what is due by now; return when something is next, if that is known. [ns]"""
+        """Publish what is due by now; return when something is next, if that is known [ns]."""
         with self._lock:
             now = time.monotonic_ns()
             schedule = self._schedule

@@ -75,7 +75,7 @@ def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
         return arguments, []
     begin = arguments.index('--ros-args')
     end = arguments.index('--', begin) if '--' in arguments[begin:] else len(arguments)
-    return [*arguments[:begin], *arguments[end + 1 :]], arguments[begin:end]
+    return [*arguments[:begin], *arguments[end + 1:]], arguments[begin:end]
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:

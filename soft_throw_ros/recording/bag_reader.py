@@ -110,19 +110,19 @@ class BagReader:
 
     @property
     def gaps(self) -> list[Gap]:
-        """What could not be read, as far as is known by now."""
+        """List what could not be read, as far as is known by now."""
         return self._gaps + [gap for file in self._files for gap in file.gaps]
 
     @property
     def damage(self) -> str:
-        """What is wrong with the bag, in short, as far as is known by now; empty if nothing is."""
+        """Say what is wrong with the bag, in short, as far as is known by now, or nothing."""
         gaps = self.gaps
         more = f'; and {len(gaps) - 1} more' if len(gaps) > 1 else ''
         return f'{gaps[0]}{more}' if gaps else ''
 
     @property
     def doubts(self) -> list[str]:
-        """What is left out of the definitions of channels, since it cannot be trusted."""
+        """List what is left out of the definitions of channels, since it cannot be trusted."""
         return list(dict.fromkeys(it for file in self._files for it in file.definitions.doubts))
 
     @property

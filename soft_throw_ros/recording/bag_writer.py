@@ -258,7 +258,7 @@ class BagWriter:
 
     @property
     def unsaved(self) -> int:
-        """How much waits to be handed to the system. [bytes]"""
+        """How much waits to be handed to the system [bytes]."""
         return sum(file.waiting for file in list(self._files))
 
     @property
@@ -396,7 +396,7 @@ class _File:
 
     @property
     def waiting(self) -> int:
-        """How much is not in the file yet. [bytes]"""
+        """How much is not in the file yet [bytes]."""
         return len(self._waiting)
 
     def define(self, channel: Channel) -> None:

@@ -108,7 +108,7 @@ class JointStateEncoder:
         data, first = self._data, 0
         _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
         for begin, size, numbers in self._layout.series:
-            numbers.pack_into(data, begin, *values[first : first + size])
+            numbers.pack_into(data, begin, *values[first:first + size])
             first += size
         return bytes(data)
 
@@ -234,9 +234,9 @@ def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
         names = ', '.join(layout.names)
         raise MessageError(f'messages JointState of one topic are not all of {names} alike')
     rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
-    stamps = rows[:, layout.stamp : layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
+    stamps = rows[:, layout.stamp:layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
     position, velocity, effort = [
-        rows[:, each.begin : each.begin + 8 * each.size].copy().view('<f8')
+        rows[:, each.begin:each.begin + 8 * each.size].copy().view('<f8')
         for each in layout.series
     ]
     return JointStates(
@@ -328,17 +328,17 @@ class _Cursor:
     def number(self) -> int:
         """Return the next number, an unsigned one of 32 bits."""
         begin = self.numbers('I', 1)
-        self.mask[begin : self._at] = b'\xff' * 4
-        return int.from_bytes(self._data[begin : self._at], 'little')
+        self.mask[begin:self._at] = b'\xff' * 4
+        return int.from_bytes(self._data[begin:self._at], 'little')
 
     def text(self) -> str:
         """Return the next string."""
         length = self.number()
         begin = self._at
         self._pass(begin + length)
-        self.mask[begin : self._at] = b'\xff' * length
+        self.mask[begin:self._at] = b'\xff' * length
         try:
-            return self._data[begin : self._at].rstrip(b'\x00').decode()
+            return self._data[begin:self._at].rstrip(b'\x00').decode()
         except UnicodeDecodeError as error:
             raise MessageError(f'a string is no UTF-8: {error}') from error
 

@@ -55,7 +55,7 @@ class EnergyMap(NamedTuple):
 
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
-    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown. [-]"""
+    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
     releases = first_releases(
         mass_ratio=rig.projectile.mass / (rig.layer.density * rig.layer.section * thickness),
         speed_ratio=wave_speed / (thickness * rig.engine.frequency),

@@ -204,7 +204,7 @@ class LiveStream:
         return message
 
     def _drop_beyond(self, size: int) -> None:
-        """Drop the oldest that wait, until the rest is not larger than that. [bytes]"""
+        """Drop the oldest that wait, until the rest is not larger than that [bytes]."""
         while self._waiting and (self._size > size or not size):
             self._next()
             self.dropped += 1

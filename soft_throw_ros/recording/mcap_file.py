@@ -292,7 +292,7 @@ class McapFile:
         data = self._read(offset, end)
         checksum = int.from_bytes(data[-4:], 'little')
         is_attachment = opcode == Opcode.ATTACHMENT
-        if is_attachment and checksum not in (0, zlib.crc32(data[_HEAD.size : -4])):
+        if is_attachment and checksum not in (0, zlib.crc32(data[_HEAD.size:-4])):
             raise DamageError('the checksum of the attachment there is wrong')
         if opcode >= 0x80:
             return None

@@ -38,7 +38,7 @@ class Channel:
     """A topic in a bag; two channels are the same if they are one object."""
 
     topic: str  # Its full name
-    type: str  # As `sensor_msgs/msg/JointState`
+    type: str  # As `sensor_msgs/msg/JointState`  # noqa: A003
     schema: str  # Definition of the type and of all that it depends on, from `schemas.find_schema`
     type_hash: str = ''  # `RIHS01_...`, or empty
     # What its publishers offer: a list of profiles in YAML, as rosbag2 writes it, or empty

@@ -105,7 +105,7 @@ class PlaybackSchedule(Generic[Item]):
         return self._next is None
 
     def time(self, now: int) -> int:
-        """Return the time of the recording: at most that of what comes next. [ns]"""
+        """Return the time of the recording: at most that of what comes next [ns]."""
         passed = self._passed_by(now)
         if self.is_over:
             passed = min(passed, self._loop_length)
@@ -114,7 +114,7 @@ class PlaybackSchedule(Generic[Item]):
         return self._begin + passed
 
     def deadline(self) -> int | None:
-        """Return when the next item is due, None if it is not, being paused or over. [ns]"""
+        """Return when the next item is due, None if it is not, being paused or over [ns]."""
         if self.is_over or (self.is_paused and self._next_time > self._stepped_to):
             return None
         return self._now + round((self._next_time - self._passed) / self.rate)

@@ -43,7 +43,7 @@ class Recovery:
 
     @property
     def skipped(self) -> tuple[Gap, ...]:
-        """The gaps that something was in, not only an end that is missing."""
+        """Return the gaps that something was in, not only an end that is missing."""
         return tuple(gap for gap in self.gaps if gap.size or gap.messages)
 
 

@@ -390,7 +390,7 @@ def draw_map(
     canvas: Canvas, stamp: int, axes: Sequence[MapAxis], panel: MapPanel, marks: Marks, *,
     root: str,
 ) -> None:  # fmt: skip
-    """Draw a map, as an entity below a root, from some time on. [ns]"""
+    """Draw a map, as an entity below a root, from some time on [ns]."""
     values, highest = panel.values, panel.highest
     if highest is None:
         known = values[np.isfinite(values)]

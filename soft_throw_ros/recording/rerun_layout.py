@@ -218,7 +218,7 @@ def _aligned(
 
 
 def _axis_width(low: float, high: float, height: float) -> float:
-    """Return how much Rerun needs for the labels beside a plot, at powers of ten. [points]"""
+    """Return how much Rerun needs for the labels beside a plot, at powers of ten [points]."""
     extent = max(high - low, 1e-9)
     step = 10.0 ** math.ceil(math.log10(_LABEL_DISTANCE * extent / height))
     numbers = range(math.ceil(low / step), math.floor(high / step) + 1)

@@ -109,7 +109,7 @@ class Scene:
 
     @property
     def moment(self) -> float | None:
-        """When in the throw that is shown there is most to see, in time of the rig. [s]"""
+        """When in the throw that is shown there is most to see, in time of the rig [s]."""
         times = [twin.ejection_time for twin in self._twins.values() if twin.ejection_time]
         if self._canvas.throw is None:
             return None
@@ -117,7 +117,7 @@ class Scene:
 
     @property
     def span(self) -> tuple[float, float]:
-        """From when to when there are states, since the start of the throw that is shown. [s]"""
+        """From when to when there are states, since the start of the throw that is shown [s]."""
         spans = [twin.span for twin in self._twins.values() if twin.span]
         if not spans or self._canvas.throw is None:
             return -math.inf, math.inf
@@ -283,7 +283,7 @@ class _TwinView:
         self._canvas.put(self._path(name), stamp, document)
 
     def stamp_of(self, message: Message) -> int:
-        """Return the time of the step with which something was published. [ns]"""
+        """Return the time of the step with which something was published [ns]."""
         return self._reader.stamp_of(message)
 
     # the rig

@@ -61,7 +61,7 @@ class RigPicture:
 
     @property
     def bounds(self) -> tuple[float, float, float]:
-        """Half the width of the view, and its lowest and highest height. [mm]"""
+        """Half the width of the view, and its lowest and highest height [mm]."""
         if self._rig is None:
             return 15.0, -5.0, 60.0
         diameter = _MILLI * self._rig.layer.diameter

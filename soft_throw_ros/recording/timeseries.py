@@ -97,12 +97,12 @@ class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type f
 
     @property
     def tick(self) -> int:
-        """Time from one to the next. [ns]"""
+        """Time from one to the next [ns]."""
         recent = self.stamps[-100:]
         return int(np.median(np.diff(recent))) if recent.size > 1 else _DEFAULT_TICK
 
     def stamp_of(self, published: int) -> int:
-        """Return the stamp of the step with which something was published. [ns]"""
+        """Return the stamp of the step with which something was published [ns]."""
         # the twin may follow another clock than messages are published by
         row = max(int(np.searchsorted(self.published, published, side='right')) - 1, 0)
         stamp = published + int(self.stamps[row] - self.published[row])
@@ -114,7 +114,7 @@ class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type f
         first, last = np.searchsorted(self.stamps, [begin + 1, end])
         if first == 0 or last == self.stamps.size:
             return False
-        return bool(np.diff(self.stamps[first - 1 : last + 1]).max() < 1.5 * self.tick)
+        return bool(np.diff(self.stamps[first - 1:last + 1]).max() < 1.5 * self.tick)
 
 
 class LayerStates(NamedTuple):
@@ -142,7 +142,7 @@ class StrainField:
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowStart:
-    """A throw begins; `time_scale` is time of the rig over time of the stamps. [ns], [-]"""
+    """A throw begins; `time_scale` is time of the rig over time of the stamps [ns], [-]."""
 
     stamp: int
     number: int
@@ -150,7 +150,7 @@ class ThrowStart:
     has_field: bool = False  # as far as is known
 
     def seconds_to(self, stamps: Any) -> Any:  # of one, or of an array of them
-        """Return the time of the rig from its start to some stamps. [s]"""
+        """Return the time of the rig from its start to some stamps [s]."""
         return (stamps - self.stamp) * (self.time_scale / SECOND)
 
 
@@ -217,7 +217,7 @@ class TwinReader:
 
     @property
     def time_scale(self) -> float:
-        """Time of the rig over that of the stamps. [-]"""
+        """Time of the rig over that of the stamps [-]."""
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
 
@@ -226,7 +226,7 @@ class TwinReader:
         return rig_of(self.wanted) if self.wanted else None
 
     def stamp_of(self, message: Message) -> int:
-        """Find the stamp of the step that a message without one was published with. [ns]"""
+        """Find the stamp of the step that a message without one was published with [ns]."""
         published = _published(message)
         return published if self.states is None else self.states.stamp_of(published)
 
@@ -426,18 +426,18 @@ class TwinReader:
 
 
 def _rest_height(rig: Rig) -> float:
-    """Return where the projectile rests. [m]"""
+    """Return where the projectile rests [m]."""
     return rig.layer.thickness - rig.static_sag
 
 
 def _projectile_energy(rig: Rig, height: Floats, speed: Floats) -> Floats:
-    """Return kinetic and potential energy of the projectile relative to rest. [J]"""
+    """Return kinetic and potential energy of the projectile relative to rest [J]."""
     rise = height - _rest_height(rig)
     return np.asarray(rig.projectile.mass * (0.5 * speed**2 + rig.gravity * rise))
 
 
 def _layer_energy(rig: Rig, height: Floats, velocity: Floats) -> Floats:
-    """Return elastic and kinetic energy of the layer relative to rest, shape (n,). [J]"""
+    """Return elastic and kinetic energy of the layer relative to rest, shape (n,) [J]."""
     layer = rig.layer
     step = layer.thickness / (height.shape[1] - 1)
     strain = np.diff(height, axis=1) / step - 1.0
@@ -454,7 +454,7 @@ def _layer_energy(rig: Rig, height: Floats, velocity: Floats) -> Floats:
 
 
 def _heights(strain: Floats, plate_position: Floats, thickness: float) -> Floats:
-    """Return where points of a strained layer are, shape (n, points). [m]"""
+    """Return where points of a strained layer are, shape (n, points) [m]."""
     return plate_position[:, None] + _integral(1.0 + strain, thickness)
 
 
@@ -478,7 +478,7 @@ def read_text(message: Message) -> str:
 
 
 def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
-    """Return a time. [ns]"""
+    """Return a time [ns]."""
     return int(time.sec * SECOND + time.nanosec)
 
 
@@ -498,7 +498,7 @@ def _number_or_text(text: str) -> float | str:
 
 
 def _published(message: Message) -> int:
-    """Return when a message was published, or else received. [ns]"""
+    """Return when a message was published, or else received [ns]."""
     published = message.publish_time or message.log_time
     if published > _LAST_TIME:
         raise MessageError(f'a time of {published} ns')

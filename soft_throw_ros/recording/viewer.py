@@ -190,7 +190,7 @@ class Viewer:
 
     @property
     def pid(self) -> int:
-        """Number of the process, and of its group."""
+        """Return the number of the process, and of its group."""
         return self._process.pid
 
     def check(self) -> None:
@@ -209,7 +209,7 @@ class Viewer:
         return client
 
     def photograph(self, timeline: str, seconds: float | None) -> bytes:
-        """Return what it shows at a time of a timeline, as PNG; ViewerError if it cannot. [s]"""
+        """Return what it shows at a time of a timeline, as PNG; ViewerError if it cannot [s]."""
         client = self.client()
         with self._explained_errors():
             _ask(client.get_state, _has_loaded)
@@ -256,7 +256,7 @@ class Viewer:
 
 
 def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:
-    """Have a viewer show a time of a recording that was sent to it, if it can do that. [s]"""
+    """Have a viewer show a time of a recording that was sent to it, if it can do that [s]."""
     from rerun.experimental import ViewerClient
 
     if seconds is None:

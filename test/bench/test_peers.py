@@ -15,12 +15,11 @@
 
 import math
 
+from bench import check, peers, race, sums
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-
-from bench import check, peers, race, sums
 
 
 @pytest.mark.parametrize(

@@ -45,10 +45,11 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-1]) == speed
     # read by somebody else
     types = get_typestore(Stores.ROS2_JAZZY).types
+    duration = types['builtin_interfaces/msg/Duration']
     message = yaml.safe_load(files[1].read_text())
     points = [
         types['trajectory_msgs/msg/JointTrajectoryPoint'](
-            time_from_start=types['builtin_interfaces/msg/Duration'](**point.pop('time_from_start')),
+            time_from_start=duration(**point.pop('time_from_start')),
             **{name: np.array(values) for name, values in point.items()}, effort=np.empty(0),
         )
         for point in message['points']

@@ -234,7 +234,7 @@ class Bag:
 
 
 def recorded(starts=(0.2, 0.8), noise=2e-5):
-    """A record of throws, after each of which all is put back."""
+    """Make a record of throws, after each of which all is put back."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, starts[-1] + 0.6, 5e-4)
     heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)

@@ -204,9 +204,8 @@ def test_space_time_picture_shows_edges_and_period(command, layer_video, tmp_pat
     pytest.importorskip('matplotlib')
     path, tracks = tmp_path / 'line.png', tmp_path / 'ends.csv'
     line = ('--line', 30, 2, 107)
-    found = command.json('--free-layer', 8e-3, layer_video, *AS_TAKEN, *line, '--space-time', path,
-        '--tracks', tracks,
-    )  # fmt: skip
+    pictures = ('--space-time', path, '--tracks', tracks)
+    found = command.json('--free-layer', 8e-3, layer_video, *AS_TAKEN, *line, *pictures)
     picture = imageio.imread(path)[..., :3].astype(float)
     assert picture.shape[:2] == (720, 1440)
     # Orange, as nothing else is: two edges from left to right, the upper one of which swings

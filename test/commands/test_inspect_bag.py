@@ -23,6 +23,7 @@ import runpy
 import signal
 import subprocess
 import sys
+from test.recording.conftest import TIMEOUT, wait_until
 import threading
 from typing import Any
 
@@ -36,11 +37,10 @@ from soft_throw_ros.recording.viewer import find_viewer, free_port, NoGraphicsEr
 
 pytest.importorskip('rerun')
 
-from rerun.experimental import ViewerClient
-from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME
+from test.recording.recordings import Recording  # noqa: E402, I100
 
-from test.recording.conftest import TIMEOUT, wait_until
-from test.recording.recordings import Recording
+from rerun.experimental import ViewerClient  # noqa: E402
+from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 

@@ -91,14 +91,14 @@ def test_table_has_the_models_side_by_side_as_in_the_json(command):
     assert max(map(len, lines)) <= 100
     head = [line.ljust(100) for line in lines[2:5]]
     columns = [28 + 12 * n for n in range(len(models))]
-    words = ['_'.join(line[start : start + 12].strip() for line in head) for start in columns]
+    words = ['_'.join(line[start:start + 12].strip() for line in head) for start in columns]
     assert [word.strip('_') for word in words] == list(models)
     for title, name, scale in (
         ('energy transfer alpha', 'energy_transfer', 1.0),
         ('ejection time t_e', 'ejection_time', 1e3),
     ):
         (shown,) = [line for line in lines if line.startswith(title)]
-        numbers = [float(shown[start : start + 12]) for start in columns]
+        numbers = [float(shown[start:start + 12]) for start in columns]
         expected = [scale * model[name] for model in models.values()]
         assert numbers == pytest.approx(expected, rel=5e-6)
 

@@ -52,7 +52,7 @@ class Cut:
         self.nodes = np.zeros((cells.ROWS, self.count + grid.bars + 2))
         fill(self.nodes, grid.bodies, self.bottom, self.count, rig.projectile.mass, grid.step)
         self.sheets = np.repeat(np.arange(grid.counts.size), grid.counts)
-        inverse = self.nodes[cells.INVERSE, self.bottom : self.bottom + self.count]
+        inverse = self.nodes[cells.INVERSE, self.bottom:self.bottom + self.count]
         self.heights = np.append(0.0, np.cumsum(1.0 / inverse))
 
 
@@ -66,7 +66,7 @@ def couple(links):
     n = links.size + 1
     matrix = np.zeros((n, n))
     for j, link in enumerate(links):
-        matrix[j : j + 2, j : j + 2] += link * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        matrix[j:j + 2, j:j + 2] += link * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return matrix
 
 
@@ -77,9 +77,9 @@ def test_mass_and_stiffness_are_all_there(layer, form, count):
     rig = Rig(layer=layer)
     grid = cut(rig, cells=count, **form)
     assert grid.nodes[cells.MASS].sum() == pytest.approx(layer.mass + rig.projectile.mass)
-    springs = grid.nodes[cells.STIFFNESS, grid.bottom : grid.bottom + grid.count]
+    springs = grid.nodes[cells.STIFFNESS, grid.bottom:grid.bottom + grid.count]
     assert (1.0 / springs).sum() == pytest.approx(1.0 / layer.stiffness)
-    bar = grid.nodes[cells.STIFFNESS, grid.count + 1 : -1]
+    bar = grid.nodes[cells.STIFFNESS, grid.count + 1:-1]
     spring = rig.projectile.youngs_modulus * layer.section / rig.projectile.length
     assert form.get('is_elastic', False) is (bar.size > 0)
     assert not bar.size or (1.0 / bar).sum() == pytest.approx(1.0 / spring)
@@ -142,7 +142,7 @@ def test_step_is_stable(layer, form, count):
     """The fastest mode must not turn by more than pi in a step: h^2 K <= 4 M."""
     grid = cut(Rig(layer=layer), cells=count, **form)
     mass = np.diag(grid.nodes[cells.MASS]) + couple(grid.nodes[cells.STIFF, :-1])
-    springs = grid.nodes[cells.STIFFNESS] + grid.nodes[cells.STRENGTH :][:3].sum(axis=0)
+    springs = grid.nodes[cells.STIFFNESS] + grid.nodes[cells.STRENGTH:][:3].sum(axis=0)
     least = np.where(grid.nodes[cells.CURVATURE] > 0.0, grid.nodes[cells.LEAST], 1.0)
     springs += grid.nodes[cells.CURVATURE] * (1.0 + 2.0 / least**3) * grid.nodes[cells.INVERSE]
     surplus = 4.0 * mass - grid.step**2 * couple(springs[:-1])
@@ -198,7 +198,7 @@ def test_linear_functions_are_read_exactly_within_sheets(layer):
     heights = np.linspace(0.0, layer.thickness, 77).tolist()
     for height, (cell, beside, weight, part) in zip(heights, places, strict=True):
         assert grid.sheets[cell] == grid.sheets[beside]
-        below, above = grid.heights[cell : cell + 2]
+        below, above = grid.heights[cell:cell + 2]
         assert below + part * (above - below) == pytest.approx(height)
         if cell != beside:
             jump = 1.0 if grid.sheets[cell] == 2 else 0.0

@@ -110,7 +110,7 @@ def test_twin_of_a_measured_plate_has_finite_outputs(
     tmp_path: Path, rate: int, size: int, amplitude: float, damages: Any, has_projectile: bool
 ) -> None:
     samples = measure(rate, amplitude, damages)
-    batches = [samples[first : first + size] for first in range(0, len(samples), size)]
+    batches = [samples[first:first + size] for first in range(0, len(samples), size)]
     settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), {'engine.motion': 'measured'})}
     clock = SensorClock()
     with bounded(tmp_path):

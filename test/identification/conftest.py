@@ -60,7 +60,7 @@ def make_throw() -> Callable[..., ThrowTracks]:
 
 @pytest.fixture(scope='session')
 def reference_throw() -> ThrowTracks:
-    """The 5 kHz tracks with noise of 20 um whose best fits are known."""
+    """Give the 5 kHz tracks with noise of 20 um whose best fits are known."""
     with (DATA / 'reference_tracks.csv').open() as file:
         return ThrowTracks(
             name='reference', **read_csv(file, 'reference', ('plate', 'projectile'))

@@ -44,8 +44,8 @@ def disc(shape, row, column, *, diameter=DIAMETER, blur=BLUR):
     pixels = seen.reshape(2 * reach + 1, FINE, 2 * reach + 1, FINE).mean(axis=(1, 3))
     whole = np.zeros(np.add(shape, 2 * reach + 2))
     place = np.clip(first + reach + 1, 0, np.array(shape))
-    whole[place[0] : place[0] + 2 * reach + 1, place[1] : place[1] + 2 * reach + 1] = pixels
-    return whole[reach + 1 : reach + 1 + shape[0], reach + 1 : reach + 1 + shape[1]]
+    whole[place[0]:place[0] + 2 * reach + 1, place[1]:place[1] + 2 * reach + 1] = pixels
+    return whole[reach + 1:reach + 1 + shape[0], reach + 1:reach + 1 + shape[1]]
 
 
 def band(shape, lower, upper, *, blur=BLUR):

@@ -43,7 +43,7 @@ def heights_of(values, conditions, time):
     frequency, damping_ratio, speed, thickness, *own = values
     heights = []
     for number, condition in enumerate(conditions):
-        amplitude, start, low, high = own[4 * number : 4 * number + 4]
+        amplitude, start, low, high = own[4 * number:4 * number + 4]
         rig = changed_rig(
             RIG,
             {

@@ -45,7 +45,7 @@ def video(count=60, seed=0, **options):
 
 
 def errors_of(spots):
-    """What is left of each spot less the truth: rows and columns. [px]"""
+    """Return what is left of each spot less the truth: rows and columns [px]."""
     left = []
     for place, spot in enumerate(spots):
         truth = np.array([places_of(number)[place] for number in spot.picture])

@@ -152,7 +152,7 @@ def test_noise_is_never_zero():
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
-    """A plate that jumps at each start, and is put back some time later."""
+    """Make a plate that jumps at each start, and is put back some time later."""
     time = np.arange(begin, max(starts) + period, 1.0 / rate)
     plate = Underdamped(frequency=40.0, amplitude=2e-3, damping_ratio=0.064)
     position = np.zeros_like(time)

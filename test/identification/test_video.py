@@ -43,7 +43,7 @@ def phantom_file(path, pictures, *, rate):
     setup[140:144] = b'ST' + (0x163C).to_bytes(2, 'little')  # what follows is as long as this
 
     def put(place, value):
-        setup[place : place + 4] = value.to_bytes(4, 'little')
+        setup[place:place + 4] = value.to_bytes(4, 'little')
 
     put(768, rate)
     put(892, 8 * pictures.itemsize)  # bits that are real

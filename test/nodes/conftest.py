@@ -190,7 +190,7 @@ class Parameters:
         (descriptor,) = self._ros.result(self._client.describe_parameters([name])).descriptors
         return descriptor
 
-    def set(self, **values: Any) -> list[str]:
+    def set(self, **values: Any) -> list[str]:  # noqa: A003
         """Set one by one (`a__b` is a.b); return the reasons, empty where accepted."""
         response = self._ros.result(self._client.set_parameters(_parameters(values)))
         return [_reason(result) for result in response.results]

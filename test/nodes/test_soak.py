@@ -15,11 +15,10 @@
 
 import json
 
-import numpy as np
-import pytest
-
 from bench import soak
 from bench.processes import Usage
+import numpy as np
+import pytest
 
 
 @pytest.mark.once

@@ -85,7 +85,7 @@ def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000)
     save_to(stream, path, is_live=False)
     scene.connect(stream)
     for begin in range(0, len(messages), batch):
-        scene.show(messages[begin : begin + batch])
+        scene.show(messages[begin:begin + batch])
     scene.finish(is_waiting=True)
     assert flush(stream, 10.0)
     stream.disconnect()

@@ -18,6 +18,7 @@ from __future__ import annotations
 from io import BytesIO
 import itertools
 import os
+from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
 from bags import profiles
@@ -33,8 +34,6 @@ from soft_throw_ros.recording.bag_reader import BagReader, read_stream
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
-
-from test.recording.conftest import plain, read, TYPES
 
 
 @given(
@@ -249,7 +248,7 @@ def stream_parts(recording):
     """Make a stream, in parts of a hundred messages."""
     messages = recording.make(1000)
     writer = StreamWriter()
-    return [writer.write(messages[n : n + 100]) for n in range(0, len(messages), 100)]
+    return [writer.write(messages[n:n + 100]) for n in range(0, len(messages), 100)]
 
 
 def test_stream_comes_out_as_it_went_in(recording, stream_parts, tmp_path):

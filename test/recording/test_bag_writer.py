@@ -20,6 +20,7 @@ from contextlib import contextmanager
 import os
 import resource
 import shutil
+from test.recording.conftest import PLAIN, plain, read, TYPES
 
 from bags import profiles
 from mcap.reader import make_reader
@@ -31,8 +32,6 @@ from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 import yaml
-
-from test.recording.conftest import PLAIN, plain, read, TYPES
 
 
 def numbers(messages):

@@ -105,7 +105,7 @@ class Twin(twins['TwinMessages']):
 
 def entry_of(message: Message) -> dict[str, Any]:
     length = int.from_bytes(message.data[4:8], 'little')
-    entry = json.loads(message.data[8 : 7 + length])
+    entry = json.loads(message.data[8:7 + length])
     assert isinstance(entry, dict)
     return entry
 
@@ -133,7 +133,7 @@ def plain() -> Twin:
 
 @pytest.fixture(scope='module')
 def eventful() -> Twin:
-    """A twin that all kinds of things happen to, in a few seconds."""
+    """Give a twin that all kinds of things happen to, in a few seconds."""
     twin = Twin(throw__max_events=4)
     twin.go(1234)
     twin.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
@@ -167,7 +167,7 @@ def eventful() -> Twin:
 
 @pytest.fixture(scope='module')
 def measured() -> Twin:
-    """A twin that follows three throws, and is changed and stalled meanwhile."""
+    """Give a twin that follows three throws, and is changed and stalled meanwhile."""
     twin = Twin(engine__motion='measured', measured__wait=2e-4)
     twin.go(20)
     twin.throw(1, duration=0.2)

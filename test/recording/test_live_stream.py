@@ -19,14 +19,13 @@ import os
 from pathlib import Path
 import signal
 import sys
+from test.recording.conftest import PLAIN, wait_until
 import time
 
 from bags import profiles
 import pytest
 from soft_throw_ros.recording.live_stream import LiveStream
 from soft_throw_ros.recording.message import Channel, Message
-
-from test.recording.conftest import PLAIN, wait_until
 
 LATCHED = Channel(
     topic='/latched',

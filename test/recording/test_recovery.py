@@ -20,6 +20,7 @@ import random
 import resource
 import subprocess
 import sys
+from test.recording.conftest import plain
 
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
@@ -30,8 +31,6 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError
 from soft_throw_ros.recording.recovery import recover
-
-from test.recording.conftest import plain
 
 ROOT = Path(__file__).parents[2]
 
@@ -261,7 +260,7 @@ def test_messages_whose_definition_is_damaged_are_left_out_and_counted(recording
     data = bytearray(path.read_bytes())
     first, last = chunks_of(path)[0], data.rindex(b'rosbag2')
     for begin, size in ((first.chunk_start_offset, 40), (last, len(data) - last)):
-        data[begin : begin + size] = bytes(size)
+        data[begin:begin + size] = bytes(size)
     path.write_bytes(data.replace(b'/twin/joint_states', b'/twin/joint_Xtates', 1))
     recovered = recover(recording.folder, tmp_path / 'whole')
     assert recovered.saved == {'/twin/journal': 17}

@@ -35,11 +35,11 @@ from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
 
 rr = pytest.importorskip('rerun')
 
+from test.recording.recordings import record, Recording  # noqa: E402, I100
+
 from soft_throw_ros.commands.rerun_output import new_stream, save_recording  # noqa: E402
 from soft_throw_ros.recording import rerun_canvas  # noqa: E402
 from soft_throw_ros.recording.rerun_view import is_shown, Scene  # noqa: E402
-
-from test.recording.recordings import record, Recording  # noqa: E402
 
 HERE = Path(__file__).parent
 TwinMessages: Any = runpy.run_path(str(HERE / 'twin_messages.py'))['TwinMessages']

@@ -37,6 +37,7 @@ def prefix(tmp_path):
     """Give a function that installs a type, and is a prefix."""
 
     class Prefix(os.PathLike):
+
         def __fspath__(self):
             return str(tmp_path)
 

@@ -170,7 +170,7 @@ def test_work_begins_anew_with_every_throw() -> None:
     work, stamps = joined(states, 'plate_work'), joined(states, 'stamps')
     first, second = np.searchsorted(stamps, stamps_of_steps(twin, [200, 400]))
     assert work[first] == work[second] == 0.0
-    np.testing.assert_allclose(work[first : first + 90], work[second : second + 90], atol=1e-12)
+    np.testing.assert_allclose(work[first:first + 90], work[second:second + 90], atol=1e-12)
     assert work[first + 10] > 1e-3
     assert np.isnan(work[second - 50])  # being put back
 

@@ -22,6 +22,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+from test.recording.conftest import wait_until
 import time
 
 import pytest
@@ -36,8 +37,6 @@ from soft_throw_ros.recording.viewer import (
     Viewer,
     ViewerError,
 )
-
-from test.recording.conftest import wait_until
 
 pytest.importorskip('rerun')
 

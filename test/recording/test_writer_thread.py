@@ -16,14 +16,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from test.recording.conftest import PLAIN, plain, read, TIMEOUT, wait_until
 import threading
 from typing import Any
 
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.writer_thread import WriterThread
-
-from test.recording.conftest import PLAIN, plain, read, TIMEOUT, wait_until
 
 
 def thread(path: Path, bag: Any = BagWriter, capacity: int = 10**7) -> WriterThread:

@@ -64,8 +64,8 @@ def first_release(rig, *, cells):
         rest = rest - (tension(rest) + weight) / slope
 
     def forces(time, state):
-        u, v = state[:n], state[n : 2 * n]
-        memory = state[2 * n :].reshape(3, n)
+        u, v = state[:n], state[n:2 * n]
+        memory = state[2 * n:].reshape(3, n)
         strain = np.diff(u, prepend=float(plate.position(time))) / lengths
         rate = np.diff(v, prepend=float(plate.velocity(time))) / lengths
         pull = tension(rest + strain) + weight + viscosity * rate
@@ -74,7 +74,7 @@ def first_release(rig, *, cells):
     def derivative(time, state):
         pull, rate, memory = forces(time, state)
         acceleration = (np.append(pull[1:], 0.0) - pull) / mass
-        return np.concatenate([state[n : 2 * n], acceleration, (rate - rates * memory).ravel()])
+        return np.concatenate([state[n:2 * n], acceleration, (rate - rates * memory).ravel()])
 
     def contact(time, state):
         acceleration = derivative(time, state)[2 * n - 1]

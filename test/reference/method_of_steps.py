@@ -146,47 +146,47 @@ class WaveHistory:
 
     @property
     def end_time(self) -> float:
-        """Until when everything is known. [s]"""
+        """Until when everything is known [s]."""
         return self._down.edges[-1]
 
     def upward(self, times: Floats) -> Floats:
-        """Upward wave at the top, p; known for one crossing more than the rest. [m/s]"""
+        """Upward wave at the top, p; known for one crossing more than the rest [m/s]."""
         return self.motion.velocity(times - self._crossing) - self._down(
             times - 2.0 * self._crossing
         )
 
     def projectile_velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the projectile, upwards. [m/s]"""
+        """Velocity of the projectile, upwards [m/s]."""
         return self._mass_velocity(self._known(time))
 
     def projectile_position(self, time: ArrayLike) -> Floats:
-        """Height of the projectile's lower face above the plate's rest position. [m]"""
+        """Height of the projectile's lower face above the plate's rest position [m]."""
         return self._rest_height() + self._mass_rise(self._known(time))
 
     def top_position(self, time: ArrayLike) -> Floats:
-        """Height of the top of the layer above the plate's rest position. [m]"""
+        """Height of the top of the layer above the plate's rest position [m]."""
         return self._rest_height() + self._top_rise(self._known(time))
 
     def velocity(self, depth: ArrayLike, time: ArrayLike) -> Floats:
-        """Velocity of the material at undeformed depths [m] from the plate, upwards. [m/s]"""
+        """Velocity of the material at undeformed depths [m] from the plate, upwards [m/s]."""
         up, down = self._waves(depth, time)
         return up + down
 
     def strain(self, depth: ArrayLike, time: ArrayLike) -> Floats:
-        """Strain of the layer, negative in compression, with the weight's static part. [-]"""
+        """Strain of the layer, negative in compression, with the weight's static part [-]."""
         up, down = self._waves(depth, time)
         static = self.rig.gravity * self.rig.relaxation_time
         return (down - up - static) / self.rig.layer.wave_speed
 
     def contact_force(self, time: ArrayLike) -> Floats:
-        """Force of the layer on the projectile, upwards: 0 in flight. [N]"""
+        """Force of the layer on the projectile, upwards: 0 in flight [N]."""
         time = self._known(time)
         pushed = self.rig.layer.impedance * (self.upward(time) - self._down(time))
         force = pushed + self.rig.projectile.mass * self.rig.gravity
         return np.where(self._touching(time), force, 0.0)
 
     def plate_force(self, time: ArrayLike) -> Floats:
-        """Force of the layer on the plate, upwards: negative when the plate pushes. [N]"""
+        """Force of the layer on the plate, upwards: negative when the plate pushes [N]."""
         time = self._known(time)
         wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
         weight = self.rig.projectile.mass * self.rig.gravity
@@ -403,5 +403,5 @@ def _polished(coefficients: Floats, root: float) -> float:
 
 
 def _knots(motion: PlateMotion) -> Floats:
-    """Times at which a motion is not smooth, the start first. [s]"""
+    """Return the times at which a motion is not smooth, the start first [s]."""
     return motion.times if isinstance(motion, SampledMotion) else np.zeros(1)

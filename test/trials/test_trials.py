@@ -17,7 +17,6 @@ import math
 
 import numpy as np
 import pytest
-
 from trials import table
 from trials.__main__ import main
 from trials.judge import Deviation, judge, Verdict
