@@ -222,7 +222,7 @@ class LiveStream:
                     while self._waiting and self._size > end:
                         block.append(self._next())
                     self._rest = memoryview(self._stream.write(block))
-                self._rest = self._rest[os.write(pipe, self._rest) :]
+                self._rest = self._rest[os.write(pipe, self._rest):]
         except BlockingIOError:
             return True
         except OSError:

@@ -124,7 +124,7 @@ def check(tmp_path) -> Callable[[Iterable[Message]], CheckResult]:
 
 @pytest.fixture(scope='module')
 def plain() -> Twin:
-    """A twin that throws five times, and nothing else."""
+    """Give a twin that throws five times, and nothing else."""
     twin = Twin(throw__period=0.4)
     twin.go(2100)
     twin.session.close()
