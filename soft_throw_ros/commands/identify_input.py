@@ -129,13 +129,13 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
     """Read plate and projectile from the topic that was asked for, or the best of a bag."""
     heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
-    reads = defaultdict(lambda: JointStateReader().read)
+    readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == _TYPE}
         for message in reader.messages(names):
             name = message.channel.topic
             try:
-                values = reads[name](message.data)
+                values = readers[name].read(message.data)
             except MessageError as error:
                 if name == topic:
                     raise TrackError(f'{path}: {topic}: {error}') from None

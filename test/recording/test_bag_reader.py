@@ -22,7 +22,7 @@ from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
 from bags import profiles
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Metadata
 from mcap.writer import CompressionType, IndexType, Writer
@@ -36,6 +36,7 @@ from soft_throw_ros.recording.live_stream import StreamWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 
 
+@settings(max_examples=50)
 @given(
     times=st.lists(st.integers(0, 30), max_size=60),
     cuts=st.sets(st.integers(0, 60)),

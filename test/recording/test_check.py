@@ -258,7 +258,7 @@ def test_two_twins_in_a_bag_are_both_checked_and_another_journal_is_told(tmp_pat
 # something different
 
 
-@pytest.mark.parametrize(('index', 'bit'), enumerate([0, 30, 63, 0, 30, 63]))
+@pytest.mark.parametrize(('index', 'bit'), [*enumerate([0, 30, 63, 0, 30, 63])])
 def test_one_bit_of_a_recorded_state_is_found_and_named(plain, check, index, bit) -> None:
     blank = JointStateEncoder('rig', JOINTS).encode(0, State(*range(1, 7)))
     offset = blank.index(struct.pack('<d', index + 1)) + bit // 8
