@@ -90,10 +90,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add('--release', choices=get_args(Release), default='first', help='which one (default first)')
     add(
-        '--density-ratio', metavar='NUMBER', type=float,
-        help="projectile over layer, for x and C (default: the rig's; 1 in the paper's maps)",
-    )  # fmt: skip
-    add(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
     )  # fmt: skip
@@ -128,7 +124,6 @@ def run(arguments: argparse.Namespace) -> int:
                 axes,
                 model=arguments.model or ('finite_difference' if has_cells else 'travelling_wave'),
                 release=arguments.release,
-                density_ratio=arguments.density_ratio,
                 executor=executor,
                 progress=bar.update,
             )

@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -193,15 +192,29 @@ def draw(design: MotionDesign, path: Path) -> None:
 
 
 def _record(design: MotionDesign, path: Path) -> None:
-    """Write the motions side by side as a recording of Rerun."""
-    from soft_throw_ros.recording import motion_canvas
+    """Write the motions side by side as a recording of Rerun; the best one stands out."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+    from soft_throw_ros.recording.rerun_canvas import BLUE, GREEN, GREY, ORANGE, THROW_TIME, WHITE
 
-    stream = new_stream()
-    curves = {
-        title: (times, motion.position(times), motion.velocity(times))
-        for title, times, motion in _curves(design)
-    }
-    save_recording(stream, path, partial(motion_canvas.draw_motions, stream, curves))
+    stream, curves = new_stream(), list(_curves(design))
+    colours = (GREY, BLUE, ORANGE, GREEN)
+
+    def draw_curves() -> None:
+        views = []
+        for what, name in (('position', 'Height (m)'), ('velocity', 'Velocity (m/s)')):
+            for number, (title, times, motion) in enumerate(curves):
+                entity, colour, width = f'plate/{what}/{number}', colours[number % 4], 1.5
+                if number == len(curves) - 1:
+                    colour, width = WHITE, 3.0
+                style = rr.SeriesLines(colors=colour, names=title, widths=width)
+                stream.log(entity, style, static=True)
+                scalars = rr.Scalars.columns(scalars=getattr(motion, what)(times))
+                stream.send_columns(entity, [rr.TimeColumn(THROW_TIME, duration=times)], scalars)
+            views.append(rrb.TimeSeriesView(origin=f'plate/{what}', name=name))
+        stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(*views), collapse_panels=True))
+
+    save_recording(stream, path, draw_curves)
 
 
 _WRITERS: Mapping[str, Callable[[MotionDesign, Path], None]] = {

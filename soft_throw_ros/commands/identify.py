@@ -41,7 +41,6 @@ from soft_throw_ros.commands.identify_report import (
 from soft_throw_ros.commands.identify_video import add_video_options, check_video_options
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    count,
     new_file,
     number_or_text,
     OPTIONS,
@@ -54,9 +53,7 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
     FitDescription,
-    HEIGHTS,
     PARAMETERS,
-    REFERENCES,
     TREATMENTS,
     USUAL,
 )
@@ -94,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     description = _describe_fit(arguments, known)
     _check(arguments)
-    if arguments.plan is not None:
+    if arguments.plan:
         return plan_throws(arguments, settings, description, _read_all(arguments))
     identify = _identify_layers if arguments.free_layer else _identify_throws
     report = identify(arguments, settings, description)
@@ -122,7 +119,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('files', metavar='FILE', nargs='*', help='tracks of throws: CSV files, or bags')
-    add('--last', metavar='NUMBER', type=count, help='fit the last throws only (default: all)')
     add(
         '--free-layer', metavar=('M', 'FILE'), nargs=2, action='append', default=[],
         help='thickness of a layer that rings freely, and a CSV file with tracks of its ends, '
@@ -151,16 +147,6 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
     add(
-        '--heights', choices=HEIGHTS,
-        help='from where heights count: each track from a zero of its own, both from a common '
-        "one, or from the plate's position at rest (default own)",
-    )  # fmt: skip
-    add(
-        '--reference', choices=REFERENCES,
-        help='point of the projectile whose heights they are; matters unless each track has a '
-        'zero of its own (default face, the lower one)',
-    )  # fmt: skip
-    add(
         '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
     )
     add(
@@ -182,7 +168,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse before the work options that do not go together."""
-    is_alone = arguments.plan is not None and not arguments.free_layer  # needs no tracks
+    is_alone = arguments.plan and not arguments.free_layer  # needs no tracks
     if not is_alone and bool(arguments.files or arguments.video) == bool(arguments.free_layer):
         raise ValueError('either FILE or --video, or --free-layer must be given, and not both')
     if not 0.0 <= arguments.thickness_error < math.inf:
@@ -192,7 +178,7 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     check_video_options(arguments)
     for name in LISTS:
-        if getattr(arguments, name) is not None and arguments.plan is None:
+        if getattr(arguments, name) is not None and not arguments.plan:
             raise ValueError(f'argument --{name}: is for --plan')
 
 
@@ -214,9 +200,6 @@ def _describe_fit(arguments: argparse.Namespace, known: Mapping[str, str]) -> Fi
         description = description.change(dict.fromkeys(_OF_TWO_SENSORS, 'held'))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
-    for name in ('heights', 'reference'):
-        if getattr(arguments, name):
-            description = description.change({name: getattr(arguments, name)})
     fitted = {}
     for text in arguments.fit:
         name, _, treatment = text.partition('=')
@@ -248,7 +231,7 @@ def _read_all(arguments: argparse.Namespace) -> list[ThrowTracks]:
             else:
                 good.append(throw)
         throws += good or found
-    return throws[-arguments.last:] if arguments.last else throws
+    return throws
 
 
 def _identify_throws(

@@ -19,14 +19,12 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 import itertools
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands.identify_report import unit_of
 from soft_throw_ros.commands.options import number_or_text, positive
 from soft_throw_ros.commands.output import print_text, slow_notice, to_json
-from soft_throw_ros.configuration import located_yaml, rig_of, Settings, TWIN
+from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import FitDescription, values_of
 from soft_throw_ros.identification.plan import (
@@ -45,7 +43,7 @@ LISTS = {
     'thicknesses': 'layer.thickness',
     'amplitudes': 'engine.amplitude',
 }
-"""What is at hand, by the names of options and keys, and the parameters that it is of."""
+"""What is at hand, by the names of options, and the parameters that it is of."""
 
 _USUAL_RATE, _USUAL_NOISE = 5000.0, 2e-5  # of what sees the throws [Hz, m]
 _PERIODS_SEEN = 3.0  # of the plate, after the start of a throw
@@ -68,11 +66,7 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
         'and loss most, unless these are held, and how many are enough. With tracks, after '
         'what these tell already. --rate, --noise and --to say how throws will be seen.',
     ).add_argument
-    add(
-        '--plan', metavar='FILE', nargs='?', const='',
-        help=f'do this instead; FILE is YAML with lists {", ".join(LISTS)}, which the options of '
-        'these names replace',
-    )  # fmt: skip
+    add('--plan', action='store_true', help='do this instead')
     for name, parameter in LISTS.items():
         add(
             f'--{name}', metavar=unit_of(parameter).upper(), nargs='+', type=number_or_text,
@@ -130,32 +124,21 @@ def plan_throws(
 
 def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
     """List the throws that can be made."""
-    lists: dict[str, tuple[str, Any]] = {}  # what YAML or options may have
-    if arguments.plan:
-        root = located_yaml.read(Path(arguments.plan))
-        if root is None or root.items is None:
-            raise ValueError(f'{arguments.plan}: must be a mapping with {", ".join(LISTS)}')
-        for name, node in root.items:
-            if name not in LISTS:
-                raise ValueError(f'{node.where}: must be one of {", ".join(LISTS)}, got {name!r}')
-            lists[name] = node.where, node.value
-    for name in LISTS:
-        if getattr(arguments, name) is not None:
-            lists[name] = f'argument --{name}', getattr(arguments, name)
     choices = []
     for name, parameter in LISTS.items():
-        where, given = lists.get(name, ('', list(values_of(rig, [parameter]).values())))
+        values = getattr(arguments, name) or list(values_of(rig, [parameter]).values())
         entry = TWIN.by_name[parameter]
-        values = given if isinstance(given, list) else [given]
         for value in values:
             if not entry.allows(value):
-                raise ValueError(f'{where}: {parameter} must be {entry.rule}, got {value!r}')
+                raise ValueError(
+                    f'argument --{name}: {parameter} must be {entry.rule}, got {value!r}'
+                )
         choices.append(sorted({float(value) for value in values}))
     count = math.prod(map(len, choices))
-    if not 0 < count <= _MOST_CONDITIONS:
+    if count > _MOST_CONDITIONS:
         raise ValueError(
-            f'{count} combinations of masses, layers and amplitudes, where 1 to '
-            f'{_MOST_CONDITIONS} can be judged'
+            f'{count} combinations of masses, layers and amplitudes, where {_MOST_CONDITIONS} at '
+            'most can be judged'
         )
     return [Condition(*each) for each in itertools.product(*choices)]
 

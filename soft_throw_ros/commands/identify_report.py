@@ -84,7 +84,7 @@ class IdentificationReport:
         width = max(map(len, PARAMETERS))
         lines = [f'{name:{width}}  {text}' for name, text in self._estimates()]
         for name, value in self.held.items():
-            unit, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+            unit, factor = _handy_unit(unit_of(name))
             text = f'{factor * value:.6g} {unit}'.rstrip()
             lines.append(f'{name:{width}}  {text}, taken as known')
         lines += [f'{name:{width}}  {value}' for name, value in self.chosen.items()]
@@ -141,9 +141,14 @@ def unit_of(name: str) -> str:
     return TWIN.by_name[name].unit if name in TWIN.by_name else _UNITS_OF_TERMS.get(name, '')
 
 
+def _handy_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which tables have what is in a unit of SI, and SI times what it is."""
+    return _UNITS_IN_TABLES.get(unit, (unit, 1.0))
+
+
 def with_unit(value: Estimate, unit: str) -> str:
     """Write a value with its error, in a unit of handy size."""
-    shown, factor = _UNITS_IN_TABLES.get(unit, (unit, 1.0))
+    shown, factor = _handy_unit(unit)
     return f'{Estimate(factor * value.value, factor * value.error)} {shown}'.rstrip()
 
 
@@ -152,7 +157,7 @@ def budget_lines(found: RigFit) -> Iterator[str]:
     for name, value in found.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
     for name, ends in found.intervals.items():
-        shown, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+        shown, factor = _handy_unit(unit_of(name))
         low, high = (f'{factor * end:.4g}' for end in ends)
         yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
     for name in found.estimates():
@@ -162,7 +167,7 @@ def budget_lines(found: RigFit) -> Iterator[str]:
         total = math.sqrt(sum(part**2 for part in parts.values()))
         large = {n: part for n, part in parts.items() if part > _LARGE_PART * total}
         if parts['noise'] < _NOISY * total:
-            shown, factor = _UNITS_IN_TABLES.get(unit_of(name), (unit_of(name), 1.0))
+            shown, factor = _handy_unit(unit_of(name))
             listed = ', '.join(
                 f'{n} {factor * part:.2g}'
                 for n, part in sorted(large.items(), key=lambda item: -item[1])

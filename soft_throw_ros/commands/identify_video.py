@@ -92,7 +92,7 @@ def check_video_options(arguments: argparse.Namespace) -> None:
     videos = arguments.video + [path for path in layers if is_video(path)]
     given = [name for name in _OPTIONS if getattr(arguments, name) not in (None, False)]
     for is_so, names, reason in (
-        (not videos, _OPTIONS[arguments.plan is not None:], 'is for videos'),
+        (not videos, _OPTIONS[arguments.plan:], 'is for videos'),
         (len(videos) > 1, ('tracks', 'line', 'overlay'),
          f'is for one video at a time, got {len(videos)}'),
         (bool(arguments.video), ('line',), 'is for the video of a free layer'),

@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description='Predict one throw by every model, or many first releases from a CSV file.',
         usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--model NAME ...] '
-        '[--json | --cases FILE] [--output FILE]',
+        '[--json | --cases FILE]',
         argument_default=argparse.SUPPRESS,
         allow_abbrev=False,
     )
@@ -101,7 +101,6 @@ def _parser() -> argparse.ArgumentParser:
         help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
         'te_f and alpha are added to them, without gravity',
     )  # fmt: skip
-    parser.add_argument('--output', metavar='FILE', help='write there, not to standard output')
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
@@ -118,11 +117,7 @@ def _run(arguments: argparse.Namespace) -> int:
         with slow_notice('throw'):
             prediction = predict(settings, given.get('model', MODELS))
         text = to_json(prediction) if 'json' in given else table(prediction)
-    if 'output' in given:
-        with naming(given['output']):
-            Path(given['output']).write_text(text, encoding='utf-8')
-    else:
-        print_text(text)
+    print_text(text)
     return 0
 
 
@@ -294,7 +289,7 @@ _CASES = {
 
 def _compute_cases(given: Mapping[str, str]) -> str:
     """Compute the first release for every row of a CSV file, and write them as one."""
-    other = sorted(given.keys() - {'cases', 'output'})
+    other = sorted(given.keys() - {'cases'})
     if other:
         options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
         option = options.get(other[0], '--' + other[0].replace('_', '-'))

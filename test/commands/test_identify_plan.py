@@ -52,27 +52,16 @@ def test_plan_goes_on_from_what_is_measured(command):
     assert len(after['throws']) < len(before['throws'])
 
 
-def test_plan_takes_lists_from_a_file_and_options_replace_them(command, write):
-    path = write('masses: [0.001, 0.002]\nthicknesses: [0.01, 0.012]\namplitudes: [0.001]\n')
-    plan = command.json('--plan', path)
-    assert len(plan['candidates']) == 4
-    plan = command.json('--plan', path, '--masses', 0.003)
-    assert {each['condition']['mass'] for each in plan['candidates']} == {0.003}
-
-
 @pytest.mark.parametrize(
     ('args', 'value'),
     [
         (('--plan', '--masses', 'heavy'), "argument --masses: projectile.mass must be .*'heavy'"),
         (('--plan', '--thicknesses', '-1'), 'argument --thicknesses: layer.thickness must be'),
-        (('--plan', 'FILE'), 'file:2: must be one of masses, .*, got .weights'),
         (('--plan', '--goal', '0'), 'argument --goal: must be finite and positive, got 0'),
         (('--plan', '--rate', 'fast'), 'argument --rate: must be finite and positive, got fast'),
         (('--plan', *HOLD_ALL), 'nothing is sought'),
-        (('FILE', '--masses', '1'), 'argument --masses: is for --plan'),
+        ((TRACKS, '--masses', '1'), 'argument --masses: is for --plan'),
     ],
 )
-def test_plan_that_cannot_be_is_refused(command, write, args, value):
-    path = write('masses: [0.001]\nweights: [1]\n')
-    message = command.refused(*(path if arg == 'FILE' else arg for arg in args))
-    assert re.search(value, message)
+def test_plan_that_cannot_be_is_refused(command, args, value):
+    assert re.search(value, command.refused(*args))

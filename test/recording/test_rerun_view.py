@@ -371,7 +371,7 @@ def test_errors_of_a_measured_throw_and_words_on_its_track_are_shown(tmp_path) -
     assert 'Measured track' in recording.views
 
 
-@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_damaged_messages_are_counted_and_the_rest_is_shown(twin, path, data) -> None:
     messages = list(twin.messages[:60])
@@ -409,9 +409,9 @@ def test_only_topics_of_a_twin_are_shown() -> None:
     assert not is_shown('/recorder/status', 'diagnostic_msgs/msg/DiagnosticArray')
 
 
-def test_lines_of_the_log_are_at_their_step_where_time_is_simulated(twin, tmp_path) -> None:
+def test_lines_of_the_log_are_at_their_step_where_time_is_simulated(tmp_path) -> None:
     """Lines are stamped by the clock of the machine."""
-    ahead = 10**15
+    twin, ahead = TwinMessages(throw__period=0.2).go(300), 10**15
     messages = [
         each._replace(publish_time=each.publish_time + ahead, log_time=each.log_time + ahead)
         for each in twin.messages

@@ -47,10 +47,12 @@ measured_throw: Any = runpy.run_path(str(HERE.parent / 'twin' / 'rigs.py'))['mea
 
 
 def one_throw(steps: int, **request: Any) -> Any:
-    """Give a twin whose throw begins with the first step."""
+    """Give a twin whose throw begins with the first step, and what a reader reads of it."""
     twin = TwinMessages(throw__period=0, **request)
     twin.session.request_throw()
-    return twin.go(steps)
+    twin.go(steps)
+    twin.read = Read(twin.messages)
+    return twin
 
 
 @pytest.fixture(scope='module')
@@ -67,7 +69,9 @@ def real() -> Any:
 def measured() -> Any:
     """Give one throw of a measured plate."""
     twin = TwinMessages(engine__motion='measured')
-    return twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1))
+    twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1))
+    twin.read = Read(twin.messages)
+    return twin
 
 
 class Read:
@@ -138,7 +142,7 @@ def stamps_of_steps(twin: Any, steps: Sequence[int]) -> list[int]:
 
 
 def test_work_of_the_plate_is_conserved_in_projectile_and_layer(slow) -> None:
-    read = Read(slow.messages)
+    read = slow.read
     stamps, plate_work = joined(read.states, 'stamps'), joined(read.states, 'plate_work')
     layers = [*read.layers, *(layer for _, layer in read.throws)]
     assert sum(layer.stamps.size for layer in layers) > 200
@@ -153,7 +157,7 @@ def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
     rise = throw.first_release.position - (throw.rig.layer.thickness - throw.rig.static_sag)
     projectile_energy = mass * (0.5 * throw.ejection_speed**2 + gravity * rise)
     release = slow.pace.time_ns + throw.ejection_time * 1e9 / 0.01
-    read = Read(slow.messages)
+    read = slow.read
     layers = [layer for _, layer in read.throws]
     for found, name, expected, tolerance in (
         (read.states, 'plate_work', throw.energies.plate_work, 1e-5),
@@ -162,17 +166,6 @@ def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
     ):
         at_release = np.interp(release, joined(found, 'stamps'), joined(found, name))
         assert at_release == pytest.approx(expected, rel=tolerance), name
-
-
-def test_work_begins_anew_with_every_throw() -> None:
-    twin = TwinMessages(throw__period=0.2, rate__field=10.0).go(500)
-    states = Read(twin.messages).states
-    work, stamps = joined(states, 'plate_work'), joined(states, 'stamps')
-    first, second = np.searchsorted(stamps, stamps_of_steps(twin, [200, 400]))
-    assert work[first] == work[second] == 0.0
-    np.testing.assert_allclose(work[first:first + 90], work[second:second + 90], atol=1e-12)
-    assert work[first + 10] > 1e-3
-    assert np.isnan(work[second - 50])  # being put back
 
 
 def test_work_converges_with_the_square_of_the_step() -> None:
@@ -185,7 +178,7 @@ def test_work_converges_with_the_square_of_the_step() -> None:
     scales, errors = (0.4, 0.2, 0.1, 0.05, 0.025), []
     for scale in scales:
         twin = one_throw(round(7.6 / scale), time_scale=scale, rate__field=10.0)
-        plate_work = joined(Read(twin.messages).states, 'plate_work')
+        plate_work = joined(twin.read.states, 'plate_work')
         exact = np.interp(np.arange(plate_work.size) * 1e-3 * scale, time, work)
         errors.append(np.abs(plate_work - exact).max())
     order, _ = np.polyfit(np.log(scales), np.log(errors), 1)
@@ -203,8 +196,8 @@ def test_layer_is_that_of_the_session_in_new_and_former_bags(slow) -> None:
         for stamp, row in zip(stamps, strain, strict=True)
     ]
     former += [each for each in slow.messages if '/layer/' not in each.channel.topic]
-    for messages in (slow.messages, sorted(former, key=lambda message: message.log_time)):
-        found = Read(messages).layers
+    former.sort(key=lambda message: message.log_time)
+    for found in (slow.read.layers, Read(former).layers):
         assert joined(found, 'stamps').tolist() == stamps
         np.testing.assert_allclose(joined(found, 'height'), height, atol=2e-6)
         assert np.abs(joined(found, 'strain') - strain).mean() < 1e-3
@@ -212,7 +205,7 @@ def test_layer_is_that_of_the_session_in_new_and_former_bags(slow) -> None:
 
 
 def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None:
-    read = Read(slow.messages)
+    read = slow.read
     (field,), ((position, layer),) = read.fields, read.throws
     (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_allclose(field.times, shown.times, rtol=1e-12, atol=1e-15)
@@ -227,7 +220,7 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
 
 def test_positions_between_states_are_those_of_the_model(real) -> None:
     """A cubic between steps of 1 ms, of which a contact has eight."""
-    read = Read(real.messages)
+    read = real.read
     (field,), ((position, _),) = read.fields, read.throws
     path = simulate(Rig(), until=0.02).trajectory(field.times)
     np.testing.assert_allclose(position[:, 0], path.plate_position, atol=2e-7)
@@ -235,7 +228,7 @@ def test_positions_between_states_are_those_of_the_model(real) -> None:
 
 
 def test_batches_do_not_matter(real) -> None:
-    one = Read(real.messages).states
+    one = real.read.states
     for batch in (7, 100):
         many = Read(real.messages, batch=batch).states
         for name in ('stamps', 'plate_work', 'projectile_energy'):
@@ -285,7 +278,7 @@ def test_lines_of_no_journal_are_refused_as_damage_is(real, line) -> None:
 
 
 def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> None:
-    found = Read(measured.messages).positions
+    found = measured.read.positions
     (truth, predicted) = (found[topic] for topic in AUXILIARY[:2])
     times, positions = joined(predicted, 0), joined(predicted, 1)
     stamps, heights = joined(truth, 0), joined(truth, 1)
@@ -299,7 +292,7 @@ def test_measured_throw_starts_with_the_plate_and_a_lost_result_is_in_the_journa
     measured,
 ) -> None:
     results = [each for each in measured.messages if each.channel.topic != '/twin/throw_result']
-    (field,), (whole,) = Read(results).fields, Read(measured.messages).fields
+    (field,), (whole,) = Read(results).fields, measured.read.fields
     assert field.stamps[0] == pytest.approx(measured.pace.time_ns + 50_000_000, abs=5000)
     assert field.times[-1] == pytest.approx(1.5 * field.ejection_time)
     assert field.ejection_time == pytest.approx(whole.ejection_time, rel=1e-12)
