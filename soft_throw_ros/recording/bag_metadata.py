@@ -16,10 +16,10 @@
 from __future__ import annotations
 
 import functools
-import os
 from pathlib import Path
 from typing import Any
 
+from soft_throw_ros.configuration.atomic_file import atomic_file
 import yaml
 
 METADATA_FILE = 'metadata.yaml'
@@ -38,19 +38,10 @@ def dump_yaml(data: Any) -> str:
     return text
 
 
-def write_metadata(path: Path, information: dict[str, Any], *, sync: bool) -> None:
+def write_metadata(path: Path, information: dict[str, Any]) -> None:
     """Replace the file of a bag at once; OSError if that cannot be done."""
-    temporary = path.with_suffix('.yaml.tmp')
-    try:
-        with temporary.open('w', encoding='utf-8') as file:
-            file.write(dump_yaml({_KEY: information}))
-            file.flush()
-            if sync:
-                os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_file(path) as unfinished:
+        unfinished.write_text(dump_yaml({_KEY: information}), encoding='utf-8')
 
 
 def read_metadata(path: Path) -> dict[str, Any]:

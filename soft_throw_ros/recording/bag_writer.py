@@ -310,7 +310,7 @@ class BagWriter:
                 file.save(sync=self._sync)
             if self._described < len(self._files):
                 path = self.folder / METADATA_FILE
-                write_metadata(path, self._information(), sync=self._sync)
+                write_metadata(path, self._information())
                 if self._sync:
                     os.fsync(self._lock)  # that there are such files
                 self._described = len(self._files)

@@ -19,9 +19,7 @@ import math
 
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
 from rosbags.typesys import get_typestore, Stores
-from sensor_msgs.msg import JointState
 from soft_throw_ros.recording.cdr import (
     decode,
     decode_joint_states,
@@ -60,18 +58,6 @@ def test_joint_state_bytes_are_canonical(typestore, frame, names, series) -> Non
     canonical = bytes(typestore.serialize_cdr(message, 'sensor_msgs/msg/JointState'))
     encoder = JointStateEncoder(frame, names, series=series)
     assert encoder.encode(STAMP, values.ravel().tolist()) == canonical
-
-
-@pytest.mark.filterwarnings('ignore::DeprecationWarning')  # what rclpy imports is obsolete
-def test_joint_state_bytes_are_read_by_ros() -> None:
-    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
-    encoder.encode(0, State(*[math.nan] * 6))
-    message = deserialize_message(encoder.encode(STAMP, STATE), JointState)
-    stamp = message.header.stamp
-    assert stamp.sec * 10**9 + stamp.nanosec == STAMP
-    assert message.header.frame_id == 'rig'
-    assert list(message.name) == ['plate', 'projectile']
-    assert (*message.position, *message.velocity, *message.effort) == STATE
 
 
 @pytest.mark.parametrize('dimensions', [{}, {'y': 0}, {'y': 64}, {'t': 3, 'y': 5}, {'abc': 1}])

@@ -39,7 +39,7 @@ from test.recording.recordings import record, Recording  # noqa: E402, I100
 
 from soft_throw_ros.commands.rerun_output import new_stream, save_recording  # noqa: E402
 from soft_throw_ros.recording import rerun_canvas  # noqa: E402
-from soft_throw_ros.recording.rerun_view import is_shown, Scene  # noqa: E402
+from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
 
 HERE = Path(__file__).parent
 TwinMessages: Any = runpy.run_path(str(HERE / 'twin_messages.py'))['TwinMessages']
@@ -398,15 +398,6 @@ def test_joint_states_of_other_machines_are_neither_shown_nor_damage(twin, tmp_p
     scene = Scene('test')
     record(tmp_path / 'a.rrd', scene, [Message(twin.channels[name], arm, 1, 1)])
     assert (scene.damaged, scene.is_empty) == (0, True)
-
-
-def test_only_topics_of_a_twin_are_shown() -> None:
-    assert is_shown('/a/b/joint_states', 'sensor_msgs/msg/JointState')
-    assert is_shown('/a/b/layer/strain', 'std_msgs/msg/Float64MultiArray')
-    assert not is_shown('/a/joint_states', 'std_msgs/msg/String')
-    assert not is_shown('/my_joint_states', 'sensor_msgs/msg/JointState')
-    assert not is_shown('/scan', 'sensor_msgs/msg/LaserScan')
-    assert not is_shown('/recorder/status', 'diagnostic_msgs/msg/DiagnosticArray')
 
 
 def test_lines_of_the_log_are_at_their_step_where_time_is_simulated(tmp_path) -> None:
