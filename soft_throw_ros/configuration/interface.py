@@ -46,7 +46,7 @@ TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # more than are published at once, so that no late subscriber misses one
 _ONE_SECOND = 5000  # of ticks at the highest rate
-_OF_A_JOURNAL = 1000  # four minutes; whoever comes later begins with a throw, as it can
+_OF_A_JOURNAL = 1000  # four minutes; the line of every throw has all that a later subscriber needs
 _AFTER_A_STALL = 5000  # a second of measurements at the usual rate, which may come at once
 
 
