@@ -21,7 +21,16 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from reference import method_of_lines, normal_modes
-from reference.cases import EXACT, FREQUENCY, log_uniform, make_paper_rig, make_rig, order, STRAINS
+from reference.cases import (
+    EXACT,
+    FREQUENCY,
+    log_uniform,
+    make_paper_rig,
+    make_rig,
+    order,
+    released,
+    STRAINS,
+)
 from reference.method_of_steps import follow
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -77,13 +86,9 @@ LOSSY_RATIOS = {
 LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
 
 
-def throw(rig, periods=4.0, **options):
+def throw(rig, **options):
     """Advance until the projectile has left, and return the stepper."""
-    stepper = CellStepper(rig, **options)
-    for quarter in range(1, round(4 * periods) + 1):
-        if stepper.advance_to(0.25 * quarter / rig.engine.frequency):
-            return stepper
-    raise AssertionError('no release')
+    return released(CellStepper(rig, **options), periods=4.0)
 
 
 @pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), SOME_EXACT)

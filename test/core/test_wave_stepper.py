@@ -19,7 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import EXACT, FREQUENCY, log_uniform, make_paper_rig, make_rig, order, STRAINS
+from reference.cases import (
+    EXACT,
+    FREQUENCY,
+    log_uniform,
+    make_paper_rig,
+    make_rig,
+    order,
+    released,
+    STRAINS,
+)
 from reference.method_of_steps import follow
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
@@ -33,19 +42,10 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.wave_stepper import first_throws, steps_per_crossing, WaveStepper
 
 
-def throw(rig, periods=12.0, **options):
-    """Advance until the projectile has left, and return that release."""
-    model = WaveStepper(rig, **options)
-    for quarter in range(1, round(4 * periods) + 1):
-        if model.advance_to(0.25 * quarter / rig.engine.frequency):
-            return model.events()[0]
-    raise AssertionError('no release')
-
-
 @pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), EXACT)
 def test_first_release_is_exact_to_1e_6(mu, kappa, zeta, phase, alpha):
     rig = make_rig(mu, kappa, zeta)
-    release = throw(rig)
+    release = released(WaveStepper(rig)).events()[0]
     assert release.time * FREQUENCY == pytest.approx(phase, abs=1e-6)
     speed = math.sqrt(alpha) * peak_velocity_ratio(zeta)
     assert release.velocity / rig.engine.speed_scale == pytest.approx(speed, abs=1e-6)
@@ -69,7 +69,7 @@ def test_first_release_agrees_with_the_closed_form(
     except ThrowUnresolvedError:
         return
     rig = make_rig(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
-    release = throw(rig, periods=exact.ejection_phase + 1.0)
+    release = released(WaveStepper(rig), exact.ejection_phase + 1.0).events()[0]
     assert release.time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=1e-6)
     assert release.velocity / rig.engine.speed_scale == pytest.approx(exact.speed, abs=1e-6)
 
@@ -181,7 +181,7 @@ def test_loads_up_to_the_first_release_are_exact(thickness, largest, at_contact)
 @pytest.mark.parametrize('ratios', [(0.01, 2.0, 0.0, 0.0), (0.6, 7.3, 0.064, 0.03), (5.0, 20.0)])
 def test_largest_strain_is_that_of_the_field(ratios):
     rig = make_rig(*ratios)
-    end = throw(rig).time
+    end = released(WaveStepper(rig)).events()[0].time
     model = WaveStepper(rig, field_points=401)
     strain = np.empty((400, 401))
     model.sample_strain(np.linspace(0.0, end, 400), strain)

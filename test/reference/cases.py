@@ -93,6 +93,14 @@ def exact_release(rig):
     )
 
 
+def released(stepper, periods=12.0):
+    """Advance a stepper until the projectile has left, and return it."""
+    for quarter in range(1, round(4 * periods) + 1):
+        if stepper.advance_to(0.25 * quarter / stepper.rig.engine.frequency):
+            return stepper
+    raise AssertionError('no release')
+
+
 def log_uniform(low, high):
     """Draw from a range of several magnitudes."""
     return st.floats(math.log(low), math.log(high)).map(math.exp)
