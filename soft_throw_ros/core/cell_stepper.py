@@ -344,7 +344,7 @@ def _spring_step(rig: Rig) -> float:
 def _choose_system(s):
     """Choose the equations of contact or of flight."""
     system = s.systems[1 if s.contact else 0]
-    s.known, s.first, s.end, s.quarter = system[0], system[1], system[2], system[3]
+    s.known, s.first, s.end, s.middle = system[0], system[1], system[2], system[3]
 
 
 @kernel

@@ -89,7 +89,7 @@ def solve(systems, nodes, step, joint, known, case):
     system = systems[0]
     cells.factorise(system, nodes, step, joint, known, case)
     chosen = system.systems[case]
-    system.known, system.first, system.end, system.quarter = (
+    system.known, system.first, system.end, system.middle = (
         chosen[0], chosen[1], chosen[2], chosen[3]
     )  # fmt: skip
     cells.solve(system, nodes, 0, case)
