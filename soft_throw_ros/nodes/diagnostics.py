@@ -75,8 +75,8 @@ class Diagnostics:
     def _timing_and_load(self) -> list[DiagnosticStatus]:
         """Tell how late the ticks were, and how much time they take."""
         session, ticker, now = self._session, self._ticker, time.monotonic()
-        lateness, ticker.lateness = ticker.lateness, []
-        compute, ticker.compute = ticker.compute, []
+        times = ticker.take_times()
+        lateness, compute = [late for late, _ in times], [taken for _, taken in times]
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()
         news, self._ticks = ticks - self._ticks, ticks

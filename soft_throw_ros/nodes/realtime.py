@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 import ctypes
 import os
@@ -126,6 +126,9 @@ class NodeClock:
 
 Clock: TypeAlias = SystemClock | NodeClock
 
+MOST_TIMES = 50_000
+"""Of so many ticks is it known what they took: ten seconds of the fastest session."""
+
 _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
 
@@ -146,8 +149,6 @@ class Ticker:
     ----------
     counts : Counter of str
         Ticks since the start, and what was wrong with them, by the names that are published.
-    lateness, compute : list of int
-        Of the ticks, until somebody takes the lists away. [ns]
     scheduler : str
         What the operating system schedules the thread by, 'fifo' or 'other'.
 
@@ -161,8 +162,7 @@ class Ticker:
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
         self.counts = Counter(dict.fromkeys(_COUNTED, 0))
-        self.lateness: list[int] = []
-        self.compute: list[int] = []
+        self._times: deque[tuple[int, int]] = deque(maxlen=MOST_TIMES)  # nobody may ask for them
         self.scheduler = ''
         self._session = session
         self._on_tick = on_tick
@@ -181,6 +181,11 @@ class Ticker:
     def has_ended(self) -> bool:
         """Whether the thread ran, and does not any more."""
         return self._thread.ident is not None and not self._thread.is_alive()
+
+    def take_times(self) -> list[tuple[int, int]]:
+        """Return how late ticks were since the last call, and what they took [ns]."""
+        times, self._times = self._times, deque(maxlen=MOST_TIMES)
+        return list(times)
 
     def describe_standstill(self) -> str:
         """Say why there are no ticks."""
@@ -215,8 +220,7 @@ class Ticker:
         while due <= now:
             begin = time.perf_counter_ns()
             self._on_tick(due)
-            self.compute.append(time.perf_counter_ns() - begin)
-            self.lateness.append(now - due)
+            self._times.append((now - due, time.perf_counter_ns() - begin))
             counts['ticks_late'] += now - due > clock.tolerance
             done += 1
             if session.rate != schedule.rate:

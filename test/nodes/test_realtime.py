@@ -20,7 +20,7 @@ import time
 from typing import Any
 
 import pytest
-from soft_throw_ros.nodes.realtime import SystemClock, Ticker
+from soft_throw_ros.nodes.realtime import MOST_TIMES, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -80,7 +80,15 @@ def test_tick_that_is_late_makes_no_other_late(bench) -> None:
     assert bench.at(104) == [(4, 104)]
     counts = bench.ticker.counts
     assert [counts[f'ticks_{name}'] for name in ('late', 'caught_up', 'skipped')] == [3, 2, 0]
-    assert bench.ticker.lateness == [0, 2_700_000, 1_700_000, 700_000, 0]
+    lateness = [late for late, _ in bench.ticker.take_times()]
+    assert lateness == [0, 2_700_000, 1_700_000, 700_000, 0]
+
+
+def test_times_that_nobody_takes_do_not_pile_up(bench) -> None:
+    for second in range(1 + MOST_TIMES // 100):
+        bench.at(1000 + 101.0 * second)
+    assert bench.ticker.counts['ticks'] > MOST_TIMES == len(bench.ticker.take_times())
+    assert bench.ticker.take_times() == []
 
 
 def test_stall_is_caught_up_within_bounds_and_the_rest_is_counted(bench) -> None:
