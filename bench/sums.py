@@ -272,6 +272,7 @@ def one_second() -> Table:
         'loss': (Layer(loss_tangent=0.05), 150.0),
         'constant loss': (Layer(loss_tangent=0.05, loss='constant'), 100.0),
         'large strain': (Layer(elasticity='neo_hookean'), 100.0),
+        'large strain and loss': (Layer(elasticity='neo_hookean', loss_tangent=0.05), 100.0),
         'large strain and constant loss': (
             Layer(elasticity='neo_hookean', loss_tangent=0.05, loss='constant'), 100.0
         ),
