@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What one would write without this package: a delay line, the paper's finite differences, SciPy.
+What one would write without this package: a delay line, finite differences, SciPy.
 
 Each is kindly done: arrays are allocated once, the moment of release is interpolated, and its
 condition is the force on the projectile, without the half cell of layer that moves with it.
@@ -75,7 +75,7 @@ class Case(NamedTuple):
         return Release(time / self.kappa, (speed / fastest) ** 2)
 
 
-# Eqs. (2)-(3) by semi-implicit Euler, the projectile rigid
+# Eqs. (2)-(3) by semi-implicit Euler
 
 
 def rigid_numba(case: Case, *, cells: int) -> Release:
@@ -268,69 +268,6 @@ def _plate(omega, zeta, time):
     angle = root * omega * time
     decay = math.exp(-zeta * omega * time)
     return 1.0 - decay * (math.cos(angle) + zeta / root * math.sin(angle))
-
-
-# the same with an elastic projectile, as in the paper
-
-
-class Bar(NamedTuple):
-    """Layer and elastic projectile: stiffness of each cell, mass of each node but the plate's."""
-
-    stiffness: np.ndarray
-    mass: np.ndarray
-    dt: float
-    cells: int  # of the layer
-
-    @classmethod
-    def of(cls, rig: Rig, *, cells: int, projectile_cells: int) -> Bar:
-        """Divide the two; the step is what the projectile's fast waves allow."""
-        layer, projectile = rig.layer, rig.projectile
-        speed = math.sqrt(
-            projectile.youngs_modulus * layer.section * projectile.length / projectile.mass
-        )
-        crossing = projectile.length / speed / rig.crossing_time
-        mu = rig.mass_ratio
-        stiffness = np.full(cells + projectile_cells, float(cells))
-        stiffness[cells:] = mu / crossing**2 * projectile_cells
-        mass = np.full(cells + projectile_cells, 1.0 / cells)
-        mass[cells:] = mu / projectile_cells
-        mass[cells - 1] = 0.5 / cells + 0.5 * mu / projectile_cells
-        mass[-1] *= 0.5
-        return cls(stiffness, mass, 0.9 * crossing / projectile_cells, cells)
-
-
-def elastic_numba(case: Case, bar: Bar) -> Release:
-    """Throw an elastic projectile, in loops that numba compiles."""
-    return case.release(*_elastic_kernel(case.mu, case.omega, case.zeta, *bar))
-
-
-@_jit
-def _elastic_kernel(mu, omega, zeta, stiffness, mass, dt, cells):
-    """First release without gravity: time and speed of the centre of mass."""
-    nodes = mass.size
-    u = np.zeros(nodes + 1)
-    v = np.zeros(nodes + 1)
-    half = 0.5 / cells
-    push = 0.0
-    for i in range(1, int(LONGEST / dt)):
-        before = push
-        below = stiffness[0] * (u[1] - u[0])
-        for j in range(1, nodes + 1):
-            above = stiffness[j] * (u[j + 1] - u[j]) if j < nodes else 0.0
-            change = (above - below) / mass[j - 1]
-            v[j] += dt * change
-            if j == cells:
-                push = -below - half * change
-            below = above
-        if push <= 0.0 < before and i * dt > 1.0:
-            momentum = -half * v[cells]
-            for j in range(cells, nodes + 1):
-                momentum += mass[j - 1] * v[j]
-            return (i - 2 + before / (before - push)) * dt, momentum / mu
-        for j in range(1, nodes + 1):
-            u[j] += dt * v[j]
-        u[0] = _plate(omega, zeta, i * dt)
-    return math.nan, math.nan
 
 
 # the method of lines with SciPy

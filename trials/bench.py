@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.identification.fit_description import PARAMETERS, values_of
 from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow, throw
 from soft_throw_ros.twin.sensor_faults import draw_chances, SensorFaults
 
@@ -37,8 +38,6 @@ MASS_ERROR = 0.01
 LENGTH_ERROR = 1e-4
 """Standard error with which thickness and diameter are known, if nothing is said. [m]"""
 
-_RATE = 5000.0  # of samples [Hz]
-_DURATION = 0.1  # of a record [s]
 _START = (14e-3, 18e-3)  # from when to when throws begin in it [s]
 _SLOWEST = 0.5  # projectile that is thrown, over the plate
 _LATEST = 1.2  # release, in plate periods
@@ -47,52 +46,17 @@ _DRAWS = 1000  # of rigs until one throws as it should
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
-    """
-    What somebody has of one throw.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (n, 3) or (n, 2)
-        Times [s], and heights of plate and projectile, or of bottom and top of a free layer, or
-        the length of one. [m]
-
-    """
-
-    columns: Floats
-
-    def csv(self, names: tuple[str, ...] = ('plate', 'projectile')) -> str:
-        """Write it as `soft-throw identify` reads it."""
-        lines = [','.join(('t', *names))]
-        lines += [','.join(f'{value:.9g}' for value in row) for row in self.columns.tolist()]
-        return '\n'.join(lines) + '\n'
-
-
-@dataclass(frozen=True, kw_only=True)
 class Trial:
-    """
-    Something to identify, and what would be right.
+    """Something to identify, and what would be right."""
 
-    Parameters
-    ----------
-    records : tuple of Record
-    arguments : tuple of str
-        Of the command, beside the files.
-    truth : mapping of str to float
-        What it should find, by the names it has for it; how the projectile left is
-        `ejection.time` and so on.
-    thicknesses : tuple of float
-        Of free layers that ring, one for each record, if it is these. [m]
-    peak_strain : float
-        Largest in the layers. [-]
-
-    """
-
-    records: tuple[Record, ...]
+    records: tuple[Floats, ...]
+    """Of each throw or layer: times [s], and heights of plate and projectile, or both ends [m]."""
     arguments: tuple[str, ...] = ()
+    """Of the command, beside the files."""
     truth: Mapping[str, float] = field(default_factory=dict)
+    """What it should find, by the names it has for it; `ejection.*` is how the projectile left."""
     thicknesses: tuple[float, ...] = ()
-    peak_strain: float = 0.0
+    """Of free layers that ring, one for each record, if it is these [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,38 +90,23 @@ class RigRange:
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """
-    How a throw is done and measured.
-
-    Parameters
-    ----------
-    rigs : RigRange
-    imperfections : Imperfections
-        Of the rig.
-    faults : SensorFaults
-        Of the sensors.
-    stiffening : float
-        Relative change of the stress at the largest strain of the throw. [-]
-    drift : float
-        Of heights over the record, over the amplitude. [-]
-    rate, duration : float
-        [Hz], [s]
-    lost_runs : float
-        Share of samples that are lost some dozens in a row. [-]
-    accept : callable
-        Whether a throw is one that is wanted.
-
-    """
+    """How a throw is done and measured."""
 
     rigs: RigRange = field(default_factory=RigRange)
     imperfections: Imperfections = field(default_factory=Imperfections)
     faults: SensorFaults = field(default_factory=lambda: SensorFaults(noise=NOISE))
     stiffening: float = 0.0
+    """Relative change of the stress at the largest strain of the throw [-]."""
     drift: float = 0.0
-    rate: float = _RATE
-    duration: float = _DURATION
+    """Of heights over the record, over the amplitude [-]."""
+    rate: float = 5000.0
+    """Of samples [Hz]."""
+    duration: float = 0.1
+    """Of a record [s]."""
     lost_runs: float = 0.0
+    """Share of samples that are lost some dozens in a row [-]."""
     accept: Callable[[ImperfectThrow], bool] = lambda _: True
+    """Whether a throw is one that is wanted."""
 
     def draw_throw(self, random: np.random.Generator) -> ImperfectThrow:
         """Throw with random rigs until one throws well enough to be of interest."""
@@ -182,7 +131,7 @@ class Bench:
             imperfections = replace(imperfections, stiffening=self.stiffening / strain)
         return throw(rig, imperfections, until=until, start=start)
 
-    def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Record:
+    def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Floats:
         """Look at a throw."""
         drift = self.drift * thrown.rig.engine.amplitude / self.duration
         faults = replace(self.faults, drift=self.faults.drift + drift)
@@ -199,7 +148,7 @@ class Bench:
         while self.lost_runs and (~is_seen).mean() < self.lost_runs:
             first = int(random.integers(time.size))
             is_seen[first:first + int(random.integers(4, 24))] = False
-        return Record(columns=columns[is_seen])
+        return np.asarray(columns[is_seen])
 
 
 def is_good(thrown: ImperfectThrow) -> bool:
@@ -221,28 +170,18 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
             break
         last = change
     peak = Underdamped.of(rig.engine).peak_velocity
-    return {
-        'engine.frequency': rig.engine.frequency,
-        'engine.damping_ratio': rig.engine.damping_ratio,
-        'engine.amplitude': rig.engine.amplitude,
-        'layer.wave_speed': rig.layer.wave_speed,
-        'layer.thickness': rig.layer.thickness,
-        'layer.loss_tangent': rig.layer.loss_tangent,
-        'layer.density': rig.layer.density,
-        'layer.diameter': rig.layer.diameter,
-        'projectile.mass': rig.projectile.mass,
+    truth = {
+        **values_of(rig, PARAMETERS),
         'projectile.scale': faults.projectile_scale,
         'projectile.delay': faults.projectile_delay,
         'projectile.sticking': thrown.imperfections.sticking,
-        'ejection.time': release.time,
-        'ejection.speed': release.velocity,
-        'ejection.peak_plate_speed': peak,
-        'ejection.energy_transfer': (release.velocity / peak) ** 2,
-        'averages.time': last.time,
-        'averages.speed': last.velocity,
-        'averages.peak_plate_speed': peak,
-        'averages.energy_transfer': (last.velocity / peak) ** 2,
     }
+    for how, change in (('ejection', release), ('averages', last)):
+        truth[f'{how}.time'] = change.time
+        truth[f'{how}.speed'] = change.velocity
+        truth[f'{how}.peak_plate_speed'] = peak
+        truth[f'{how}.energy_transfer'] = (change.velocity / peak) ** 2
+    return truth
 
 
 def known_of(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, ...]:

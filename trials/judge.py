@@ -61,33 +61,17 @@ class Deviation(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """
-    What became of a trial.
-
-    Parameters
-    ----------
-    row : str
-    number : int
-    refusal : str
-        Why the command refused it; empty if it did not.
-    warnings : tuple of str
-    found : mapping of str to Deviation
-        Parameters by the names of the twin, `ejection.time` and so on by the model, and
-        `averages.time` and so on by running averages.
-    seconds : float
-        That it took. [s]
-    peak_strain : float
-        [-]
-
-    """
+    """What became of a trial."""
 
     row: str
     number: int
     refusal: str = ''
+    """Why the command refused it; empty if it did not."""
     warnings: tuple[str, ...] = ()
     found: Mapping[str, Deviation]
+    """Names are those of the twin; `ejection.*` is by the model, `averages.*` without one."""
     seconds: float
-    peak_strain: float = 0.0
+    """That it took."""
 
     @property
     def wrong(self) -> list[str]:
@@ -102,19 +86,9 @@ class Verdict:
 
 def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
     """
-    Draw one trial of a row and have the command identify it.
+    Draw a trial of the row of that name, and have the command identify it.
 
-    Parameters
-    ----------
-    name : str
-        Of the row.
-    number : int
-        Of the trial in it.
-    seed : int
-        The same one gives the same trials.
-    kept : str
-        Folder into which to put files and a command line; none by default.
-
+    The same seed gives the same trials. Files and a command line are kept in a folder, if any.
     """
     random = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
     trial = ROWS_BY_NAME[name].draw(random)
@@ -139,19 +113,17 @@ def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
         warnings=tuple(report.get('warnings', ())),
         found=_compare(report, trial.truth),
         seconds=seconds,
-        peak_strain=trial.peak_strain,
     )
 
 
 def _write(trial: Trial, folder: Path) -> list[str]:
     """Write the files, and return the arguments that name them."""
     arguments = []
+    bodies = 'bottom,top' if trial.thicknesses else 'plate,projectile'
     for number, record in enumerate(trial.records):
         path = folder / f'{number + 1}.csv'
-        is_layer = bool(trial.thicknesses)
-        names = ('bottom', 'top') if is_layer else ('plate', 'projectile')
-        path.write_text(record.csv(names), encoding='utf-8')
-        if is_layer:
+        np.savetxt(path, record, '%.9g', ',', header=f't,{bodies}', comments='')
+        if trial.thicknesses:
             arguments += ['--free-layer', f'{trial.thicknesses[number]:.9g}']
         arguments.append(str(path))
     return arguments
@@ -171,20 +143,14 @@ def _identify(arguments: list[str]) -> tuple[dict[str, Any], str]:
 
 def _compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Deviation]:
     """Compare all that was found with what is right."""
-    found = dict(report.get('found', {}))
-    for name, value in (report.get('ejection') or {}).items():
-        found[f'ejection.{name}'] = value
     throws = report.get('throws', [])
-    for name, value in (
-        (throws[0].get('running_averages') if len(throws) == 1 else {}) or {}
-    ).items():
-        found[f'averages.{name}'] = value
-    return {
-        name: Deviation(
-            value['value'],
-            math.inf if value['error'] is None else value['error'],
-            truth[name],
-        )
-        for name, value in found.items()
-        if name in truth and value and value['value'] is not None
-    }
+    averages = throws[0]['running_averages'] if len(throws) == 1 else None
+    found = dict(report.get('found', {}))
+    for how, results in (('ejection', report.get('ejection')), ('averages', averages)):
+        found |= {f'{how}.{name}': value for name, value in (results or {}).items()}
+    deviations = {}
+    for name, value in found.items():
+        if name in truth and value and value['value'] is not None:
+            error = math.inf if value['error'] is None else value['error']
+            deviations[name] = Deviation(value['value'], error, truth[name])
+    return deviations

@@ -25,7 +25,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import HELD
 from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow
 from soft_throw_ros.twin.sensor_faults import SensorFaults
-from trials.bench import Bench, known_of, NOISE, Record, RigRange, Trial, truth_of
+from trials.bench import Bench, Floats, known_of, NOISE, RigRange, Trial, truth_of
 
 Random: TypeAlias = np.random.Generator
 
@@ -50,7 +50,6 @@ def _try(bench: Bench, random: Random, *arguments: str, is_exact: bool = False) 
         records=(bench.measure(thrown, random),),
         arguments=(*known_of(thrown.rig, None if is_exact else random), *arguments),
         truth=truth_of(thrown, bench.faults),
-        peak_strain=thrown.peak_strain,
     )
 
 
@@ -67,9 +66,9 @@ def _measured_with(**faults: float) -> Callable[[Random], Trial]:
 def _one_spike(random: Random) -> Trial:
     """Try a clean throw with one height that is 3 mm off."""
     trial = _one_throw(Bench())(random)
-    columns = trial.records[0].columns.copy()
-    columns[random.integers(len(columns)), random.integers(1, 3)] += random.choice([-3e-3, 3e-3])
-    return replace(trial, records=(Record(columns=columns),))
+    record = trial.records[0].copy()
+    record[random.integers(len(record)), random.integers(1, 3)] += random.choice([-3e-3, 3e-3])
+    return replace(trial, records=(record,))
 
 
 def _badly_known(random: Random) -> Trial:
@@ -137,7 +136,7 @@ def _free_layers(losses: tuple[float, ...]) -> Callable[[Random], Trial]:
     return draw
 
 
-def _ring(random: Random, crossing: float, loss: float, thickness: float) -> Record:
+def _ring(random: Random, crossing: float, loss: float, thickness: float) -> Floats:
     """Let go of a layer that was squeezed evenly: the sum of its modes, each with its loss."""
     start, omega_1 = 5e-3, math.pi / crossing
     duration = start + _RINGING_PERIODS * 2.0 * crossing
@@ -156,7 +155,7 @@ def _ring(random: Random, crossing: float, loss: float, thickness: float) -> Rec
     change[time < start] = -1.0
     top = thickness * (1.0 + _SQUEEZED * change) + NOISE * random.standard_normal(time.size)
     bottom = NOISE * random.standard_normal(time.size)
-    return Record(columns=np.column_stack([time, bottom, top]))
+    return np.column_stack([time, bottom, top])
 
 
 def _catches_up(thrown: ImperfectThrow) -> bool:

@@ -169,7 +169,7 @@ def _thin_and_thick() -> tuple[Row, ...]:
 
 def _limits() -> tuple[Row, ...]:
     """Apps. A to C: the massless spring, the free layer, and thick layers."""
-    ratio = spring_mass.best_frequency_ratio()
+    ratio = limits.best_frequency_ratio()
     spring = spring_mass.first_release(frequency_ratio=ratio)
     small, medium, large = 0.01, 0.1, 1e5
     lighter = limits.exact(small).energy_transfer

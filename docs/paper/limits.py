@@ -29,6 +29,7 @@ from matplotlib.figure import Figure
 from models import first_releases, spring_mass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 from style import BLACK, BLUE, broken, GREEN, legend_below, new_figure, ORANGE, PAPER, RED, SKY
 
 Floats = NDArray[np.float64]
@@ -137,6 +138,17 @@ def draw_thick_layer() -> Figure:
     return figure
 
 
+def best_frequency_ratio() -> float:
+    """Find the f_0 / f of a massless spring that transfers the most energy, from (A4)."""
+
+    def slope(q: float) -> float:
+        """Compute the logarithmic derivative of the speed."""
+        angle = 2.0 * math.pi / (q + 1.0)
+        return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
+
+    return float(brentq(slope, 1.1, 2.9, xtol=1e-15))
+
+
 def draw_spring() -> Figure:
     """Draw Fig. 7: the massless spring, and layers with less and less mass beside it."""
     figure = new_figure(
@@ -155,7 +167,7 @@ def draw_spring() -> Figure:
         label = rf'layer, $\mu = m/\rho_s S L_s$ = {mu:g}'
         panels[0].plot(ratio, broken(layer.ejection_phase), color=color, label=label)
         panels[1].plot(ratio, broken(layer.energy_transfer), color=color, label=label)
-    best = spring_mass.best_frequency_ratio()
+    best = best_frequency_ratio()
     for axes, values in (
         (panels[0], spring.ejection_phase),
         (panels[1], spring.energy_transfer),

@@ -46,6 +46,7 @@ TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # more than are published at once, so that no late subscriber misses one
 _ONE_SECOND = 5000  # of ticks at the highest rate
+_OF_A_JOURNAL = 1000  # four minutes; the line of every throw has all that a later subscriber needs
 _AFTER_A_STALL = 5000  # a second of measurements at the usual rate, which may come at once
 
 
@@ -168,7 +169,7 @@ class TwinTopics(NamedTuple):
         'Energy transfer factor alpha that the recommended layer gives', is_latched=True)
     journal: Topic = Topic(
         '~/journal', TEXT, 'All that is needed to repeat the run, as lines of JSON',
-        depth=_ONE_SECOND, is_latched=True)
+        depth=_OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
         'The projectile as far ahead as it is known when the plate is measured, stamped with that '

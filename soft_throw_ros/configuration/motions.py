@@ -114,7 +114,7 @@ def remember(motions: dict[str, str]) -> None:
         try:
             data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), _BYTES)
             rows = np.frombuffer(data, '<f8').reshape(-1, 4)
-            motion = SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy(), 'hold')
+            motion = SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy())
         except (TypeError, ValueError, zlib.error) as error:
             raise ValueError(f'no motion of {path} can be read, {error}') from error
         known = _remembered.get(path)
@@ -149,7 +149,7 @@ def _motion(name: str, times: Floats, states: Floats) -> SampledMotion:
             return SampledMotion.from_record(times, states[:, 0])
         _require_rest(states)
         states[:, 0] -= states[0, 0]
-        return SampledMotion(times - times[0], states, 'hold')
+        return SampledMotion(times - times[0], states)
     except ValueError as error:
         raise ParameterError(f'{name}: {error}', PARAMETER) from None
 

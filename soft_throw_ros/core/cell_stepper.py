@@ -102,7 +102,14 @@ from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, reducti
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion
-from soft_throw_ros.core.plate_kernels import BLOCK, DAMPED, motion_at, PLATE, write_underdamped
+from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
+    DAMPED,
+    motion_at,
+    PLATE,
+    start_block,
+    write_underdamped,
+)
 from soft_throw_ros.core.rig import Rig, Stack
 from soft_throw_ros.core.stepper import (
     BACKWARDS,
@@ -198,8 +205,6 @@ _CORE = np.dtype(
         # how the plate moves, and where it has got to
         *PLATE,
         ('slope', 'f8'),  # growth over turn
-        ('cosine', 'f8'),  # decayed, at the start of the block
-        ('sine', 'f8'),
         ('plate_acceleration', 'f8'),
         # where the grid has got to
         ('time', 'f8'),
@@ -339,7 +344,7 @@ def _spring_step(rig: Rig) -> float:
 def _choose_system(s):
     """Choose the equations of contact or of flight."""
     system = s.systems[1 if s.contact else 0]
-    s.known, s.first, s.end, s.quarter = system[0], system[1], system[2], system[3]
+    s.known, s.first, s.end, s.middle = system[0], system[1], system[2], system[3]
 
 
 @kernel
@@ -497,7 +502,7 @@ def _drive(s, nodes, path):
     """Move an underdamped plate by rotations of a phasor, evaluated anew for every block."""
     k = s.index & (BLOCK - 1)
     if k == 0:
-        _start_block(s)
+        start_block(s, s.index)
     real = s.cosine * path[0, k] - s.sine * path[1, k]
     imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
     height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
@@ -524,15 +529,6 @@ def _move_plate(s, nodes, height, speed, acceleration):
         nodes[VELOCITY, 1] = nodes[VELOCITY, 0]
     elif s.is_massless and not s.contact:
         _creep(s, nodes, w, s.below_before - before)
-
-
-@part
-def _start_block(s):
-    """Evaluate the phasor of an underdamped plate."""
-    time = s.index * s.step
-    fading = s.growth * time
-    size = 0.0 if fading < -600.0 else math.exp(fading)
-    s.cosine, s.sine = size * math.cos(s.turn * time), size * math.sin(s.turn * time)
 
 
 @part
@@ -590,6 +586,20 @@ def _weigh(s, nodes):
 
 
 @part
+def _first_root(a, b, c, d):
+    """Find where in a step a + b x + c x^2 + d x^3 falls below 0, until no number is between."""
+    low, high = 0.0, 1.0
+    while True:
+        x = 0.5 * (low + high)
+        if not low < x < high:
+            return x
+        if a + x * (b + x * (c + x * d)) < 0.0:
+            high = x
+        else:
+            low = x
+
+
+@part
 def _leave(s, nodes, events):
     """Let go, now that the force is below zero."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -598,15 +608,7 @@ def _leave(s, nodes, events):
     third = (after - first + 3.0 * (earlier - before)) / 6.0
     second = 0.5 * (earlier + after) - before
     slope = after - before - second - third
-    low, high = 0.0, 1.0
-    while True:  # bisect until no number is between
-        part = 0.5 * (low + high)
-        if not low < part < high:
-            break
-        if before + part * (slope + part * (second + part * third)) < 0.0:
-            high = part
-        else:
-            low = part
+    part = _first_root(before, slope, second, third)
     # What the force less the weight does from half of the step on, where the mean velocity of the
     # step is that at its middle and a 24th of its bend
     impulse = (before - s.thrown * s.gravity) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
@@ -625,15 +627,7 @@ def _land(s, nodes, events):
     u, v, before = nodes[DISPLACEMENT], nodes[VELOCITY], nodes[MEAN_VELOCITY + 1 - (s.index & 1)]
     gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
-    low, high = 0.0, 1.0
-    while True:  # bisect until no number is between
-        part = 0.5 * (low + high)
-        if not low < part < high:
-            break
-        if gap + part * (closed - gap) - bend * part * (1.0 - part) < 0.0:
-            high = part
-        else:
-            low = part
+    part = _first_root(gap, closed - gap - bend, bend, 0.0)
     face = s.cells + 1
     height = u[face] - s.step * (1.0 - part) * (v[face] + part * (v[face] - before[face]))
     velocity = _speed_of_thrown(s, nodes) - s.gravity * s.step * (part - 0.5)

@@ -28,9 +28,8 @@ that is implicit.
 
 What is implicit couples neighbouring accelerations: with c of each link, the matrix
 :math:`M + \sum c\, (1, -1)^T (1, -1)`. It is tridiagonal and constant, so its factors are computed
-once. A node is eliminated towards its neighbour; both directions are used, because each is a chain
-of operations that wait for each other: the nodes are divided by a separator into two parts, each
-of which is eliminated from both its ends, so that four chains go side by side.
+once. Nodes are eliminated from both ends towards the middle, because each direction is a chain of
+operations that wait for each other, and two such chains go side by side.
 
 """
 
@@ -87,8 +86,6 @@ MAX_PROJECTILE_CELLS = 1 << 15
     _MOMENTUM_IN_CONTACT,  # that is coupled to none the velocity itself
     IMPULSE,
     _IMPULSE_IN_CONTACT,
-    RESPONSE,  # velocity over that of the separator
-    _RESPONSE_IN_CONTACT,
     INVERSE,  # one over the height of a cell of the layer, 0 for other links
     REST,  # height of the layer's nodes at rest
     BURDEN,  # what a cell of the layer carries at rest, ...
@@ -99,14 +96,14 @@ MAX_PROJECTILE_CELLS = 1 << 15
     SPEED,
     FORCE,
     ROWS,
-) = range(47)
+) = range(45)
 
 SOLVER = [
     ('systems', 'i8', (2, 4)),  # what follows, in flight and in contact
     ('known', 'i8'),  # highest node whose motion is given
     ('first', 'i8'),  # of the nodes that are coupled
     ('end', 'i8'),
-    ('quarter', 'i8'),  # length of the four chains, 0 for one chain from the top down
+    ('middle', 'i8'),  # in which both chains meet
     ('first_stiff', 'i8'),  # link that is too fast for the step
     ('last_stiff', 'i8'),
 ]
@@ -122,7 +119,6 @@ a linear one; and its parts of the stiffness: of the spring, and of each Maxwell
 _AVERAGE_ACCELERATION = 0.25  # Newmark's parameter, for cells that are too fast for the step
 _FEWEST_PROJECTILE_CELLS = 2
 _ROUNDING = 1e-9
-_SHORTEST = 16  # row of coupled nodes that is worth four chains
 _DAMPED = 1.055  # by which artificial viscosity shortens the step
 _SHOCK = 1.0  # of the density: the artificial viscosity
 
@@ -357,7 +353,6 @@ def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: 
     rigid = joint if case == 1 else -1
     last = nodes.shape[1] - 1
     mass, coupling = nodes[MASS], nodes[COUPLING + case]
-    gain, response = nodes[GAIN + case], nodes[RESPONSE + case]
     low, high = last, -1
     s.first_stiff, s.last_stiff = last, -1
     for j in range(last):
@@ -376,28 +371,11 @@ def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: 
         nodes[IMPULSE + case, j] = 0.5 * step
         if not is_coupled:
             nodes[IMPULSE + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
-    count = end - first + 1
-    quarter = (count - 3) // 4 if count >= _SHORTEST else 0
-    separator = first + 2 * quarter + 1
-    if separator in (rigid, rigid + 1):  # which must be eliminated itself
-        quarter = 0
+    middle = (first + end) // 2
     system = s.systems[case]
-    system[0], system[1], system[2], system[3] = known, first, end, quarter
-    if quarter == 0:
-        if count > 0:
-            _eliminate(nodes, case, first, first, end, rigid)
-        return
-    below, above = separator - 1, separator + 1
-    _eliminate(nodes, case, first, first + quarter, below, rigid)
-    _eliminate(nodes, case, above, above + quarter, end, rigid)
-    # The separator's own equation, after what its acceleration does to both parts
-    for j in range(last + 1):
-        response[j] = 0.0
-    response[below], response[above] = coupling[below], coupling[separator]
-    _substitute(nodes, RESPONSE + case, case, first, end, quarter)
-    pivot = mass[separator] + coupling[below] * (1.0 - response[below])
-    gain[separator] = 1.0 / (pivot + coupling[separator] * (1.0 - response[above]))
-    response[separator] = 1.0
+    system[0], system[1], system[2], system[3] = known, first, end, middle
+    if first <= end:
+        _eliminate(nodes, case, first, middle, end, rigid)
 
 
 @part
@@ -442,53 +420,41 @@ def _go_down(nodes, x, share, j, a, here, next_):
 
 
 @inlined
-def _substitute(nodes, x, case, first, end, quarter):
-    """Solve the two parts beside the separator for row x, in four chains side by side."""
+def _substitute(nodes, x, case, first, middle, end):
+    """Solve for row x, from both ends to the middle and back, side by side."""
     # Unsigned, since any other index is looked at whether it counts from the end
-    one, first, end, quarter = np.uintp(1), np.uintp(first), np.uintp(end), np.uintp(quarter)
+    one, two = np.uintp(1), np.uintp(2)
+    first, middle = np.uintp(first), np.uintp(middle)
     share, gain = SHARE + case, GAIN + case
-    separator = first + quarter + quarter + one
-    low, high = first + quarter, separator + one + quarter
-    rest = high + quarter
-    for j in range(int(end), int(rest), -1):
-        nodes[x, j - 1] += nodes[share, j - 1] * nodes[x, j]
-    two = np.uintp(2)
-    odd = quarter & one  # the outermost node of each chain, if it is one too many
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    length = middle - first
+    top = middle + length  # of chains of one length
+    if end > int(top):
+        nodes[x, top] += nodes[share, top] * nodes[x, top + one]
+    odd = length & one  # the outermost node of each chain, if it is one too many
+    a, b = 0.0, 0.0
     if odd:
-        a, b = nodes[x, first], nodes[x, separator - one]
-        c, d = nodes[x, separator + one], nodes[x, rest]
-    for i in range(odd, quarter, two):
-        j, k, m, n = first + i, separator - one - i, separator + one + i, rest - i
+        a, b = nodes[x, first], nodes[x, top]
+    for i in range(odd, length, two):
+        j, k = first + i, top - i
         a = _go_up(nodes, x, share, j, a, nodes[x, j], nodes[x, j + one])
         b = _go_down(nodes, x, share, k, b, nodes[x, k], nodes[x, k - one])
-        c = _go_up(nodes, x, share, m, c, nodes[x, m], nodes[x, m + one])
-        d = _go_down(nodes, x, share, n, d, nodes[x, n], nodes[x, n - one])
-    a = nodes[x, low] + nodes[share, low - one] * a + nodes[share, low] * b
-    c = nodes[x, high] + nodes[share, high - one] * c + nodes[share, high] * d
-    a *= nodes[gain, low]
-    c *= nodes[gain, high]
-    nodes[x, low], nodes[x, high] = a, c
-    b, d = a, c
-    for i in range(one, quarter, two):
-        j, k, m, n = low - i, low + i, high - i, high + i
+    a = nodes[x, middle] + nodes[share, middle - one] * a + nodes[share, middle] * b
+    a *= nodes[gain, middle]
+    b = nodes[x, middle] = a
+    for i in range(one, length, two):
+        j, k = middle - i, middle + i
         y, z = nodes[gain, j] * nodes[x, j], nodes[gain, j - one] * nodes[x, j - one]
         a = _go_down(nodes, x, share, j, a, y, z)
         y, z = nodes[gain, k] * nodes[x, k], nodes[gain, k + one] * nodes[x, k + one]
         b = _go_up(nodes, x, share, k, b, y, z)
-        y, z = nodes[gain, m] * nodes[x, m], nodes[gain, m - one] * nodes[x, m - one]
-        c = _go_down(nodes, x, share, m, c, y, z)
-        y, z = nodes[gain, n] * nodes[x, n], nodes[gain, n + one] * nodes[x, n + one]
-        d = _go_up(nodes, x, share, n, d, y, z)
     if odd:
-        j, k, m, n = first, separator - one, separator + one, rest
-        a = nodes[gain, j] * nodes[x, j] + nodes[share, j] * a
-        b = nodes[gain, k] * nodes[x, k] + nodes[share, k - one] * b
-        c = nodes[gain, m] * nodes[x, m] + nodes[share, m] * c
-        d = nodes[gain, n] * nodes[x, n] + nodes[share, n - one] * d
-        nodes[x, j], nodes[x, k], nodes[x, m], nodes[x, n] = a, b, c, d
-    for j in range(int(rest) + 1, int(end) + 1):
-        nodes[x, j] = nodes[gain, j] * nodes[x, j] + nodes[share, j - 1] * nodes[x, j - 1]
+        nodes[x, first] = nodes[gain, first] * nodes[x, first] + nodes[share, first] * a
+        b = nodes[gain, top] * nodes[x, top] + nodes[share, top - one] * b
+        nodes[x, top] = b
+    if end > int(top):
+        nodes[x, top + one] = (
+            nodes[gain, top + one] * nodes[x, top + one] + nodes[share, top] * nodes[x, top]
+        )
 
 
 @inlined
@@ -505,7 +471,7 @@ def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
         MOMENTUM + case,
         IMPULSE + case,
     )
-    known, first, end, quarter = s.known, s.first, s.end, s.quarter
+    known, first, end, middle = s.known, s.first, s.end, s.middle
     given = nodes[w, known]
     for j in range(1, nodes.shape[1]):
         force = nodes[stress, j] - nodes[stress, j - 1]
@@ -519,21 +485,4 @@ def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
         if j > known:
             nodes[w, j] -= part
     nodes[w, first] += nodes[COUPLING + case, first - 1] * nodes[w, first - 1]
-    if quarter == 0:
-        a = 0.0
-        for j in range(end, first - 1, -1):
-            a = nodes[w, j] + nodes[SHARE + case, j] * a
-            nodes[w, j] = a
-        a = 0.0
-        for j in range(first, end + 1):
-            a = nodes[GAIN + case, j] * nodes[w, j] + nodes[SHARE + case, j - 1] * a
-            nodes[w, j] = a
-        return
-    separator = first + 2 * quarter + 1
-    load, nodes[w, separator] = nodes[w, separator], 0.0
-    _substitute(nodes, w, case, first, end, quarter)
-    load += nodes[COUPLING + case, separator - 1] * nodes[w, separator - 1]
-    load += nodes[COUPLING + case, separator] * nodes[w, separator + 1]
-    load *= nodes[GAIN + case, separator]
-    for j in range(1, nodes.shape[1]):
-        nodes[w, j] += load * nodes[RESPONSE + case, j]
+    _substitute(nodes, w, case, first, middle, end)

@@ -26,11 +26,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, PPoly
+from scipy.interpolate import BSpline, CubicSpline, PPoly
 from scipy.optimize import minimize_scalar
 from scipy.sparse.linalg import spsolve
 from soft_throw_ros.core import checks
@@ -169,9 +169,9 @@ def peak_velocity_ratios(damping_ratio: Floats) -> Floats:
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
     """
-    A motion given by states of the plate, which quintics join: at rest before the first one.
+    A motion given by states of the plate, which quintics join: at rest before and after them.
 
-    Make it of what was measured with `from_positions` or `from_velocities`.
+    Make it of what was measured with `from_positions` or `from_record`.
 
     Parameters
     ----------
@@ -179,8 +179,6 @@ class SampledMotion:
         Increasing. [s]
     states : ndarray, shape (n, 3)
         Height, velocity and acceleration at each. [m], [m/s], [m/s2]
-    after : {'error', 'hold'}
-        Beyond the last state: raise, or stay there.
 
     Raises
     ------
@@ -191,12 +189,9 @@ class SampledMotion:
 
     times: Floats
     states: Floats
-    after: Literal['error', 'hold'] = 'error'
     _path: PPoly = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.after not in ('error', 'hold'):
-            raise ValueError(f"after must be 'error' or 'hold', got {self.after!r}")
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         states = np.ascontiguousarray(self.states, dtype=np.float64)
         if times.ndim != 1 or states.shape != (times.size, 3) or times.size < 2:
@@ -210,9 +205,7 @@ class SampledMotion:
         object.__setattr__(self, '_path', PPoly(_quintics(times, states), times))
 
     @classmethod
-    def from_positions(
-        cls, times: ArrayLike, positions: ArrayLike, *, after: Literal['error', 'hold'] = 'error'
-    ) -> SampledMotion:
+    def from_positions(cls, times: ArrayLike, positions: ArrayLike) -> SampledMotion:
         """
         Lay a twice differentiable cubic spline through positions; fourth order in the spacing.
 
@@ -222,8 +215,6 @@ class SampledMotion:
         ----------
         times, positions : array_like, shape (n,)
             Times increase. [s], [m]
-        after : {'error', 'hold'}
-            Beyond the last sample: raise, or stay there.
 
         Raises
         ------
@@ -233,20 +224,7 @@ class SampledMotion:
         """
         times, positions = _as_samples(times, positions, 'positions')
         spline = CubicSpline(times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot'))
-        return cls(times, np.stack([spline(times, order) for order in range(3)], axis=1), after)
-
-    @classmethod
-    def from_velocities(
-        cls, times: ArrayLike, velocities: ArrayLike, *, after: Literal['error', 'hold'] = 'error'
-    ) -> SampledMotion:
-        """
-        Lay a monotone cubic (PCHIP) through velocities, which overshoots nowhere.
-
-        Third order in the spacing. Parameters and errors as for `from_positions`.
-        """
-        times, velocities = _as_samples(times, velocities, 'velocities')
-        height = PchipInterpolator(times, velocities).antiderivative()
-        return cls(times, np.stack([height(times, order) for order in range(3)], axis=1), after)
+        return cls(times, np.stack([spline(times, order) for order in range(3)], axis=1))
 
     @classmethod
     def from_record(cls, times: ArrayLike, heights: ArrayLike) -> SampledMotion:
@@ -294,7 +272,7 @@ class SampledMotion:
         spline = _fit_record(times - start, heights - rest)
         knots = np.unique(spline.t)
         states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
-        motion = cls(knots, states, 'hold')
+        motion = cls(knots, states)
         last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
         if last > FASTEST_END * np.abs(states[:, 1]).max():
             raise ValueError(
@@ -305,7 +283,7 @@ class SampledMotion:
     def scaled(self, *, time: float = 1.0, height: float = 1.0) -> SampledMotion:
         """Return the motion with all times and all heights multiplied by a factor each."""
         states = self.states * height / time ** np.arange(3.0)
-        return SampledMotion(self.times * time, states, self.after)
+        return SampledMotion(self.times * time, states)
 
     @property
     def start_time(self) -> float:
@@ -324,23 +302,14 @@ class SampledMotion:
         return float(self.velocity(between).max())
 
     def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate; ValueError beyond the last state, unless `after` is 'hold' [m]."""
-        return np.asarray(self._path(self._within(time)))
+        """Height of the plate [m]."""
+        return np.asarray(self._path(np.clip(time, self.start_time, self.end_time)))
 
     def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate; ValueError where `position` has it [m/s]."""
+        """Velocity of the plate [m/s]."""
         time = np.asarray(time, dtype=np.float64)
-        is_moving = (time >= self.start_time) & (time <= self.end_time)
-        return np.where(is_moving, self._path(self._within(time), 1), 0.0)
-
-    def _within(self, time: ArrayLike) -> Floats:
-        """Clip times into the samples."""
-        time = np.asarray(time, dtype=np.float64)
-        if self.after == 'error' and time.size and time.max() > self.end_time:
-            raise ValueError(
-                f'time {time.max():g} s is after the last plate sample at {self.end_time:g} s'
-            )
-        return np.asarray(np.clip(time, self.start_time, self.end_time))
+        inside = np.clip(time, self.start_time, self.end_time)
+        return np.where(time == inside, self._path(inside, 1), 0.0)
 
 
 PlateMotion: TypeAlias = Underdamped | SampledMotion

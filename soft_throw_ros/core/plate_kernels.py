@@ -51,6 +51,8 @@ PLATE = [
     ('growth', 'f8'),
     ('turn', 'f8'),
     ('factor', 'f8'),
+    ('cosine', 'f8'),  # e^{lambda t} at the start of the block
+    ('sine', 'f8'),
     ('piece', 'i8'),  # number of the present piece
     ('pieces', 'i8'),  # how many are known; number 0 is rest before the first state
     ('horizon', 'f8'),  # until when the plate is known [s]
@@ -88,7 +90,7 @@ def write_motion(
     if not isinstance(motion, SampledMotion):
         raise ValueError(
             "motion must be Underdamped, SampledMotion, 'measured' or None, "
-            f'got {motion!r}; SampledMotion.from_velocities takes any other'
+            f'got {motion!r}; SampledMotion.from_positions takes any other'
         )
     if motion.start_time < 0.0:
         raise ValueError(
@@ -97,11 +99,8 @@ def write_motion(
         )
     path = np.zeros((_ROWS, motion.times.size + 1))
     pieces = append_states(record['last'], 1, path, motion.times, motion.states)
-    record['pieces'], record['horizon'] = pieces, motion.end_time
-    if motion.after == 'hold':
-        path[:2, -1] = motion.end_time, motion.states[-1, 0]
-        record['pieces'] += 1
-        record['horizon'] = math.inf
+    path[:2, -1] = motion.end_time, motion.states[-1, 0]  # there it stays
+    record['pieces'], record['horizon'] = pieces + 1, math.inf
     return path
 
 
@@ -119,6 +118,15 @@ def write_underdamped(
     for k in range(1, BLOCK):
         path[0, k] = path[0, k - 1] * cosine - path[1, k - 1] * sine
         path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
+
+
+@part
+def start_block(s: Any, index: int) -> None:
+    """Evaluate e^{lambda t} of an underdamped plate at the first step of a block."""
+    time = index * s.step
+    fading = s.growth * time
+    size = 0.0 if fading < -600.0 else math.exp(fading)
+    s.cosine, s.sine = size * math.cos(s.turn * time), size * math.sin(s.turn * time)
 
 
 @part

@@ -21,41 +21,12 @@ over the engine's, :math:`q = f_0 / f`.
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import FirstRelease
-
-
-def frequency_ratio(
-    *, mass_ratio: ArrayLike, speed_ratio: ArrayLike
-) -> float | NDArray[np.float64]:
-    r"""
-    Natural frequency of the projectile on the layer over the engine's, :math:`f_0 / f`.
-
-    Parameters
-    ----------
-    mass_ratio, speed_ratio : array_like
-        As for `closed_form.first_release`. [-]
-
-    Returns
-    -------
-    float or ndarray
-        :math:`\kappa / (2 \pi \sqrt{\mu})`, of the shape that the arguments broadcast to. [-]
-
-    Raises
-    ------
-    ValueError
-        If a ratio is not finite and positive.
-
-    """
-    mu = checks.require_positive_array('mass_ratio', mass_ratio)
-    kappa = checks.require_positive_array('speed_ratio', speed_ratio)
-    return _as_float_if_scalar(kappa / (2.0 * math.pi * np.sqrt(mu)))
 
 
 def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
@@ -67,7 +38,7 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     Parameters
     ----------
     frequency_ratio : array_like
-        :math:`q = f_0 / f`, see `frequency_ratio`. [-]
+        :math:`q = f_0 / f`, `Rig.natural_frequency` over that of the engine. [-]
 
     Returns
     -------
@@ -99,29 +70,6 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     q = checks.require_positive_array('frequency_ratio', frequency_ratio)
     speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
     return FirstRelease(*map(_as_float_if_scalar, (1.0 / (1.0 + q), speed, speed**2)))
-
-
-@functools.cache
-def best_frequency_ratio() -> float:
-    """
-    Find the :math:`f_0 / f` that transfers the most energy [-].
-
-    It is the root of the logarithmic derivative of (A4). The paper gives 1.62, and 3.13 for the
-    energy transfer.
-
-    Examples
-    --------
-    >>> best = best_frequency_ratio()
-    >>> round(best, 6), round(first_release(frequency_ratio=best).energy_transfer, 6)
-    (1.619874, 3.127442)
-
-    """
-
-    def slope(q: float) -> float:
-        angle = 2.0 * math.pi / (q + 1.0)
-        return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
-
-    return float(brentq(slope, 1.1, 2.9, xtol=1e-15))
 
 
 def _as_float_if_scalar(values: NDArray[np.float64]) -> float | NDArray[np.float64]:

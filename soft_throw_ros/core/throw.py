@@ -246,7 +246,7 @@ class Throw:
         Raises
         ------
         ValueError
-            For times that do not increase, or at which the plate is not known.
+            For times that do not increase.
 
         """
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
@@ -316,8 +316,7 @@ def simulate(
     cells : int, optional
         Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
     until : float, optional
-        Stop at this time. A sampled motion that does not hold ends with its last sample in any
-        case. [s]
+        Stop at this time. [s]
     max_events : int, optional
         Stop after so many events. If not given, and neither is `until`, stop when the projectile
         has come down on the layer, since a lossless bounce has no end. Without gravity, and where
@@ -336,8 +335,8 @@ def simulate(
     ValueError
         For an unknown model, or a rig or a bound that the model refuses.
     ThrowUnfinishedError
-        If the projectile is not released by `until`, or the end of a sampled motion, or within
-        100 crossings and 50 periods of the plate.
+        If the projectile is not released by `until`, or within 100 crossings and 50 periods of
+        the plate.
 
     Notes
     -----
@@ -406,8 +405,6 @@ def _run(
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
     latest = MAX_DURATION if until is None else until
-    if isinstance(motion, SampledMotion) and motion.after == 'error':
-        latest = min(latest, motion.end_time)
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
     if isinstance(motion, SampledMotion):

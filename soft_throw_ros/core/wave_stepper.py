@@ -67,6 +67,7 @@ from soft_throw_ros.core.plate_kernels import (
     motion_at,
     piece_at,
     PLATE,
+    start_block,
     velocity_of_piece,
     write_underdamped,
 )
@@ -143,7 +144,6 @@ _CORE = np.dtype(
         # how the plate moves, and where it has got to
         *PLATE,
         ('block', 'i8'),
-        ('phasor', 'f8', (2,)),  # at the start of the block
         # where the waves have got to
         ('time', 'f8'),
         ('cell', 'i8'),  # grid point
@@ -521,12 +521,8 @@ def _fill(s, waves, path, last):
             k = first % BLOCK
             if first // BLOCK != s.block:
                 s.block = first // BLOCK
-                time = s.block * BLOCK * s.step
-                fading = s.growth * time
-                size = 0.0 if fading < -600.0 else s.factor * math.exp(fading)
-                s.phasor[0] = size * math.cos(s.turn * time)
-                s.phasor[1] = size * math.sin(s.turn * time)
-            real, imaginary = s.phasor[0], s.phasor[1]
+                start_block(s, s.block * BLOCK)
+            real, imaginary = s.factor * s.cosine, s.factor * s.sine
             count = min(count, BLOCK - k)
             cosines, sines = path[0, k:], path[1, k:]
             for n in range(count):

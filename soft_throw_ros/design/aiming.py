@@ -34,13 +34,12 @@ from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.evaluate import (
     Cancelled,
+    check_cancelled,
     first_throws,
     last_release,
     LastRelease,
-    Ratios,
+    rig_with,
     SEARCH_CELLS,
-    SearchCancelledError,
-    unit_motion,
 )
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.optimise import find_best_layer, Optimum
@@ -270,10 +269,6 @@ def aim(
     return replace(most, summary=_why_not(task, easiest, most))
 
 
-def _with_amplitude(rig: Rig, amplitude: float) -> Rig:
-    return replace(rig, engine=replace(rig.engine, amplitude=amplitude))
-
-
 class _Needs(NamedTuple):
     """Amplitudes that layers need, infinite if they throw nothing, and are allowed [m]."""
 
@@ -332,21 +327,20 @@ class _Task(NamedTuple):
         amplitude = np.full(np.shape(thickness), min(speed / omega, self.max_amplitude))
         # Without gravity all is proportional to the amplitude, and found at once.
         for _ in range(_ITERATIONS if rig.gravity > 0.0 else 1):
+            changes = {'thickness': thickness, 'wave_speed': wave_speed, 'amplitude': amplitude}
             throws = first_throws(
-                Ratios.of(rig, thickness=thickness, wave_speed=wave_speed, amplitude=amplitude),
-                motion=unit_motion(rig.engine),
-                loads=self.limits.of_loads,
-                cells=SEARCH_CELLS,
+                rig, changes, loads=self.limits.of_loads, cells=SEARCH_CELLS,
                 cancelled=self.cancelled,
-            )
-            needed = speed / np.maximum(np.nan_to_num(throws.speed) * omega, 1e-300)
+            )  # fmt: skip
+            thrown = np.maximum(np.nan_to_num(throws.ejection_speed), 1e-300)
+            needed = amplitude * speed / thrown
             allowed = np.full(amplitude.shape, self.max_amplitude)
             for limit, load in (
-                (self.limits.max_strain, throws.peak_strain * omega / wave_speed),
-                (self.limits.max_acceleration, throws.peak_acceleration * omega * omega),
+                (self.limits.max_strain, throws.peak_strain),
+                (self.limits.max_acceleration, throws.peak_acceleration),
             ):
                 if limit < math.inf:
-                    allowed = np.fmin(allowed, (1.0 - room) * limit / load)
+                    allowed = np.fmin(allowed, (1.0 - room) * amplitude * limit / load)
             amplitude = np.minimum(needed, allowed)
         return _Needs(needed, allowed)
 
@@ -390,7 +384,7 @@ class _Task(NamedTuple):
             if amplitude is None:
                 return None
             is_same = abs(amplitude / rig.engine.amplitude - 1.0) < _SAME
-            rig = _with_amplitude(rig, amplitude)
+            rig = rig_with(rig, {'amplitude': amplitude})
             throw = self.throw(rig, space.name)
             if is_same or space.is_single:
                 break
@@ -407,7 +401,7 @@ class _Task(NamedTuple):
             place = np.array([best.thickness]), np.array([best.wave_speed])
             allowed = float(self.needs(rig, *place, _OUT_OF_REACH).allowed[0])
             with contextlib.suppress(ThrowUnresolvedError):
-                throws.append(self.throw(_with_amplitude(rig, allowed), space.name))
+                throws.append(self.throw(rig_with(rig, {'amplitude': allowed}), space.name))
         return max(throws, key=self.target.reached, default=None)
 
     def amplitude(self, rig: Rig) -> float | None:
@@ -416,10 +410,10 @@ class _Task(NamedTuple):
 
         def excess(logarithm: float) -> float:
             """Compute the logarithm of what is reached over the target."""
-            if self.cancelled is not None and self.cancelled():
-                raise SearchCancelledError('the search was cancelled')
+            check_cancelled(self.cancelled)
             try:
-                reached = target.reached(last_release(_with_amplitude(rig, math.exp(logarithm))))
+                there = rig_with(rig, {'amplitude': math.exp(logarithm)})
+                reached = target.reached(last_release(there))
             except ThrowUnresolvedError:
                 return _NOTHING
             return math.log(reached / target.value) if reached > 0.0 else _NOTHING

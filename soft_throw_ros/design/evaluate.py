@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Throws by the thousand: the one way from a rig's ratios to releases and loads for all of design.
+Throws by the thousand: the one way from a rig to releases and loads for all of design.
 
 Without loss and strong gravity the closed form is exact and fast; the steppers are for the rest.
 A release is always found by the same method whether its loads are asked for or not. A layer that
@@ -21,19 +21,19 @@ was chosen at the edge of a jump would otherwise fall off it when it is looked a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 import contextlib
-from dataclasses import replace
+from dataclasses import fields, replace
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.batch import in_threads
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratios, SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.plate import peak_velocity_ratios
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, FirstThrows
 from soft_throw_ros.core.throw import apex_height, make_stepper, simulate, ThrowUnfinishedError
 
@@ -41,6 +41,9 @@ Floats = NDArray[np.float64]
 
 Cancelled = Callable[[], bool]
 """Is asked between batches whether nobody waits for the result any more."""
+
+Changes: TypeAlias = Mapping[str, Floats | float]
+"""Other values of a rig by name: of engine and layer, `mass` of the projectile, `gravity` [SI]."""
 
 SEARCH_CELLS = 16
 """Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
@@ -52,106 +55,62 @@ _STRONG_GRAVITY = 0.2  # of the plate's acceleration; the closed form slows down
 _CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
 _WAIT = 8.0  # periods of plate and projectile, beyond the motion, in which a release is waited for
 
+_RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
+
 
 class SearchCancelledError(RuntimeError):
     """Nobody waits for the result any more."""
 
 
-class Ratios(NamedTuple):
-    r"""
-    What decides throws: arrays that broadcast against each other.
+def check_cancelled(cancelled: Cancelled | None) -> None:
+    """Raise SearchCancelledError if nobody waits any more."""
+    if cancelled is not None and cancelled():
+        raise SearchCancelledError('the search was cancelled')
 
-    They are :math:`\mu`, :math:`\kappa`, :math:`\zeta`, :math:`g / (A \omega^2)`, the layer's loss
-    tangent at the plate's frequency; for the elastic model, what a wave needs through the
-    projectile over what it needs through the layer; :math:`A \omega / c_s` if the layer is not
-    linear, else 0; and 1 if the loss tangent is constant, else 0. [-]
+
+class Throws(NamedTuple):
+    r"""
+    First releases of many throws and what they take; arrays of one shape, NaN without a release.
+
+    Ejection time :math:`t_e` [s] and speed :math:`V_e` [m/s], :math:`\alpha` [-], the largest
+    strain in the layer [-], the projectile's largest acceleration [m/s2], the largest force on the
+    plate [N], and the work of the plate up to the release [J].
     """
 
-    mass_ratio: Floats | float
-    speed_ratio: Floats | float
-    damping_ratio: Floats | float = 0.0
-    gravity_ratio: Floats | float = 0.0
-    loss_tangent: Floats | float = 0.0
-    crossing_ratio: Floats | float = 0.0
-    strain_ratio: Floats | float = 0.0
-    constant_loss: Floats | float = 0.0
-
-    @classmethod
-    def of(cls, rig: Rig, *, stacks: bool = False, **changes: Floats | float) -> Ratios:
-        """
-        Return what decides throws of a rig in which some values are others.
-
-        Parameters
-        ----------
-        rig : Rig
-            With a layer of one material, unless
-        stacks : bool
-            says that `first_throws` will be told of its stack.
-        **changes : ndarray or float
-            Fields of the engine and of the layer, `mass` of the projectile, and `gravity`; they
-            broadcast against each other. [SI]
-
-        Raises
-        ------
-        ValueError
-            If the layer is not of one material.
-
-        """
-        engine, projectile = rig.engine, rig.projectile
-        layer = rig.layer if stacks else require_uniform(rig).layer
-        values = {**vars(engine), **vars(layer), 'mass': projectile.mass, 'gravity': rig.gravity}
-        values |= changes
-        del values['motion']
-        mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
-        section = 0.25 * math.pi * values['diameter'] ** 2
-        omega = 2.0 * math.pi * frequency
-        spring = projectile.youngs_modulus * section / projectile.length
-        with np.errstate(divide='ignore'):  # a layer that an error leaves nothing of
-            speed_ratio = values['wave_speed'] / (thickness * frequency)
-            mass_ratio = mass / (values['density'] * section * thickness)
-        return cls(
-            mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio,
-            damping_ratio=values['damping_ratio'],
-            gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
-            loss_tangent=values['loss_tangent'],
-            crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
-            strain_ratio=0.0
-            if layer.elasticity == 'linear'
-            else values['amplitude'] * omega / values['wave_speed'],
-            constant_loss=float(layer.loss == 'constant'),
-        )
+    ejection_time: Floats
+    ejection_speed: Floats
+    energy_transfer: Floats
+    peak_strain: Floats
+    peak_acceleration: Floats
+    peak_force: Floats
+    plate_work: Floats
 
 
 def first_throws(
-    ratios: Ratios,
+    rig: Rig,
+    changes: Changes | None = None,
     *,
-    motion: SampledMotion | None = None,
     model: str = 'travelling_wave',
     loads: bool = False,
     cells: int | None = None,
-    stack: Stack | None = None,
     threads: int | None = None,
     cancelled: Cancelled | None = None,
-) -> FirstThrows:
+) -> Throws:
     """
-    Compute throws up to their first releases.
+    Compute throws of a rig in which some values are others, up to their first releases.
 
     Parameters
     ----------
-    ratios : Ratios
-        A throw per element.
-    motion : SampledMotion, optional
-        Of the plate, in units of its period and amplitude, see `unit_motion`; without, the plate
-        is underdamped.
+    rig : Rig
+        What all throws have in common.
+    changes : mapping of str to array_like, optional
+        What is other, see `Changes`; arrays broadcast against each other.
     model : str
         Of the layer; the travelling wave gives way to finite differences where it must.
     loads : bool
         Whether strains, accelerations, forces and work are wanted; they may be NaN otherwise.
     cells : int, optional
         Of the layer for finite differences; as many as it takes for 1e-4 if not given.
-    stack : Stack, optional
-        Of which the layers are, if they are no layers of one material.
     threads : int, optional
         All cores if not given. Results do not depend on it.
     cancelled : callable, optional
@@ -159,9 +118,9 @@ def first_throws(
 
     Returns
     -------
-    FirstThrows
+    Throws
         Of arrays with the common shape; NaN where there is no release, or no layer: where an
-        error takes more of a layer than there is, a ratio is negative or infinite.
+        error takes more of a layer than there is.
 
     Raises
     ------
@@ -169,63 +128,162 @@ def first_throws(
         If `cancelled` says so.
 
     """
-    shape = np.broadcast_shapes(*map(np.shape, ratios))
-    cases = np.empty((len(ratios), math.prod(shape)))
-    for row, values in zip(cases, ratios, strict=True):
-        row.reshape(shape)[...] = values
-    found = np.full((len(FirstThrows._fields), cases.shape[1]), math.nan)
-    methods = _batches(
-        cases,
-        model=model,
-        loads=loads,
-        is_stack=stack is not None,
-        is_sampled=motion is not None,
-    )
-    for method, batch in methods:
-        if cancelled is not None and cancelled():
-            raise SearchCancelledError('the search was cancelled')
-        part = Ratios(*cases[:, batch])
-        if method == 'steppers':
-            assert motion is not None
-            found[:, batch] = _throw_with_steppers(part, motion, model, cells, stack, threads)
-        elif method == 'spring':
-            ratio = spring_mass.frequency_ratio(
-                mass_ratio=part.mass_ratio, speed_ratio=part.speed_ratio
-            )
-            found[:3, batch] = spring_mass.first_release(frequency_ratio=ratio)
-        elif method == 'cells':
-            found[:, batch] = _throw_with_cells(part, model, cells, stack, threads)
-        else:
-            found[:, batch] = _throw_with_waves(part, method, loads, threads)
+    changes = changes or {}
+    values = _values(rig, changes)
+    shape = np.broadcast_shapes(*map(np.shape, values.values()))
+    found = np.full((len(Throws._fields), math.prod(shape)), math.nan)
+    rows = found.reshape(len(found), *shape)
+    if rig.engine.motion:
+        cases = {name: np.broadcast_to(each, shape).ravel() for name, each in changes.items()}
+        for batch in _batches(np.ones(found.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
+            part = {name: each[batch].tolist() for name, each in cases.items()}
+            found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
+        return Throws(*rows)
+    ratios = _ratios(rig, values)
+    cases = {name: np.broadcast_to(each, shape).ravel() for name, each in ratios.items()}
+    for method, chosen in _methods(rig, cases, model).items():
+        is_fast = method in ('closed_form', 'spring_mass') and not loads
+        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
+        for batch in _batches(chosen, size, cancelled):
+            part = {name: each[batch] for name, each in cases.items()}
+            if method == 'cells':
+                found[:, batch] = _throw_with_cells(rig, part, model, cells, threads)
+            elif method == 'spring_mass':
+                found[:3, batch] = spring_mass.first_release(
+                    frequency_ratio=part['speed_ratio']
+                    / (2.0 * math.pi * np.sqrt(part['mass_ratio']))
+                )
+            else:
+                found[:, batch] = _throw_with_waves(part, method, loads, threads)
     found[1:, np.isnan(found[0])] = math.nan  # whatever else is said of throws without a release
-    return FirstThrows(*found.reshape(len(found), *shape))
+    # Releases and loads come without units
+    omega = 2.0 * math.pi * values['frequency']
+    speed = values['amplitude'] * omega
+    impedance = values['density'] * values['wave_speed'] * _section(values)
+    units = (
+        1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
+        speed * omega, speed * impedance, values['mass'] * speed**2,
+    )  # fmt: skip
+    for n, unit in enumerate(units if loads else units[:2]):
+        rows[n] *= unit
+    return Throws(*rows)
+
+
+def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
+    """
+    Return a rig with other values.
+
+    Parameters
+    ----------
+    rig : Rig
+        Sheets of a stack, and a motion of the plate, change in proportion to the whole.
+    changes : mapping of str to float
+        See `Changes`.
+
+    """
+    of_engine = _of(Engine, changes)
+    engine = replace(rig.engine, **of_engine)
+    if engine.motion and (of_engine.keys() & {'frequency', 'amplitude'}):
+        motion = engine.motion.scaled(
+            time=rig.engine.frequency / engine.frequency,
+            height=engine.amplitude / rig.engine.amplitude,
+        )
+        engine = replace(engine, motion=motion)
+    return replace(
+        rig,
+        engine=engine,
+        layer=_layer_with(rig.layer, _of(Layer, changes)),
+        projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
+        gravity=changes.get('gravity', rig.gravity),
+    )
+
+
+def _of(part: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
+    """Return the changes of an engine or of a layer."""
+    return {each.name: changes[each.name] for each in fields(part) if each.name in changes}
+
+
+def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
+    """Return a layer with other values, in proportion for each sheet of a stack."""
+    if not isinstance(layer, Stack):
+        return replace(layer, **changes)
+
+    def of_sheet(sheet: Layer, name: str) -> Any:
+        whole = getattr(layer, name)
+        return changes[name] * getattr(sheet, name) / whole if whole else changes[name]
+
+    return Stack(
+        sheets=tuple(
+            replace(sheet, **{name: of_sheet(sheet, name) for name in changes})
+            for sheet in layer.sheets
+        )
+    )
+
+
+def _values(rig: Rig, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers of a rig that count, with changes."""
+    values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
+    values = {name: value for name, value in values.items() if isinstance(value, float)}
+    return {**values, 'mass': rig.projectile.mass, **changes}
+
+
+def _section(values: Mapping[str, Any]) -> Any:
+    return 0.25 * math.pi * values['diameter'] ** 2
+
+
+def _ratios(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides throws with these values: arguments of `cell_stepper.first_throws`."""
+    projectile, section = rig.projectile, _section(values)
+    mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
+    omega = 2.0 * math.pi * frequency
+    spring = projectile.youngs_modulus * section / projectile.length
+    with np.errstate(divide='ignore'):  # a layer that an error leaves nothing of
+        speed_ratio = values['wave_speed'] / (thickness * frequency)
+        mass_ratio = mass / (values['density'] * section * thickness)
+    is_linear = rig.layer.elasticity == 'linear'
+    return {
+        'mass_ratio': mass_ratio,
+        'speed_ratio': speed_ratio,
+        'damping_ratio': values['damping_ratio'],
+        'gravity_ratio': values['gravity'] / (values['amplitude'] * omega * omega),
+        'loss_tangent': values['loss_tangent'],
+        'crossing_ratio': np.sqrt(mass / spring) * frequency * speed_ratio,
+        'strain_ratio': 0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
+        'constant_loss': float(rig.layer.loss == 'constant'),
+    }
 
 
 def _batches(
-    cases: Floats, *, model: str, loads: bool, is_stack: bool, is_sampled: bool
-) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Sort throws by the method that they need, and cut them into batches."""
-    exist = ((cases[:2] > 0.0) & (cases[:2] < math.inf)).all(axis=0)
-    every = exist & ~_are_held(cases[0], cases[1], cases[3])
-    if is_sampled:
-        parts = {'steppers': exist}
-    elif model == 'travelling_wave':
-        needs_cells = is_stack | (cases[4] > 0.0) | (cases[6] > 0.0)
-        is_strong = cases[3] > _STRONG_GRAVITY
-        parts = {
-            'closed_form': every & ~needs_cells & ~is_strong,
-            'waves': every & ~needs_cells & is_strong,
-            'cells': every & needs_cells,
-        }
-    else:
-        parts = {'spring' if model == 'spring_mass' else 'cells': every}
-    for method, chosen in parts.items():
-        indices = np.flatnonzero(chosen)
-        is_fast = method in ('closed_form', 'spring') and not loads
-        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
-        size = _SAMPLED_BATCH if is_sampled else size
-        for start in range(0, indices.size, size):
-            yield method, indices[start:start + size]
+    chosen: NDArray[np.bool_], size: int, cancelled: Cancelled | None
+) -> Iterator[NDArray[np.int64]]:
+    """Cut throws into batches, and ask before each whether to go on."""
+    indices = np.flatnonzero(chosen)
+    for start in range(0, indices.size, size):
+        check_cancelled(cancelled)
+        yield indices[start:start + size]
+
+
+def _methods(rig: Rig, cases: Mapping[str, Floats], model: str) -> dict[str, NDArray[np.bool_]]:
+    """Tell which throws need which method."""
+    mu, kappa, gravity = cases['mass_ratio'], cases['speed_ratio'], cases['gravity_ratio']
+    exist = (mu > 0.0) & (mu < math.inf) & (kappa > 0.0) & (kappa < math.inf)
+    if model == 'spring_mass':
+        return {'spring_mass': exist}
+    # A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
+    # times the plate's at most. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the
+    # largest seen. So gravity holds these, which a stepper takes longest to find out.
+    exist &= (_stiffness(mu, kappa) <= 2.0) | (gravity <= 4.0)
+    if model != 'travelling_wave':
+        return {'cells': exist}
+    is_strong = gravity > _STRONG_GRAVITY
+    needs_cells = cases['loss_tangent'] > 0.0
+    if not rig.layer.is_uniform or rig.layer.elasticity != 'linear':
+        needs_cells = np.ones_like(needs_cells)
+    return {
+        'closed_form': exist & ~needs_cells & ~is_strong,
+        'waves': exist & ~needs_cells & is_strong,
+        'cells': exist & needs_cells,
+    }
 
 
 def _stiffness(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
@@ -234,18 +292,7 @@ def _stiffness(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
         return speed_ratio / (2.0 * math.pi * np.sqrt(np.abs(mass_ratio) + 4.0 / math.pi**2))
 
 
-def _are_held(mass_ratio: Floats, speed_ratio: Floats, gravity_ratio: Floats) -> NDArray[np.bool_]:
-    """
-    Tell which projectiles gravity holds for sure, which a stepper takes longest to find out.
-
-    A spring under a mass that starts with the plate makes its acceleration 2 q^2 / (q^2 - 1)
-    times the plate's at most. At q = 2 and beyond that is 2.7; waves add to it, and 3.1 is the
-    largest seen.
-    """
-    return (_stiffness(mass_ratio, speed_ratio) > 2.0) & (gravity_ratio > 4.0)
-
-
-def highest_transfers(ratios: Ratios) -> Floats:
+def highest_transfers(rig: Rig, changes: Changes) -> Floats:
     r"""
     Bound the energy transfers of stiff layers, which take longest to compute.
 
@@ -255,28 +302,29 @@ def highest_transfers(ratios: Ratios) -> Floats:
 
     Parameters
     ----------
-    ratios : Ratios
-        Arrays of one shape.
+    rig, changes
+        As for `first_throws`.
 
     Returns
     -------
     ndarray
-        Of the same shape; infinite for layers that are not stiff. [-]
+        Infinite for layers that are not stiff. [-]
 
     """
-    stiffness = _stiffness(np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio))
+    ratios = {name: np.asarray(each) for name, each in _ratios(rig, _values(rig, changes)).items()}
+    stiffness = _stiffness(ratios['mass_ratio'], ratios['speed_ratio'])
     excess = 1.5 / np.maximum(stiffness - 1.0, 1e-9)
-    fastest = peak_velocity_ratios(np.asarray(ratios.damping_ratio))
-    more = 1.0 + np.asarray(ratios.strain_ratio)  # for what stiffening adds
+    fastest = peak_velocity_ratios(ratios['damping_ratio'])
+    more = 1.0 + ratios['strain_ratio']  # for what stiffening adds
     return np.where(stiffness > 1.2, more * (1.0 + excess / fastest) ** 2, math.inf)
 
 
-def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | None) -> Floats:
+def _throw_with_waves(
+    part: Mapping[str, Floats], method: str, loads: bool, threads: int | None
+) -> Floats:
     """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
-    ratios = part._asdict()
-    for name in Ratios._fields[4:]:
-        del ratios[name]
-    found = np.full((len(FirstThrows._fields), np.size(part.mass_ratio)), math.nan)
+    ratios = {name: part[name] for name in _RIGID}
+    found = np.full((len(FirstThrows._fields), part['mass_ratio'].size), math.nan)
     if loads or method == 'waves':
         found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
     if method == 'closed_form':
@@ -285,10 +333,10 @@ def _throw_with_waves(part: Ratios, method: str, loads: bool, threads: int | Non
 
 
 def _throw_with_cells(
-    part: Ratios, model: str, cells: int | None, stack: Stack | None, threads: int | None
+    rig: Rig, part: Mapping[str, Floats], model: str, cells: int | None, threads: int | None
 ) -> Floats:
     """Compute the rows of `FirstThrows` by finite differences."""
-    ratios = part._asdict()
+    ratios = dict(part)
     if model != 'finite_difference_elastic':
         del ratios['crossing_ratio']
     return np.asarray(
@@ -296,117 +344,53 @@ def _throw_with_cells(
             **ratios,
             glued_to='projectile' if model == 'finite_difference_glued' else 'plate',
             cells=cells,
-            stack=stack,
+            stack=rig.layer if isinstance(rig.layer, Stack) else None,
             unresolved='nan',
             threads=threads,
         )
     )
 
 
-def unit_motion(engine: Engine) -> SampledMotion | None:
-    """Return the motion of an engine, if it has one, in units of its period and amplitude."""
-    if engine.motion is None:
-        return None
-    return engine.motion.scaled(time=engine.frequency, height=1.0 / engine.amplitude)
-
-
-def unit_rig(
-    case: Sequence[float], motion: SampledMotion | None = None, stack: Stack | None = None
-) -> Rig:
-    """Return a rig with these `Ratios`, in units of its layer, or of that of its stack."""
-    ratios = Ratios(*case)
-    mu, kappa, strain = (float(value) for value in (ratios[0], ratios[1], ratios.strain_ratio))
-    omega = 2.0 * math.pi / kappa
-    amplitude = strain / omega or 1.0  # what makes the strains of a layer that stiffens true ones
-    return Rig(
-        engine=Engine(
-            frequency=1.0 / kappa,
-            amplitude=amplitude,
-            damping_ratio=float(ratios.damping_ratio),
-            motion=motion.scaled(time=kappa, height=amplitude) if motion else None,
-        ),
-        layer=_unit_layer(ratios, stack),
-        projectile=Projectile(
-            mass=mu, length=1.0, youngs_modulus=mu / (float(ratios.crossing_ratio) or 1.0) ** 2
-        ),
-        gravity=float(ratios.gravity_ratio) * amplitude * omega**2,
-    )
-
-
-def _unit_layer(ratios: Ratios, stack: Stack | None) -> Layer:
-    """Return a layer with these ratios whose thickness, wave speed and mass are 1."""
-    whole = Layer(
-        thickness=1.0,
-        wave_speed=1.0,
-        density=1.0,
-        diameter=2.0 / math.sqrt(math.pi),
-        loss_tangent=float(ratios.loss_tangent),
-        elasticity='neo_hookean' if ratios.strain_ratio else 'linear',
-        loss='constant' if ratios.constant_loss else 'kelvin_voigt',
-    )
-    if stack is None:
-        return whole
-    return Stack(
-        sheets=tuple(
-            replace(
-                whole,
-                thickness=sheet.thickness / stack.thickness,
-                wave_speed=sheet.wave_speed / stack.wave_speed,
-                density=sheet.density / stack.density,
-                loss_tangent=whole.loss_tangent * sheet.loss_tangent / (stack.loss_tangent or 1.0),
-            )
-            for sheet in stack.sheets
-        )
-    )
-
-
 def _throw_with_steppers(
-    part: Ratios,
-    motion: SampledMotion,
+    rig: Rig,
+    changes: Mapping[str, list[float]],
+    count: int,
     model: str,
     cells: int | None,
-    stack: Stack | None,
     threads: int | None,
 ) -> Floats:
-    """Compute the rows of `FirstThrows` for any motion, throw by throw."""
-    cases = np.column_stack(part).tolist()
-    found = np.full((len(FirstThrows._fields), len(cases)), math.nan)
+    """Compute the rows of `Throws` for the motion of a file, throw by throw."""
+    found = np.full((len(Throws._fields), count), math.nan)
 
     def run(first: int, parts: int) -> None:
-        for n in range(first, len(cases), parts):
+        for n in range(first, count, parts):
             with contextlib.suppress(ValueError, EventLimitError):  # what cannot be followed
-                rig = unit_rig(cases[n], motion, stack)
-                found[:, n] = _throw_with_stepper(rig, model, cells)
+                there = rig_with(rig, {name: each[n] for name, each in changes.items()})
+                found[:, n] = _throw_with_stepper(there, model, cells)
 
-    in_threads(run, count=len(cases), per_thread=16, threads=threads)
+    in_threads(run, count=count, per_thread=16, threads=threads)
     return found
 
 
 def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:
     """Follow one throw of a sampled motion to its first release; without one it is NaN."""
-    engine, motion = rig.engine, rig.engine.motion
+    motion = rig.engine.motion
     assert motion is not None
-    if model == 'travelling_wave' and rig.layer.needs_cells:
-        model = 'finite_difference'
-    elif model == 'travelling_wave':
-        cells = None
+    model = model_for(rig, model)
+    cells = None if model == 'travelling_wave' else cells
     stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
     latest = motion.end_time + _WAIT * (1.0 / rig.natural_frequency + rig.crossing_time)
     time, tick = 0.0, 0.25 * (1.0 / rig.natural_frequency + rig.crossing_time)
     while not stepper.advance_to(time):
         if time > latest:
-            return (math.nan,) * len(FirstThrows._fields)
+            return (math.nan,) * len(Throws._fields)
         time += tick
-    first, loads, scale = stepper.events()[0], stepper.loads, engine.speed_scale
+    first, loads = stepper.events()[0], stepper.loads
+    transfer = (first.velocity / motion.peak_velocity) ** 2
     return (
-        first.time * engine.frequency,
-        first.velocity / scale,
-        (first.velocity / motion.peak_velocity) ** 2,
-        loads.strain / scale,
-        loads.acceleration / (scale * engine.angular_frequency),
-        loads.plate_force / scale,
-        stepper.plate_work / (rig.projectile.mass * scale**2),
-    )
+        first.time, first.velocity, transfer, loads.strain, loads.acceleration, loads.plate_force,
+        stepper.plate_work,
+    )  # fmt: skip
 
 
 class LastRelease(NamedTuple):
@@ -445,10 +429,8 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     (1.375, 100.51)
 
     """
-    if model == 'travelling_wave' and rig.layer.needs_cells:
-        model = 'finite_difference'
     try:
-        last = simulate(rig, model=model).last_release
+        last = simulate(rig, model=model_for(rig, model)).last_release
     except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release cannot be told: {error}') from error
     rest = rig.layer.thickness - rig.static_sag
@@ -456,9 +438,10 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     return LastRelease(last.time, last.velocity, last.position - rest, height)
 
 
-def stack_of(layer: Layer) -> Stack | None:
-    """Return the layer if it is a stack."""
-    return layer if isinstance(layer, Stack) else None
+def model_for(rig: Rig, model: str) -> str:
+    """Return the model, or finite differences where the travelling wave must give way."""
+    is_for_cells = model == 'travelling_wave' and rig.layer.needs_cells
+    return 'finite_difference' if is_for_cells else model
 
 
 def require_uniform(rig: Rig) -> Rig:

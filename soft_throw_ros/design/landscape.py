@@ -54,16 +54,9 @@ from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Rig, Stack
-from soft_throw_ros.design.evaluate import (
-    first_throws,
-    last_release,
-    Ratios,
-    stack_of,
-    unit_motion,
-    unit_rig,
-)
+from soft_throw_ros.core.plate import motion_of
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import first_throws, last_release, rig_with
 
 Floats = NDArray[np.float64]
 
@@ -127,11 +120,11 @@ _LOSSY = (*_RIGID, 'loss_tangent', 'strain_ratio', 'constant_loss')
 MODELS: Mapping[str, tuple[str, ...]] = {
     'travelling_wave': _RIGID,
     'finite_difference': _LOSSY,
-    'finite_difference_elastic': Ratios._fields,
+    'finite_difference_elastic': (*_LOSSY, 'crossing_ratio'),
     'finite_difference_glued': _LOSSY,
     'spring_mass': _RIGID[:2],
 }
-"""Models of the layer by name, with the fields of `Ratios` that each knows."""
+"""Models of the layer by name, with the ratios that each knows."""
 
 
 def check_axis(name: str, values: ArrayLike) -> Floats:
@@ -373,12 +366,11 @@ def compute_landscape(
     first, second = checked.values()
     shape = (first.size, second.size)
     along = dict(zip(checked, (first[:, None], second), strict=True))
-    ratios = _ratios(rig, along, density_ratio)._asdict()
-    known = (ratios[name] if name in MODELS[model] else 0.0 for name in ratios)
-    cases = np.stack([np.broadcast_to(ratio, shape).ravel() for ratio in known])
-    motion, threads = unit_motion(rig.engine), None if executor is None else 1
-    compute = functools.partial(_compute, model, release, motion, stack_of(rig.layer), threads)
-    is_fast = motion is None and model in ('travelling_wave', 'spring_mass')
+    changes = _changes(rig, along, density_ratio)
+    cases = np.stack([np.broadcast_to(each, shape).ravel() for each in changes.values()])
+    threads = None if executor is None else 1
+    compute = functools.partial(_compute, rig, model, release, threads, tuple(changes))
+    is_fast = rig.engine.motion is None and model in ('travelling_wave', 'spring_mass')
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start:start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
@@ -458,47 +450,48 @@ def _check_axes(first: str, second: str) -> None:
             raise ValueError(f'{ratio} goes with {", ".join([*allowed, *_RATIO_OF])}, got {other}')
 
 
-def _ratios(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> Ratios:
-    """Return what decides throws of a rig along axes, the paper's among them."""
+def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Floats]:
+    """Return what is other than in the rig along axes, as `rig_with` takes it."""
     changes = {name.rpartition('.')[2]: along[name] for name in along if name in TWIN.by_name}
-    ratios = Ratios.of(rig, stacks=True, **changes)
-    mu, kappa = np.asarray(ratios.mass_ratio), np.asarray(ratios.speed_ratio)
+    if len(changes) == len(along):
+        return changes
+    mu, kappa = np.asarray(rig.mass_ratio), np.asarray(rig.speed_ratio)
     if 'x' in along:
         mu = density_ratio * (1.0 - along['x']) / along['x']
     mu = along.get('mu', mu)
     if 'C' in along:
         kappa = along['C'] / along.get('x', density_ratio / (density_ratio + mu))
     kappa = along.get('kappa', kappa)
-    # the projectile is as it is
-    crossing_ratio = ratios.crossing_ratio * (kappa / ratios.speed_ratio)
-    return ratios._replace(mass_ratio=mu, speed_ratio=kappa, crossing_ratio=crossing_ratio)
+    # A layer with these ratios, and with the wave speed that it has
+    thickness = rig.layer.wave_speed / (kappa * rig.engine.frequency)
+    density = rig.projectile.mass / (mu * rig.layer.section * thickness)
+    return {**changes, 'thickness': thickness, 'density': density}
 
 
 def _compute(
+    rig: Rig,
     model: str,
     release: Release,
-    motion: SampledMotion | None,
-    stack: Stack | None,
     threads: int | None,
+    names: Sequence[str],
     cases: Floats,
 ) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
-        throws = first_throws(
-            Ratios(*cases), motion=motion, model=model, stack=stack, threads=threads
-        )
-        return np.stack([throws.ejection_phase, throws.energy_transfer])
-    releases = [_last(model, motion, case) for case in cases.T.tolist()]
+        changes = dict(zip(names, cases, strict=True))
+        throws = first_throws(rig, changes, model=model, threads=threads)
+        frequency = changes.get('frequency', rig.engine.frequency)
+        return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
+    rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())
+    releases = [_last(each, model) for each in rigs]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(model: str, motion: SampledMotion | None, case: Sequence[float]) -> tuple[float, float]:
-    """Follow one throw, in units of the layer, until the projectile is gone or falls back."""
-    rig = unit_rig(case, motion)
-    engine = rig.engine
+def _last(rig: Rig, model: str) -> tuple[float, float]:
+    """Follow one throw until the projectile is gone or falls back."""
     try:
         last = last_release(rig, model=model)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
-    peak = motion_of(engine).peak_velocity
-    return last.time * engine.frequency, (last.speed / peak) ** 2
+    peak = motion_of(rig.engine).peak_velocity
+    return last.time * rig.engine.frequency, (last.speed / peak) ** 2

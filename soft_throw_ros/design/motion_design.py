@@ -24,14 +24,8 @@ from typing import get_args, Literal, TypeAlias
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Layer, Rig, Stack
-from soft_throw_ros.design.evaluate import (
-    Cancelled,
-    first_throws,
-    Ratios,
-    require_uniform,
-    stack_of,
-)
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, require_uniform, rig_with
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
     find_best_layer,
@@ -94,10 +88,8 @@ class MotionDesign(PredictedThrow):
     @property
     def motions(self) -> dict[str, PlateMotion]:
         """How the plate moves in each case; the best one last."""
-        names = {'now': 'now', 'harmonic': 'harmonic', 'step': 'step'}
-        found = {
-            names[key]: motion_of(rig.engine) for key, rig in self.others.items() if key in names
-        }
+        shown = [name for name in ('now', 'harmonic', 'step') if name in self.others]
+        found = {name: motion_of(self.others[name].engine) for name in shown}
         return {**found, 'best': self.motion}
 
     def values(self) -> dict[str, float | str | bool]:
@@ -199,28 +191,15 @@ def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
         axis=0,
     )
     growth = _FREQUENCIES if rig.layer.loss == 'kelvin_voigt' else np.ones(omega.size)
-    ratios = Ratios.of(
-        rig, stacks=True, frequency=frequency, amplitude=amplitude, damping_ratio=0.0,
-        loss_tangent=rig.layer.loss_tangent * growth,
-    )  # fmt: skip
-    throws = first_throws(ratios, stack=stack_of(rig.layer), cancelled=cancelled)
-    speeds = np.nan_to_num(throws.speed) * amplitude * omega
-    best = int(speeds.argmax())
-    engine = replace(
-        rig.engine,
-        frequency=float(frequency[best]),
-        amplitude=float(amplitude[best]),
-        damping_ratio=0.0,
-        motion=None,
-    )
-    return replace(rig, engine=engine, layer=_with_loss(rig.layer, float(growth[best])))
-
-
-def _with_loss(layer: Layer, part: float) -> Layer:
-    """Return a layer with so many times its loss tangent."""
-    if isinstance(layer, Stack):
-        return Stack(sheets=tuple(_with_loss(sheet, part) for sheet in layer.sheets))
-    return replace(layer, loss_tangent=part * layer.loss_tangent)
+    changes = {
+        'frequency': frequency,
+        'amplitude': amplitude,
+        'loss_tangent': rig.layer.loss_tangent * growth,
+    }
+    harmonic = replace(rig, engine=replace(rig.engine, damping_ratio=0.0, motion=None))
+    throws = first_throws(harmonic, changes, cancelled=cancelled)
+    best = int(np.nan_to_num(throws.ejection_speed).argmax())
+    return rig_with(harmonic, {name: float(values[best]) for name, values in changes.items()})
 
 
 def _step(rig: Rig, plate: PlateLimits) -> Rig:

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 import itertools
 import math
@@ -25,14 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import FirstThrows
-from soft_throw_ros.design.evaluate import (
-    Cancelled,
-    first_throws,
-    highest_transfers,
-    Ratios,
-    unit_motion,
-)
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, highest_transfers, Throws
 from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
@@ -251,7 +244,6 @@ class LayerScore:
         self._limits = limits or Limits()
         self._cells = cells
         self._cancelled = cancelled
-        self._motion = unit_motion(rig.engine)
         self._variants = objective.variants(rig)
         # The lowest throws first, as far as known: most layers are out after a few of them.
         self._order = np.arange(self._variants.mass.size)
@@ -299,19 +291,20 @@ class LayerScore:
             frequency=frequency * self._variants.frequency,
             damping_ratio=np.minimum(damping_ratio * self._variants.damping_ratio, 0.999),
         )
-        ratios = np.broadcast_arrays(*variants.ratios(self.rig, thickness, wave_speed))
-        count, size = ratios[0].shape
+        changes = variants.changes(thickness, wave_speed)
+        count, size = np.broadcast_shapes(*(each.shape for each in changes.values()))
+        changes = {name: np.broadcast_to(each, (count, size)) for name, each in changes.items()}
         # A layer is out as soon as more of its throws are too low than the quantile leaves aside.
         spare = math.ceil(self._objective.quantile * (size - 1))
         transfers = np.full((count, size), math.inf)
         alive = np.arange(count)
-        if self._motion is None:
-            highest = highest_transfers(Ratios(*ratios)).max(axis=1)
+        if self.rig.engine.motion is None:
+            highest = highest_transfers(self.rig, changes).max(axis=1)
             alive = np.flatnonzero(highest >= least[:, 0])
         stages = sorted({0, *(stage for stage in _STAGES if stage < size), size})
         for start, stop in itertools.pairwise(stages):
             columns = self._order[start:stop]
-            found = self._throw(ratios, alive, columns).energy_transfer
+            found = self._throw(changes, alive, columns).energy_transfer
             transfers[np.ix_(alive, columns)] = np.nan_to_num(found)
             too_low = (transfers[alive] < least[alive]).sum(axis=1)
             alive = alive[too_low <= spare]
@@ -324,40 +317,25 @@ class LayerScore:
             self._order = left.mean(axis=0).argsort()
         if self._limits.of_loads:
             alive = alive[scores[alive] > 0.0]
-            speed = self.rig.engine.amplitude * 2.0 * math.pi * variants.frequency[alive]
-            scores[alive] *= self._keeps_limits(ratios, alive, speed, wave_speed[alive])
+            # in all throws, or in the rig's own, the first
+            is_for_all = isinstance(self._objective, Versatile)
+            throws = self._throw(changes, alive, np.arange(size if is_for_all else 1), loads=True)
+            is_within = throws.peak_strain <= self._limits.max_strain
+            is_within &= throws.peak_acceleration <= self._limits.max_acceleration
+            scores[alive] *= is_within.all(axis=1)
         return scores
 
     def _throw(
         self,
-        ratios: Sequence[Floats],
+        changes: Mapping[str, Floats],
         layers: NDArray[np.int64],
         columns: NDArray[np.int64],
         *,
         loads: bool = False,
-    ) -> FirstThrows:
+    ) -> Throws:
         """Compute some of the throws of some of the layers."""
         chosen = np.ix_(layers, columns)
-        some = Ratios(*(ratio[chosen] for ratio in ratios))
+        some = {name: values[chosen] for name, values in changes.items()}
         return first_throws(
-            some, motion=self._motion, loads=loads, cells=self._cells, cancelled=self._cancelled
-        )
-
-    def _keeps_limits(
-        self,
-        ratios: Sequence[Floats],
-        layers: NDArray[np.int64],
-        speed: Floats,
-        wave_speed: Floats,
-    ) -> NDArray[np.bool_]:
-        """Tell which layers keep the limits, in all throws or in the rig's own, the first."""
-        is_for_all = isinstance(self._objective, Versatile)
-        columns = np.arange(self._order.size if is_for_all else 1)
-        throws = self._throw(ratios, layers, columns, loads=True)
-        speed = speed[:, columns]  # A omega
-        strain = throws.peak_strain * speed / wave_speed
-        acceleration = throws.peak_acceleration * speed * speed / self.rig.engine.amplitude
-        return np.asarray(
-            (strain <= self._limits.max_strain).all(axis=1)
-            & (acceleration <= self._limits.max_acceleration).all(axis=1)
+            self.rig, some, loads=loads, cells=self._cells, cancelled=self._cancelled
         )

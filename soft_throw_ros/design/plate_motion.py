@@ -60,7 +60,7 @@ from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.design.evaluate import Cancelled, SEARCH_CELLS, SearchCancelledError
+from soft_throw_ros.design.evaluate import Cancelled, check_cancelled, model_for, SEARCH_CELLS
 from soft_throw_ros.design.objective import Limits
 
 Floats = NDArray[np.float64]
@@ -152,7 +152,7 @@ class Pulses(NamedTuple):
         rise = rise + self.step**2 * (2.0 * acceleration[:-1] + acceleration[1:]) / 6.0
         heights = np.append(0.0, np.cumsum(rise))
         states: Floats = np.column_stack([heights, velocity, acceleration])
-        return SampledMotion(self.step * np.arange(float(len(states))), states, 'hold')
+        return SampledMotion(self.step * np.arange(float(len(states))), states)
 
     def within(self, limits: PlateLimits) -> Pulses:
         """Return them as far down as it takes to keep limits to the last bit, at all times."""
@@ -215,13 +215,13 @@ def find_best_motion(
 
     """
     loads = loads or Limits()
-    model = _model_for(rig, model)
+    model = model_for(rig, model)
     time, promised = _shortest_time(rig, limits, loads, model, cancelled)
     best: Throw | None = None
     for longer in _LONGER:
         programme = _Programme(rig, limits, loads, model, longer * time, _FINE)
         for floor in _FLOORS:
-            _check(cancelled)
+            check_cancelled(cancelled)
             pulses, _ = programme.solve(longer * time, floor)
             throw = pulses and _follow(rig, pulses.motion(), model, loads)
             if throw and (best is None or throw.ejection_speed > best.ejection_speed):
@@ -270,7 +270,7 @@ def find_best_layer(
 
     """
     loads = loads or Limits()
-    model = _model_for(rig, model)
+    model = model_for(rig, model)
     names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
     box = np.log([getattr(loads, name) for name in names])
 
@@ -303,14 +303,13 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
 
     Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
     """
-    low, high = 0.0, limits.speed
-    while high - low > 1e-9 * high:  # if the travel is short it has to brake before
-        speed = low + 0.5 * (high - low) if low else high
-        slower = replace(limits, speed=speed)
-        is_long = speed**2 / slower.peak_acceleration > travel
-        low, high = (low or 1e-12 * speed, speed) if is_long else (speed, high)
-    limits = replace(limits, speed=low)
-    speed = limits.speed
+    # If the travel is short it has to brake before it is as fast as it may be
+    speed = min(
+        limits.speed,
+        math.sqrt(travel * limits.acceleration),
+        (travel**2 * limits.jerk) ** (1.0 / 3.0),
+    )
+    limits = replace(limits, speed=speed)
     ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
     cruise = max(travel / speed - ramp, 0.0)
     step = max(0.005 * ramp, 1e-4 * cruise)
@@ -318,20 +317,13 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
     times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
 
     def path(t: Floats) -> Floats:
-        """Integrate the trapezoid of velocities twice."""
-        up = np.clip(t, 0.0, ramp)
-        down = np.clip(t - ramp - cruise, 0.0, ramp)
-        return speed * (
-            up**3 / (6.0 * ramp)
-            + np.maximum(t - ramp, 0.0) * 0.5 * ramp
-            + 0.5 * np.maximum(t - ramp, 0.0) ** 2
-            - down**3 / (6.0 * ramp)
-            - np.maximum(t - 2.0 * ramp - cruise, 0.0) * 0.5 * ramp
-            - 0.5 * np.maximum(t - 2.0 * ramp - cruise, 0.0) ** 2
-        )
+        """Integrate the trapezoid of velocities twice; at its corners the acceleration jumps."""
+        corners = ((0.0, 1.0), (ramp, -1.0), (ramp + cruise, -1.0), (2.0 * ramp + cruise, 1.0))
+        cubes = (sign * np.maximum(t - corner, 0.0) ** 3 for corner, sign in corners)
+        return np.asarray(speed / (6.0 * ramp) * sum(cubes))
 
     heights = (path(times) - path(times - rounded)) / rounded
-    return SampledMotion.from_positions(times, heights, after='hold')
+    return SampledMotion.from_positions(times, heights)
 
 
 def linear_layer(layer: Layer) -> Layer:
@@ -339,17 +331,6 @@ def linear_layer(layer: Layer) -> Layer:
     if isinstance(layer, Stack):
         return Stack(sheets=tuple(linear_layer(sheet) for sheet in layer.sheets))
     return replace(layer, elasticity='linear')
-
-
-def _model_for(rig: Rig, model: str) -> str:
-    """Return a model that can follow the rig's layer."""
-    is_for_cells = model == 'travelling_wave' and rig.layer.needs_cells
-    return 'finite_difference' if is_for_cells else model
-
-
-def _check(cancelled: Cancelled | None) -> None:
-    if cancelled is not None and cancelled():
-        raise SearchCancelledError('the search was cancelled')
 
 
 def _follow(rig: Rig, motion: SampledMotion, model: str, loads: Limits) -> Throw | None:
@@ -389,7 +370,7 @@ def _shortest_time(
     """Find the shortest time that gives nearly the largest speed, and that."""
     longest, *shorter = _times(rig, limits)
     programme = _Programme(rig, limits, loads, model, longest, _COARSE)
-    _check(cancelled)
+    check_cancelled(cancelled)
     _, speed = programme.solve(longest)
     if not speed > 0.0:
         raise ThrowUnresolvedError(f'no motion of the plate throws within {limits}')
@@ -398,7 +379,7 @@ def _shortest_time(
     low, high = 0, len(shorter)
     while low < high:
         middle = (low + high) // 2
-        _check(cancelled)
+        check_cancelled(cancelled)
         if programme.solve(shorter[middle])[1] >= (1.0 - _WORTH) * speed:
             high = middle
         else:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import first_throws, Ratios, stack_of, unit_motion
+from soft_throw_ros.design.evaluate import first_throws
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,21 +98,12 @@ def predict(rig: Rig) -> PredictedThrow:
     '11.6%, 40 g'
 
     """
-    engine, layer, mass = rig.engine, rig.layer, rig.projectile.mass
-    throws = first_throws(
-        Ratios.of(rig, stacks=True),
-        motion=unit_motion(engine),
-        loads=True,
-        stack=stack_of(layer),
-    )
-    found = map(float, throws)
-    phase, speed, transfer, strain, acceleration, force, work = found
-    if not speed > 0.0:
+    layer, throws = rig.layer, first_throws(rig, loads=True)
+    if not throws.ejection_speed > 0.0:
         raise ThrowUnresolvedError(
             f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '
             f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
         )
-    speed_scale = engine.speed_scale
     return PredictedThrow(
         thickness=layer.thickness,
         wave_speed=layer.wave_speed,
@@ -121,12 +112,6 @@ def predict(rig: Rig) -> PredictedThrow:
         loss_tangent=layer.loss_tangent,
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
-        ejection_time=phase / engine.frequency,
-        ejection_speed=speed * speed_scale,
-        energy_transfer=transfer,
-        peak_strain=strain * speed_scale / layer.wave_speed,
-        peak_acceleration=acceleration * speed_scale * engine.angular_frequency,
-        peak_force=force * speed_scale * layer.mass / layer.crossing_time,
-        plate_work=work * mass * speed_scale**2,
-        kinetic_energy=0.5 * mass * (speed * speed_scale) ** 2,
+        **{name: float(value) for name, value in throws._asdict().items()},
+        kinetic_energy=0.5 * rig.projectile.mass * float(throws.ejection_speed) ** 2,
     )

@@ -39,14 +39,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import (
-    Cancelled,
-    first_throws,
-    Ratios,
-    SEARCH_CELLS,
-    stack_of,
-    unit_motion,
-)
+from soft_throw_ros.design.evaluate import Cancelled, first_throws, SEARCH_CELLS
 
 Floats = NDArray[np.float64]
 
@@ -79,17 +72,15 @@ class Variants(NamedTuple):
         values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
         return cls(*(np.array([value]) for value in values))
 
-    def ratios(self, rig: Rig, thickness: Floats | float, wave_speed: Floats | float) -> Ratios:
-        """Return what decides these throws from layers of another thickness and wave speed."""
-        return Ratios.of(
-            rig,
-            stacks=True,
-            mass=self.mass,
-            frequency=self.frequency,
-            damping_ratio=self.damping_ratio,
-            thickness=thickness + self.thickness_error,
-            wave_speed=wave_speed + self.wave_speed_error,
-        )
+    def changes(self, thickness: Floats | float, wave_speed: Floats | float) -> dict[str, Floats]:
+        """Return what is other than in the rig, for layers of a thickness and wave speed."""
+        return {
+            'mass': self.mass,
+            'frequency': self.frequency,
+            'damping_ratio': self.damping_ratio,
+            'thickness': thickness + self.thickness_error,
+            'wave_speed': wave_speed + self.wave_speed_error,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,24 +264,16 @@ def prediction_uncertainty(
     """
     uncertainties = uncertainties or Uncertainties()
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
-    ratios = variants.ratios(rig, rig.layer.thickness, rig.layer.wave_speed)
-    throws = first_throws(
-        ratios,
-        motion=unit_motion(rig.engine),
-        cells=SEARCH_CELLS,
-        stack=stack_of(rig.layer),
-        cancelled=cancelled,
-    )
-    left = throws.speed > 0.0
+    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    throws = first_throws(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
+    left = throws.ejection_speed > 0.0
     if not left.any():
         raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')
-    frequency = variants.frequency[left]
-    times = throws.ejection_phase[left] / frequency
-    speeds = throws.speed[left] * 2.0 * np.pi * frequency * rig.engine.amplitude
+    times = throws.ejection_time[left]
     gaps = np.diff(np.sort(times))
     return PredictionUncertainty(
         ejection_time=Interval.of(times),
-        ejection_speed=Interval.of(speeds),
+        ejection_speed=Interval.of(throws.ejection_speed[left]),
         energy_transfer=Interval.of(throws.energy_transfer[left]),
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
         held=1.0 - float(left.mean()),

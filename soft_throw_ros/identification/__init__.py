@@ -16,6 +16,8 @@ From tracks to a rig: what was measured in, parameters with their uncertainties 
 
 `tracks` (read by `track_csv`, or followed in videos by `video`) are compared by `least_squares`
 with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as `fit_description`
-says, started by `layer_search`, run by `rig_fit`), or of a free layer (`ringing`). `forward` is
-the only module that calls the steppers of the core. `throw_analysis` says how the projectile left.
+says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
+`layer_search`; then other `minima` are tried, other models (`model_choice`), and a layer that
+sticks (`sticking`), by what the fit says to first order (`linear_fit`). `forward` is the only
+module that calls the steppers of the core. `throw_analysis` says how the projectile left.
 """

@@ -19,7 +19,8 @@ Command line, YAML file and Python share it: a name, and in words how to treat i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache
@@ -240,17 +241,18 @@ class FitDescription:
         root = located_yaml.read(Path(path)) or Located(str(path), items=())
         description = base or cls()
         for name, node in _items(root):
-            if name == 'parameters':
-                for key, each in _items(node):
-                    description = _located(each, description.change, {key: str(each.value)})
-            elif name in ('heights', 'reference'):
-                description = _located(node, description.change, {name: str(node.value)})
-            elif name == 'throws':
+            if name == 'throws':
                 for throw, conditions in _items(node):
                     for key, each in _items(conditions):
-                        description = _located(
-                            each, description.set_condition, throw, key, str(each.value)
-                        )
+                        with _located(each):
+                            description = description.set_condition(throw, key, str(each.value))
+            elif name == 'parameters':
+                for key, each in _items(node):
+                    with _located(each):
+                        description = description.change({key: str(each.value)})
+            elif name in ('heights', 'reference'):
+                with _located(node):
+                    description = description.change({name: str(node.value)})
             else:
                 raise ValueError(
                     f'{node.where}: must be parameters, heights, reference or throws, got {name!r}'
@@ -350,12 +352,11 @@ def _check_treatments(parameters: Mapping[str, str]) -> None:
             raise ValueError(f'{name} {error}') from None
 
 
-def _located(
-    node: Located, change: Callable[..., FitDescription], *arguments: object
-) -> FitDescription:
-    """Change a description, and say where in the file if that is refused."""
+@contextmanager
+def _located(node: Located) -> Iterator[None]:
+    """Say where in the file something stands that is refused."""
     try:
-        return change(*arguments)
+        yield
     except ValueError as error:
         raise ValueError(f'{node.where}: {error}') from None
 

@@ -123,7 +123,7 @@ class ThrowSimulator:
         begin = 0.0  # steppers begin at 0
         if motion is not None:
             begin = motion.start_time
-            motion = SampledMotion(motion.times - begin, motion.states, motion.after)
+            motion = SampledMotion(motion.times - begin, motion.states)
         moments, places = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
         try:
             stepper = self._make_stepper(rig, motion, float(moments[-1]), moments.size, by_cells)

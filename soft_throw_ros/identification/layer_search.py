@@ -72,11 +72,7 @@ class LayerCandidate(NamedTuple):
         return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
 
 
-def find_layers(
-    model: RigModel,
-    plates: Sequence[PlateFit],
-    of_plates: Fit,
-) -> list[Rig]:
+def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> list[Rig]:
     """
     Find about which layer it is: look at many, nearer where it looks good, and refine the best.
 
@@ -90,7 +86,7 @@ def find_layers(
     free = {name for name in LAYER if model.description.is_free(name)}
     used = [channel.throw for channel in model.projectiles[:_THROWS]]
     throws = tuple(
-        throw.without_spikes() if number in used else replace(throw, projectile=None)
+        throw.apply(Track.without_spikes) if number in used else replace(throw, projectile=None)
         for number, throw in enumerate(model.throws)
     )
     model = replace(model, throws=throws)
@@ -171,9 +167,7 @@ def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
 
 
 def _valleys(
-    model: RigModel,
-    at_work: Mapping[int, PlateAtWork],
-    rigs: list[Rig],
+    model: RigModel, at_work: Mapping[int, PlateAtWork], rigs: list[Rig]
 ) -> list[LayerCandidate]:
     """Find rigs in a row that fit better than their neighbours, and of the best the wave speed."""
 
@@ -201,33 +195,22 @@ def _valleys(
     return found
 
 
-def _mismatch(
-    model: RigModel,
-    at_work: Mapping[int, PlateAtWork],
-    rig: Rig,
-) -> float:
+def _mismatch(model: RigModel, at_work: Mapping[int, PlateAtWork], rig: Rig) -> float:
     """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
-    trial = replace(model, rig=rig)
-    alike: dict[tuple[Rig, PlateWithModes], list[tuple[Floats, Track]]] = {}
+    rigs = replace(model, rig=rig).rigs
+    total = 0.0
     for throw, _, track in model.projectiles:
         plate = at_work[throw]
-        each = replace(trial.rigs[throw], engine=plate.engine)
-        alike.setdefault((each, plate.motion), []).append((track.time - plate.start_time, track))
-    total = 0.0
-    for (each, motion), tracks in alike.items():
-        parts = [slice(None, None, -(-track.time.size // _SAMPLES)) for _, track in tracks]
-        times = [since[part] for (since, _), part in zip(tracks, parts, strict=True)]
+        some = slice(None, None, -(-track.time.size // _SAMPLES))
+        time, height = track.time[some] - plate.start_time, track.position[some]
+        each = replace(rigs[throw], engine=plate.engine)
         try:
-            path = model.simulator.follow(each, np.concatenate(times), motion=motion)
+            path = model.simulator.follow(each, time, motion=plate.motion)
         except EffortError:
             raise
         except FitError:
             return math.inf
-        heights = np.split(path.position, np.cumsum([time.size for time in times])[:-1])
-        total += sum(
-            predicted.size * float(np.var(track.position[part] - predicted)) / track.noise**2
-            for (_, track), part, predicted in zip(tracks, parts, heights, strict=True)
-        )
+        total += time.size * float(np.var(height - path.position)) / track.noise**2
     return total
 
 

@@ -104,26 +104,15 @@ class Outlier(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackResidual:
-    """
-    What a fit leaves of a track.
-
-    Parameters
-    ----------
-    name : str
-    track : Track
-        The data that were fitted, without outliers.
-    fitted : ndarray, shape (n,)
-        What the model says at the same times. [m]
-    noise : ndarray, shape (n,)
-        Standard deviation of each sample. [m]
-    outliers : tuple of Outlier
-
-    """
+    """What a fit leaves of a track."""
 
     name: str
     track: Track
+    """The data that were fitted, without outliers."""
     fitted: Floats
+    """What the model says at the same times [m]."""
     noise: Floats
+    """Standard deviation of each sample [m]."""
     outliers: tuple[Outlier, ...] = ()
 
     @property
@@ -201,35 +190,25 @@ class Alternative(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """
-    Parameters that were fitted to tracks.
-
-    Parameters
-    ----------
-    names : tuple of str
-    values : ndarray, shape (n,)
-        In SI units.
-    covariance : ndarray, shape (n, n)
-    chi2 : float
-        Sum of the squared residuals, each over its noise, and of what is known over its error.
-    dof : int
-        Degrees of freedom: samples, and parameters known with an error, less parameters.
-    residuals : tuple of TrackResidual
-    known : mapping of int to Estimate
-        What was known of some parameters, by their places.
-    alternatives : tuple of Alternative
-        Other minima that are hardly worse; the covariance spans them.
-
-    """
+    """Parameters that were fitted to tracks."""
 
     names: tuple[str, ...]
     values: Floats
+    """In SI units, shape (n,)."""
     covariance: Floats
     chi2: float
+    """Sum of the squared residuals, each over its noise, and of what is known over its error."""
     dof: int
+    """Degrees of freedom: samples, and parameters known with an error, less parameters."""
     residuals: tuple[TrackResidual, ...]
+    noise: Floats
+    """Of each sample of all tracks, outliers among them [m]."""
+    kept: Flags
+    """Whether each sample of all tracks is none."""
     known: Mapping[int, Estimate] = field(default_factory=dict)
+    """What was known of some parameters, by their places."""
     alternatives: tuple[Alternative, ...] = ()
+    """Other minima that are hardly worse; the covariance spans them."""
 
     def __getitem__(self, name: str) -> Estimate:
         place = self.names.index(name)
@@ -437,7 +416,7 @@ def fit_tracks(
     return problem.conclude(values)
 
 
-def estimate_noise(residuals: Floats, speed: Floats | None = None) -> tuple[float, float]:
+def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
     r"""
     Estimate the noise of heights and of stamps from what a fit leaves.
 
@@ -445,8 +424,8 @@ def estimate_noise(residuals: Floats, speed: Floats | None = None) -> tuple[floa
     ----------
     residuals : ndarray, shape (n,)
         [m]
-    speed : ndarray, shape (n,), optional
-        Of the body; without it stamps are taken as right. [m/s]
+    speed : ndarray, shape (n,)
+        Of the body; where it does not move, nothing is seen of stamps. [m/s]
 
     Returns
     -------
@@ -462,35 +441,36 @@ def estimate_noise(residuals: Floats, speed: Floats | None = None) -> tuple[floa
 
     """
     squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
+    speeds = np.zeros_like(squares) if speed is None else speed[1:-1] ** 2
     kept = np.ones(squares.size, bool)
-    variance = squares.copy()
-    growth = 0.0
     for _ in range(8):
-        variance = np.full(squares.size, float(np.mean(squares[kept])))
-        if variance[0] == 0.0:  # tracks that were computed, not measured
-            return 0.0, 0.0
-        if speed is not None and kept.sum() > 8:
-            design = np.stack([np.ones(squares.size), speed[1:-1] ** 2], axis=1)
-            for _ in range(4):
-                weights = 1.0 / np.maximum(variance, 1e-300)
-                rows = (design * weights[:, None])[kept]
-                found, growth = optimize.nnls(rows, (squares * weights)[kept])[0]
-                # Of neighbouring differences of second order 0.94 more of the variance is shared
-                information = rows.T @ rows / (2.0 * 1.94)
-                significance = growth * math.sqrt(
-                    max(np.linalg.det(information) / max(information[0, 0], 1e-300), 0.0)
-                )
-                if significance < _JITTER_SIGNIFICANCE or found <= 0.0:
-                    growth = 0.0
-                    variance = np.full(squares.size, float(np.mean(squares[kept])))
-                    break
-                variance = design @ [found, growth]
-        inside = squares <= _STRAY**2 * variance
+        level, growth = _estimate_variance(squares[kept], speeds[kept])
+        inside = squares <= _STRAY**2 * (level + growth * speeds)
         if (inside == kept).all():
             break
         kept = inside
-    level = float(np.min(variance)) if growth == 0.0 else float(found)
     return math.sqrt(level), math.sqrt(growth)
+
+
+def _estimate_variance(squares: Floats, speeds: Floats) -> tuple[float, float]:
+    """Fit a constant and a growth with squared speeds to squares; no growth by chance."""
+    mean = float(np.mean(squares))
+    if mean == 0.0 or squares.size <= 8 or not speeds.any():  # computed tracks have no noise
+        return mean, 0.0
+    design = np.stack([np.ones(squares.size), speeds], axis=1)
+    variance = np.full(squares.size, mean)
+    for _ in range(4):
+        rows = design / np.maximum(variance, 1e-300)[:, None]
+        level, growth = optimize.nnls(rows, squares / np.maximum(variance, 1e-300))[0]
+        # Of neighbouring differences of second order 0.94 more of the variance is shared
+        information = rows.T @ rows / (2.0 * 1.94)
+        significance = growth * math.sqrt(
+            max(np.linalg.det(information) / max(information[0, 0], 1e-300), 0.0)
+        )
+        if significance < _JITTER_SIGNIFICANCE or level <= 0.0:
+            return mean, 0.0
+        variance = design @ [level, growth]
+    return float(level), float(growth)
 
 
 class _LeastSquares:
@@ -566,23 +546,18 @@ class _LeastSquares:
     def reweigh(self, values: Floats) -> bool:
         """Estimate the noise of tracks of which it is not known; tell whether it changes much."""
         left = self._position - self._model.predict(values)
-        speed = self._model.speed(values) if self._model.speed else None
-        speeds = np.split(speed, self._ends) if speed is not None else [None] * len(self._tracks)
+        speed = self._model.speed(values) if self._model.speed else np.zeros_like(left)
         noises = []
-        for (_, track), each, kept, old, moving in zip(
+        for (_, track), *parts in zip(
             self._tracks,
-            np.split(left, self._ends),
-            np.split(self._kept, self._ends),
-            np.split(self._noise, self._ends),
-            speeds,
+            *(np.split(each, self._ends) for each in (left, speed, self._kept, self._noise)),
             strict=True,
         ):
-            if track.known_noise:
-                noises.append(old)
-                continue
-            height, stamp = estimate_noise(each[kept], None if moving is None else moving[kept])
-            noise = np.full(each.size, max(height, track.least_noise, 1e-15))
-            noises.append(noise if moving is None else np.hypot(noise, stamp * moving))
+            each, moving, kept, noise = parts
+            if not track.known_noise:
+                height, stamp = estimate_noise(each[kept], moving[kept])
+                noise = np.hypot(max(height, track.least_noise, 1e-15), stamp * moving)
+            noises.append(noise)
         found = np.concatenate(noises)
         change = float(np.max(np.abs(np.log(found / self._noise))))
         self._noise = found
@@ -607,12 +582,10 @@ class _LeastSquares:
         chi2 = float(squares.sum())
         fitted = self._model.predict(values)
         residuals = tuple(
-            self._residual_of(name, track, heights, noise, kept)
-            for (name, track), heights, noise, kept in zip(
+            self._residual_of(name, track, *parts)
+            for (name, track), *parts in zip(
                 self._tracks,
-                np.split(fitted, self._ends),
-                np.split(self._noise, self._ends),
-                np.split(self._kept, self._ends),
+                *(np.split(each, self._ends) for each in (fitted, self._noise, self._kept)),
                 strict=True,
             )
         )
@@ -623,6 +596,8 @@ class _LeastSquares:
             chi2=chi2,
             dof=dof,
             residuals=residuals,
+            noise=self._noise,
+            kept=self._kept,
             known=dict(self._model.known),
         )
         scale = max(math.sqrt(fit.variance_scale), 1e-150)

@@ -100,23 +100,14 @@ class Condition(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """
-    How throws are seen.
-
-    Parameters
-    ----------
-    rate : float
-        Samples per second of both tracks. [Hz]
-    noise : float
-        Standard deviation of heights. [m]
-    duration : float
-        For how long after its start a throw is seen. [s]
-
-    """
+    """How throws are seen."""
 
     rate: float = 5000.0
+    """Samples per second of both tracks [Hz]."""
     noise: float = 2e-5
+    """Standard deviation of heights [m]."""
     duration: float = 0.05
+    """For how long after its start a throw is seen [s]."""
 
     def __post_init__(self) -> None:
         for name in ('rate', 'noise', 'duration'):
@@ -125,20 +116,12 @@ class Sight:
 
 @dataclass(frozen=True, kw_only=True)
 class Knowledge:
-    """
-    What is known of the parameters that all throws share.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Those of the rig; other thicknesses and masses than its own have their value in brackets.
-    information : ndarray, shape (n, n)
-        Inverse of the covariance.
-
-    """
+    """What is known of the parameters that all throws share."""
 
     names: tuple[str, ...]
+    """Those of the rig; other thicknesses and masses than its own have their value in brackets."""
     information: Floats
+    """Inverse of the covariance, shape (n, n)."""
 
     @property
     def covariance(self) -> Floats:
@@ -151,31 +134,30 @@ class Knowledge:
         """Return standard errors by names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
+    def after(self, information: Floats) -> Knowledge:
+        """Add what a throw tells."""
+        return Knowledge(names=self.names, information=self.information + information)
+
+    @property
+    def volume(self) -> float:
+        """Logarithm of the determinant of the covariance of what is sought."""
+        places = [k for k, name in enumerate(self.names) if name.partition('[')[0] in SOUGHT]
+        return float(np.linalg.slogdet(self.covariance[np.ix_(places, places)])[1])
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedThrow:
-    """
-    A throw, and what would be known after it.
-
-    Parameters
-    ----------
-    condition : Condition
-    errors : mapping of str to float
-        Standard errors of what all throws share, by the names of the rig.
-    energy_transfer_error : float
-        Standard error of alpha of the rig that the plan is for, over alpha. [-]
-    peak_strain : float
-        Of the layer in this throw. [-]
-    leaves_linear_range : bool
-        Whether that is more than the linear model takes.
-
-    """
+    """A throw, and what would be known after it."""
 
     condition: Condition
     errors: Mapping[str, float]
+    """Standard errors of what all throws share, by the names of the rig."""
     energy_transfer_error: float
+    """Standard error of alpha of the rig that the plan is for, over alpha [-]."""
     peak_strain: float
+    """Of the layer in this throw [-]."""
     leaves_linear_range: bool
+    """Whether that is more than the linear model takes."""
 
 
 @dataclass(frozen=True)
@@ -296,13 +278,14 @@ class Planner:
 
     def start(self) -> Knowledge:
         """Say what is known before."""
-        information = np.zeros((len(self.names), len(self.names)))
         measured = self.measured.names if self.measured else ()
-        for number, (name, place) in enumerate(self._shared.items()):
-            error = self._weak_error(name)
-            if place in self._model.known and name not in measured:
-                error = self._model.known[place].error
-            information[number, number] = 1.0 / error**2
+        errors = [
+            self._model.known[place].error
+            if place in self._model.known and name not in measured
+            else self._weak_error(name)
+            for name, place in self._shared.items()
+        ]
+        information = np.diag(np.array(errors) ** -2.0)
         if self.measured:
             kept = [number for number, name in enumerate(measured) if name in self._shared]
             here = [self.names.index(measured[number]) for number in kept]
@@ -312,17 +295,18 @@ class Planner:
 
     def judge(self, known: Knowledge) -> list[PlannedThrow]:
         """Say of each throw that can be made next what it would tell, the best one first."""
-        after = [self._after(known, number) for number in range(len(self.conditions))]
-        order = sorted(range(len(after)), key=lambda number: _volume(after[number]))
-        return [self._planned(number, after[number]) for number in order]
+        return [self._planned(number, after) for number, after in self._ranked(known)]
 
     def choose(self, known: Knowledge) -> Iterator[PlannedThrow]:
         """Choose throws one after the other, without end."""
         while True:
-            after = [self._after(known, number) for number in range(len(self.conditions))]
-            best = min(range(len(after)), key=lambda number: _volume(after[number]))
-            known = after[best]
+            (best, known), *_ = self._ranked(known)
             yield self._planned(best, known)
+
+    def _ranked(self, known: Knowledge) -> list[tuple[int, Knowledge]]:
+        """Add what each throw tells, the best one first."""
+        after = [(number, known.after(each)) for number, each in enumerate(self.information)]
+        return sorted(after, key=lambda each: each[1].volume)
 
     def energy_transfer(self, known: Knowledge) -> tuple[float, float]:
         """Return alpha of the rig, and its standard error over alpha."""
@@ -335,7 +319,10 @@ class Planner:
             for sign in (1.0, -1.0):
                 changed = self._values.copy()
                 changed[places] += sign * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP) * largest
-                rigs.append(self._rig_of(changed))
+                # Neither loss nor damping becomes negative
+                signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
+                changed[signed] = np.maximum(changed[signed], 0.0)
+                rigs.append(self._model.rig_of(changed, _TARGET))
         alpha = first_releases(rigs).energy_transfer
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
@@ -348,20 +335,6 @@ class Planner:
         value = _WEAKLY_KNOWN * abs(float(self._values[place]))
         known = self._model.known.get(place)
         return _WEAK_ERRORS.get(name, value or (known.error if known else 1.0))
-
-    def _rig_of(self, values: Floats) -> Rig:
-        """Make the rig of other values; neither loss nor damping becomes negative."""
-        for name in _WEAK_ERRORS:
-            place = self._shared.get(name)
-            if place is not None:
-                values[place] = max(values[place], 0.0)
-        return self._model.rig_of(values, _TARGET)
-
-    def _after(self, known: Knowledge, number: int) -> Knowledge:
-        """Add what a throw tells."""
-        return Knowledge(
-            names=known.names, information=known.information + self.information[number]
-        )
 
     def _planned(self, number: int, known: Knowledge) -> PlannedThrow:
         """Say what is known after a throw."""
@@ -382,9 +355,3 @@ def seeking_loss(description: FitDescription) -> FitDescription:
     """Have the loss sought unless it is held."""
     loss = 'layer.loss_tangent'
     return description.see(loss) if loss in description.if_seen else description
-
-
-def _volume(known: Knowledge) -> float:
-    """Logarithm of the determinant of the covariance of what is sought."""
-    places = [place for place, name in enumerate(known.names) if name.partition('[')[0] in SOUGHT]
-    return float(np.linalg.slogdet(known.covariance[np.ix_(places, places)])[1])

@@ -90,12 +90,16 @@ class PlateFit:
     @property
     def peak_velocity(self) -> Estimate:
         """:math:`V_p^*` (D4), with its standard error [m/s]."""
-        frequency, damping, amplitude = self.fit.values[:3].tolist()
-        rest = 1.0 - damping**2
-        by_damping = damping / rest - math.acos(damping) / rest**1.5
-        peak = self.motion.peak_velocity
-        slopes = peak * np.array([1.0 / frequency, by_damping, 1.0 / amplitude])
-        return Estimate(peak, math.sqrt(float(slopes @ self.fit.covariance[:3, :3] @ slopes)))
+        return estimate_peak_velocity(self.motion, self.fit.covariance[:3, :3])
+
+
+def estimate_peak_velocity(motion: Underdamped, covariance: Floats) -> Estimate:
+    """Return :math:`V_p^*` (D4) [m/s]; the covariance is of frequency, damping and amplitude."""
+    rest = 1.0 - motion.damping_ratio**2
+    by_damping = motion.damping_ratio / rest - math.acos(motion.damping_ratio) / rest**1.5
+    peak = motion.peak_velocity
+    slopes = peak * np.array([1.0 / motion.frequency, by_damping, 1.0 / motion.amplitude])
+    return Estimate(peak, math.sqrt(float(slopes @ covariance @ slopes)))
 
 
 def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:

@@ -93,7 +93,7 @@ class PlateWithModes(NamedTuple):
         states[2] += (times >= 0.0) * np.imag(
             self.step.velocity_factor * rate * np.exp(rate * later)
         )
-        return SampledMotion(times, np.stack(states, axis=1), 'hold')
+        return SampledMotion(times, np.stack(states, axis=1))
 
     def _of_waves(self, since: Floats, order: int) -> Floats:
         """Differentiate what is not the step, so many times."""

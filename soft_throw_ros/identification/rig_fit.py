@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -58,18 +58,23 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
+from soft_throw_ros.identification.linear_fit import profile_intervals
+from soft_throw_ros.identification.minima import find_best_minimum
 from soft_throw_ros.identification.model_choice import (
     add_terms,
     compare_layers,
     describe_layers,
-    find_best_minimum,
     LayerModel,
-    let_stick,
-    profile_intervals,
+)
+from soft_throw_ros.identification.plate_fit import estimate_peak_velocity, fit_plate, PlateFit
+from soft_throw_ros.identification.rig_model import (
+    cut_after,
+    RigModel,
+    shift_of_release,
+    START,
     STICKING,
 )
-from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import cut_after, RigModel, shift_of_release, START
+from soft_throw_ros.identification.sticking import let_stick
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -77,42 +82,33 @@ Floats = NDArray[np.float64]
 _LEAST_NOISE = 0.1  # of the largest, and ...
 _MODEL_ERROR = 5e-6  # of the way a projectile goes, which models leave out
 _IN_FLIGHT = 0.97  # of the time until the landing is looked at
-_STEP = 1e-5  # relative, for derivatives
 _SEEN = 3.0  # errors, from which on a layer is said to stick
 _LANDING_ROUNDS = 4  # of finding out when that is
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFit:
-    """
-    A rig that was fitted to throws.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of what was varied, and for each throw of its `start_time`, and of `plate_offset` and
-        `projectile_offset`, the heights at rest, as far as they were free. What only some of
-        several throws have in common has the number of the first of them in brackets, from 1.
-    rig : Rig
-        With the values that were found, their mean where each throw has its own, and the wave
-        speed that the layer has when it is squeezed as much as in these throws.
-    throws : tuple of ThrowTracks
-        What they were found from: without what comes after a landing, and without outliers.
-    remarks : tuple of str
-        What had to be assumed to explain these throws, each in a sentence.
-    layers : tuple of LayerModel
-        How well several kinds of layers explain them.
-    intervals : mapping of str to tuple of float
-        Intervals of 95 % of parameters for which errors are no good, see `profile_intervals`.
-
-    """
+    """A rig that was fitted to throws."""
 
     fit: Fit
+    """
+    Of what was varied, and for each throw of its `start_time`, and of `plate_offset` and
+    `projectile_offset`, the heights at rest, as far as they were free. What only some of several
+    throws have in common has the number of the first of them in brackets, from 1.
+    """
     rig: Rig
+    """
+    With the values that were found, their mean where each throw has its own, and the wave speed
+    that the layer has when it is squeezed as much as in these throws.
+    """
     throws: tuple[ThrowTracks, ...]
-    remarks: tuple[str, ...] = ()
-    layers: tuple[LayerModel, ...] = ()
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """What they were found from: without what comes after a landing, and without outliers."""
+    remarks: tuple[str, ...]
+    """What had to be assumed to explain these throws, each in a sentence."""
+    layers: tuple[LayerModel, ...]
+    """How well several kinds of layers explain them."""
+    intervals: Mapping[str, tuple[float, float]]
+    """Intervals of 95 % of parameters for which errors are no good, see `profile_intervals`."""
     _model: RigModel
 
     def estimates(self) -> dict[str, Estimate]:
@@ -132,7 +128,7 @@ class RigFit:
         which it is the one of a layer at rest.
         """
         places = self._model.places_of(name)
-        if not any(isinstance(key, int) for part, key in self._model.groups if part == name):
+        if not self._model.is_per_throw(name):
             places = places[:1]
         variance = float(self.fit.covariance[np.ix_(places, places)].mean())
         return Estimate(values_of(self.rig, [name])[name], math.sqrt(variance))
@@ -177,20 +173,13 @@ class RigFit:
 
     def peak_plate_speed(self, throw: int) -> Estimate:
         """Find the largest speed of the step of a throw, :math:`V_p^*` (D4) [m/s]."""
-        values, places = self.fit.values, self._model.places
-
-        def speed(moved: Floats) -> float:
-            return Underdamped.of(self._model.rig_of(moved, throw).engine).peak_velocity
-
-        slopes = np.zeros_like(values)
-        for name in ENGINE:
-            place = places.get(name, {}).get(throw)
-            if place is not None:
-                step = np.zeros_like(values)
-                step[place] = _STEP * values[place]
-                slopes[place] = (speed(values + step) - speed(values)) / max(step[place], 1e-300)
-        error = math.sqrt(float(slopes @ self.fit.covariance @ slopes))
-        return Estimate(speed(values), error)
+        motion = Underdamped.of(self._model.rig_of(self.fit.values, throw).engine)
+        places = {k: self._model.places.get(name, {}).get(throw) for k, name in enumerate(ENGINE)}
+        varied = {k: place for k, place in places.items() if place is not None}
+        covariance = np.zeros((len(ENGINE), len(ENGINE)))
+        of_fit = self.fit.covariance[np.ix_([*varied.values()], [*varied.values()])]
+        covariance[np.ix_([*varied], [*varied])] = of_fit
+        return estimate_peak_velocity(motion, covariance)
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
         """
@@ -207,7 +196,7 @@ class RigFit:
             values = self.fit.values + self.fit.errors * step
             with contextlib.suppress(ValueError):
                 rigs.append(self._model.rig_of(values))
-                stuck.append(self._model.value(values, 'projectile.sticking', 0))
+                stuck.append(self._model.value(values, STICKING, 0))
         found = first_releases(rigs)
         shift = shift_of_release(self._model, self.fit.values, 0)
         # A time below 0 stands for as much less of what a layer that sticks does
@@ -280,18 +269,14 @@ def fit_rig(
         model, fit = let_stick(model, plates, fit)
     intervals = profile_intervals(model, fit)
     remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
-    kept = {
-        (channel.throw, channel.body): residual.track
-        for channel, residual in zip(model.channels, fit.residuals, strict=True)
-    }
-    throws = tuple(
-        replace(throw, plate=kept[number, 'plate'], projectile=kept.get((number, 'projectile')))
-        for number, throw in enumerate(model.throws)
-    )
+    tracks: list[dict[str, Track]] = [{} for _ in throws]
+    for (number, body, _), residual in zip(model.channels, fit.residuals, strict=True):
+        tracks[number][body] = residual.track
+    used = [ThrowTracks(name=old.name, **of) for old, of in zip(throws, tracks, strict=True)]
     return RigFit(
         fit=fit,
         rig=model.rig_of(fit.values),
-        throws=throws,
+        throws=tuple(used),
         remarks=tuple(remarks),
         layers=tuple(layers),
         intervals=intervals,
@@ -315,13 +300,13 @@ def _choose_layer(
     """Add what the tracks show to be needed, and take the kind of layer that explains them."""
     simple = model
     model, fit, remarks = add_terms(model, plates, fit)
-    compared = compare_layers(model, plates, fit)
-    if compared.other is not None:
-        other = replace(simple, rig=compared.other[0])
+    layers, strained = compare_layers(model, plates, fit)
+    if strained is not None:
+        other = replace(simple, rig=strained[0])
         with contextlib.suppress(EffortError):
-            fit = other.fit(other.start_from(compared.other[1], plates))
+            fit = other.fit(other.start_from(strained[1], plates))
             model, fit, remarks = add_terms(other, plates, fit)
-    return model, fit, compared.layers, remarks
+    return model, fit, layers, remarks
 
 
 def _find_layers(
@@ -362,14 +347,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     def with_noise(track: Track) -> Track:
         return replace(track, least_noise=max(track.least_noise, least))
 
-    return [
-        replace(
-            throw,
-            plate=with_noise(throw.plate),
-            projectile=throw.projectile and with_noise(throw.projectile),
-        )
-        for throw in throws
-    ]
+    return [throw.apply(with_noise) for throw in throws]
 
 
 def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:

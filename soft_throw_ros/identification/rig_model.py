@@ -49,11 +49,16 @@ START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_o
 OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 """What each throw has for itself: when it begins, and the heights of its bodies at rest."""
 
+STICKING = 'projectile.sticking'
+"""For how long the layer holds the projectile when it would leave."""
+
 WAVES = {
     'plate.ringing': ('plate.ringing_cosine', 'plate.ringing_sine'),
     'plate.mode': ('plate.mode_cosine', 'plate.mode_sine'),
 }
 """Terms that are waves, and their amplitudes."""
+
+_TERM_OF = {part: name for name, parts in WAVES.items() for part in parts}
 
 MODE = ('plate.mode_frequency', 'plate.mode_damping_ratio')
 """What is fitted with a second mode beside its amplitudes, and is the same in all throws."""
@@ -68,7 +73,7 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.density': (1.0, 1e5),
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
-    'projectile.sticking': (0.0, math.inf),
+    STICKING: (0.0, math.inf),
     MODE[0]: (1e-3, math.inf),
     MODE[1]: (1e-4, 0.5),
 }
@@ -78,20 +83,14 @@ _STEPS = {  # absolute
     'engine.damping_ratio': 3e-5,
     'layer.loss_tangent': 3e-4,
     'layer.stiffening': 2e-2,
-    'projectile.sticking': 1e-5,
-    PLATE_ZERO: 1e-5,
-    PROJECTILE_ZERO: 1e-5,
+    **dict.fromkeys((STICKING, PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
-    **dict.fromkeys((*WAVES['plate.ringing'], *WAVES['plate.mode'], MODE[1]), 1e-3),
+    **dict.fromkeys((*_TERM_OF, MODE[1]), 1e-3),
 }
-_MOVING = {  # what another value of makes another throw, which has to be followed
-    *PARAMETERS,
-    'layer.stiffening',
-    *WAVES['plate.ringing'],
-    *WAVES['plate.mode'],
-    *MODE,
-}
-_MODE_ERRORS = (0.05, 0.05)  # of the frequency, relative, and the damping of a mode that is seen
+_MOVING = {*PARAMETERS, 'layer.stiffening', *_TERM_OF, *MODE}
+"""What another value of makes another throw, which has to be followed."""
+
+_MODE_ERROR = 0.05  # of the frequency, relative, and the damping of a mode that is seen
 _EVALUATIONS = 60  # of the model, in one run of the solver, unless ...
 _SHARE_OF_FIT = 0.3  # of all effort goes into it; but there are ...
 _FEWEST_EVALUATIONS = 8
@@ -230,25 +229,26 @@ class RigModel:
     @cached_property
     def known(self) -> dict[int, Estimate]:
         """Return what is known with an error, by places."""
-        found = {}
-        for place, ((part, _), throws) in enumerate(self.groups.items()):
-            names = [name for name in DEFAULTS if part in WAVES.get(name, (name,))]
-            for name in names:
-                known = self.description.known(
-                    name, self.rigs[throws[0]], self.throws[throws[0]].name
+        found: dict[int, Estimate | None] = {}
+        for place, ((part, _), (throw, *_)) in enumerate(self.groups.items()):
+            name = _TERM_OF.get(part, part)
+            if name in DEFAULTS:
+                found[place] = self.description.known(
+                    name, self.rigs[throw], self.throws[throw].name
                 )
-                if known is not None:
-                    found[place] = known
-            if part in MODE and self.mode is not None:
-                error = (_MODE_ERRORS[0] * self.mode.frequency, _MODE_ERRORS[1])
-                found[place] = Estimate(
-                    *list(zip(self.mode, error, strict=True))[MODE.index(part)]
-                )
-        return found
+            elif self.mode is not None and part == MODE[0]:
+                found[place] = Estimate(self.mode.frequency, _MODE_ERROR * self.mode.frequency)
+            elif self.mode is not None and part == MODE[1]:
+                found[place] = Estimate(self.mode.damping_ratio, _MODE_ERROR)
+        return {place: known for place, known in found.items() if known is not None}
 
     def places_of(self, name: str) -> list[int]:
         """Where a parameter stands among the values, of all throws."""
         return sorted(set(self.places[name].values()))
+
+    def is_per_throw(self, name: str) -> bool:
+        """Whether each throw has its own."""
+        return any(isinstance(key, int) for part, key in self.groups if part == name)
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Look up what is no parameter of the rig, of a throw; 0 if nothing is said of it."""
@@ -266,15 +266,12 @@ class RigModel:
         By default that of the first throw, with the mean of what each has for itself.
         """
         number = 0 if throw is None else throw
-        changes = {
-            name: float(values[places[number]])
-            for name, places in self.places.items()
-            if name in PARAMETERS and number in places
-        }
-        if throw is None:
-            for name in changes:
-                if any(isinstance(key, int) for part, key in self.groups if part == name):
-                    changes[name] = float(np.mean(values[self.places_of(name)]))
+        changes = {}
+        for name, places in self.places.items():
+            if name in PARAMETERS and number in places:
+                is_mean = throw is None and self.is_per_throw(name)
+                of_all = self.places_of(name) if is_mean else [places[number]]
+                changes[name] = float(np.mean(values[of_all]))
         rig = changed_rig(self.rigs[number], changes)
         stiffening = self.value(values, 'layer.stiffening', number)
         if stiffening:
@@ -306,38 +303,27 @@ class RigModel:
         Compute what is seen of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all channels. Throws of the same rig are followed together.
+        of all channels.
         """
         if places is None:
             places = [(throw, body, track.time) for throw, body, track in self.channels]
-        found: dict[int, Path] = {}
-        alike: dict[tuple[Rig, PlateWithModes, float], list[int]] = {}
-        since: dict[int, Floats] = {}
-        motions = {throw: self.motion(values, throw) for throw in {place[0] for place in places}}
-        for number, (throw, body, time) in enumerate(places):
-            rig, motion = motions[throw]
-            since[number] = time - self.value(values, START, throw)
+        found = []
+        for throw, body, time in places:
+            rig, motion = self.motion(values, throw)
+            since = time - self.value(values, START, throw)
             if body == 'plate':
-                height = self.value(values, PLATE_ZERO, throw) + motion.position(since[number])
-                height += self.drift(values, throw, body, time)
-                found[number] = Path(height, motion.velocity(since[number]))
+                rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
+                travel, velocity = motion.position(since), motion.velocity(since)
             else:
-                since[number] = since[number] - self.value(values, 'projectile.delay', throw)
-                sticking = self.value(values, 'projectile.sticking', throw)
-                alike.setdefault((rig, motion, sticking), []).append(number)
-        for (rig, motion, sticking), numbers in alike.items():
-            times = np.concatenate([since[number] for number in numbers])
-            ends = np.cumsum([since[number].size for number in numbers])[:-1]
-            follow = partial(self.simulator.follow, rig, motion=motion, by_cells=self.by_cells)
-            travel, velocity = _travel(follow(times), rig, times, sticking)
-            pieces = zip(np.split(travel, ends), np.split(velocity, ends), strict=True)
-            for number, (way, speed) in zip(numbers, pieces, strict=True):
-                throw, body, time = places[number]
+                rest = self._projectile_rest(values, throw, rig)
                 scale = self.value(values, 'projectile.scale', throw)
-                height = self._projectile_rest(values, throw, rig) + scale * way
-                height += self.drift(values, throw, body, time)
-                found[number] = Path(height, scale * speed)
-        return [found[number] for number in range(len(places))]
+                since = since - self.value(values, 'projectile.delay', throw)
+                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
+                sticking = self.value(values, STICKING, throw)
+                travel, velocity = _travel(path, rig, since, sticking)
+            height = rest + scale * travel + self.drift(values, throw, body, time)
+            found.append(Path(height, scale * velocity))
+        return found
 
     def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithModes]:
         """Make the rig of a throw, and how its plate moves."""
@@ -407,16 +393,14 @@ class RigModel:
                     values[place] = self.description.value(name, self.rig, self.throws[throw].name)
                 elif name in MODE and self.mode is not None:
                     values[place] = self.mode[MODE.index(name)]
-        if 'projectile.sticking' in self.places:
-            values[self.places_of('projectile.sticking')] = START_OF_STICKING
+        if STICKING in self.places:
+            values[self.places_of(STICKING)] = START_OF_STICKING
         for throw, plate in enumerate(plates):
-            found = {START: plate.start_time, PLATE_ZERO: plate.offset}
-            engine = dict(zip(ENGINE, plate.fit.values[:3].tolist(), strict=True))
-            own = {name for name, key in self.groups if key is not None}
-            found |= {name: engine[name] for name in ENGINE if name in own}
-            for name, value in found.items():
-                if name in self.places:
-                    values[self.places[name][throw]] = value
+            engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
+            found = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
+            for (name, key), throws in self.groups.items():
+                if key is not None and throw in throws and name in found:
+                    values[self.places[name][throw]] = found[name]
         if PROJECTILE_ZERO in self.places:
             paths = self.paths(values)
             for (throw, body, track), path in zip(self.channels, paths, strict=True):
@@ -432,6 +416,14 @@ class RigModel:
         return np.array(
             [before.get(n, v) for n, v in zip(self.names, start.tolist(), strict=True)]
         )
+
+    def without_faults(self, values: Floats) -> Floats:
+        """Put what a bench may add back to what is known of it, lest a fit go astray with that."""
+        start: Floats = values.copy()
+        for place, known in self.known.items():
+            if not self.names[place].startswith('plate'):  # as the plates alone have it
+                start[place] = known.value
+        return start
 
     def fit(
         self,

@@ -30,7 +30,7 @@ the loss.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -87,7 +87,7 @@ class Ringing:
         return Estimate(factor * self.loss_tangent.value, factor * self.loss_tangent.error)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CommonValue:
     """What layers of one material have in common, with chi squared and degrees of freedom."""
 
@@ -191,21 +191,17 @@ def fit_wave_speed(
     period = checks.require_positive_array('periods', [each.value for each in periods])
     error = checks.require_not_negative_array('periods', [each.error for each in periods])
     spread = checks.require_not_negative('thickness_error', thickness_error)
-    slowness = float(np.sum(period * thickness) / np.sum(thickness**2))  # T_0 / L_s = 2 / c_s
+    found = _common_value(period, thickness, np.ones_like(period))  # T_0 / L_s = 2 / c_s
     for _ in range(20):
-        variance = np.maximum(error**2 + (slowness * spread) ** 2, 1e-300)
-        information = float(np.sum(thickness**2 / variance))
-        slowness = float(np.sum(period * thickness / variance)) / information
-    chi2 = float(np.sum((period - slowness * thickness) ** 2 / variance))
-    dof = len(periods) - 1
-    speed = 2.0 / slowness
-    relative = math.sqrt(_scatter(chi2, dof) / information) / slowness
-    return CommonValue(value=Estimate(speed, speed * relative), chi2=chi2, dof=dof)
+        found = _common_value(period, thickness, np.hypot(error, found.value.value * spread))
+    slowness = found.value
+    speed = 2.0 / slowness.value
+    return replace(found, value=Estimate(speed, speed * slowness.error / slowness.value))
 
 
 def fit_loss_tangent(ringings: Sequence[Ringing], *, frequency: float) -> CommonValue:
     """
-    Find the loss tangent that layers which ring have in common.
+    Find the loss tangent that layers which ring have in common, their weighted mean.
 
     Parameters
     ----------
@@ -219,25 +215,21 @@ def fit_loss_tangent(ringings: Sequence[Ringing], *, frequency: float) -> Common
     ValueError
         If there is none.
 
-    Notes
-    -----
-    The mean, weighted by errors. If the layers scatter more than these, the error of the result
-    is larger by as much.
-
     """
     if not ringings:
         raise ValueError('there must be at least one layer that rings, got none')
     values, errors = np.transpose([each.loss_tangent_at(frequency) for each in ringings])
-    weights = np.maximum(errors, 1e-12) ** -2.0
-    mean = float(np.average(values, weights=weights))
-    chi2, dof = float(np.sum(weights * (values - mean) ** 2)), len(ringings) - 1
-    error = math.sqrt(_scatter(chi2, dof) / float(weights.sum()))
-    return CommonValue(value=Estimate(mean, error), chi2=chi2, dof=dof)
+    return _common_value(values, np.ones_like(values), np.maximum(errors, 1e-12))
 
 
-def _scatter(chi2: float, dof: int) -> float:
-    """By how much the variance is larger than errors explain, at least 1."""
-    return max(1.0, chi2 / dof) if dof else 1.0
+def _common_value(values: Floats, sizes: Floats, errors: Floats) -> CommonValue:
+    """Fit values that are proportional to sizes; if they scatter, the error is larger by that."""
+    weights = np.maximum(errors, 1e-150) ** -2.0
+    information = float(np.sum(weights * sizes**2))
+    mean = float(np.sum(weights * values * sizes)) / information
+    chi2, dof = float(np.sum(weights * (values - mean * sizes) ** 2)), values.size - 1
+    scatter = max(1.0, chi2 / dof) if dof else 1.0
+    return CommonValue(Estimate(mean, math.sqrt(scatter / information)), chi2, dof)
 
 
 def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:

@@ -45,6 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 import math
 from typing import Any, NamedTuple
 
@@ -222,25 +223,17 @@ def tracks_of(
         )
     groups: dict[str, list[Spot]] = {}
     for number, (spot, body) in enumerate(zip(spots, bodies, strict=True)):
-        if body == 'none':
-            continue
-        if spot.row.size < FEWEST:
-            raise TrackError(
-                f'the spot at {spot.place}, on the {body}, is seen in {spot.row.size} '
-                f'pictures, where at least {FEWEST} are needed'
-            )
-        name = f'layer {1 + bodies[:number].count("layer")}' if body == 'layer' else body
-        groups.setdefault(name, []).append(spot)
+        if body != 'none':
+            name = f'layer {1 + bodies[:number].count("layer")}' if body == 'layer' else body
+            groups.setdefault(name, []).append(spot)
     zero = next((float(spot.row[0]) for spot in spots if spot.row.size), 0.0)
     tracks = {}
     for name, some in groups.items():
-        seen = some[0].picture
-        for spot in some[1:]:
-            seen = np.intersect1d(seen, spot.picture)
+        seen = reduce(np.intersect1d, [spot.picture for spot in some])
         if seen.size < FEWEST:
             raise TrackError(
-                f'the {len(some)} spots on the {name} are all seen in {seen.size} pictures, '
-                f'where at least {FEWEST} are needed'
+                f'the spot at {" and at ".join(spot.place for spot in some)}, on the {name}, is '
+                f'seen in {seen.size} pictures, where at least {FEWEST} are needed'
             )
         row = np.mean([spot.row[np.isin(spot.picture, seen)] for spot in some], axis=0)
         tracks[name] = Track(
@@ -327,7 +320,6 @@ class _SpotTracker:
         self._diameter = found.diameter
         self._noise = noise
         self._level = found.level
-        self._first: _Sighting | None = None
         self._seen: list[tuple[int, _Sighting]] = []
         self._usual_mass = 0.0
         self._is_lost = False
@@ -353,10 +345,8 @@ class _SpotTracker:
             edge = 0.5 * self._diameter + _BLUR + 1.0
             beyond = np.maximum(edge - self._expected, self._expected + edge - picture.shape)
             if beyond.max() > 0.0 or self.doubt > _MAX_DOUBT * self._diameter:
-                self._is_lost, self.doubt = (
-                    True,
-                    0.0,
-                )  # it has left the picture, or may be anywhere
+                # It has left the picture, or may be anywhere
+                self._is_lost, self.doubt = True, 0.0
             if self._velocity_doubt > np.linalg.norm(self._velocity):
                 self._velocity = np.zeros(2)  # it may have turned
             return
@@ -371,7 +361,6 @@ class _SpotTracker:
         self._level = found.level
         memory = min(_MASS_MEMORY, len(self._seen) + 1.0)
         self._usual_mass += (found.mass - self._usual_mass) / memory
-        self._first = self._first or found
         self._seen.append((number, found))
         self._see_acceleration()
 
@@ -427,8 +416,7 @@ class _SpotTracker:
         if min(part.shape) < 2 * _MARGIN:
             return None
         smooth = _smooth(part)
-        latest = self._latest()
-        usual = latest.area if latest else 0.25 * math.pi * self._diameter**2
+        usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self._diameter**2
         candidates = [
             region
             for region in regionprops(label(smooth < self._level))
@@ -448,23 +436,19 @@ class _SpotTracker:
         near = min(whole, key=lambda each: math.dist(each.place, middle), default=None)
         return near and near._replace(place=near.place + corner)
 
-    def _latest(self) -> _Sighting | None:
-        """Return how it was seen last."""
-        return self._seen[-1][1] if self._seen else None
-
     def _is_like(self, found: _Sighting) -> bool:
         """Tell whether it is as dark and symmetric as it was."""
         if found.depth < _MIN_CONTRAST * self._noise:
             return False
-        latest = self._latest()
-        if self._first is None or latest is None:
+        if not self._seen:
             return True
+        (_, first), (_, latest) = self._seen[0], self._seen[-1]
         off = abs(found.mass - self._usual_mass)
         if off > _MAX_MASS_CHANGE * self._usual_mass + _MASS_NOISE * found.mass_error:
             return False
         change = max(found.depth / latest.depth, latest.depth / found.depth)
         noise = _ASYMMETRY_NOISE * self._noise / found.depth
-        unlike = float(np.sqrt(np.mean((found.asymmetry - self._first.asymmetry) ** 2)))
+        unlike = float(np.sqrt(np.mean((found.asymmetry - first.asymmetry) ** 2)))
         return change < _MAX_CHANGE and unlike < _MAX_ASYMMETRY + noise
 
     def _measure(

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+import contextlib
 from dataclasses import dataclass, field, replace
 import math
 
@@ -179,21 +181,16 @@ class ThrowTracks:
 
     def between(self, start: float, end: float) -> ThrowTracks:
         """Return the part from `start` to `end` [s]; of the projectile there may be none."""
-        plate, projectile = self.plate.between(start, end), self.projectile
-        if projectile is not None:
-            try:
-                projectile = projectile.between(start, end)
-            except TrackError:
-                projectile = None
-        return replace(self, plate=plate, projectile=projectile)
+        projectile = None
+        if self.projectile is not None:
+            with contextlib.suppress(TrackError):
+                projectile = self.projectile.between(start, end)
+        return replace(self, plate=self.plate.between(start, end), projectile=projectile)
 
-    def without_spikes(self) -> ThrowTracks:
-        """Leave out samples that jump, see `Track.without_spikes`."""
-        return replace(
-            self,
-            plate=self.plate.without_spikes(),
-            projectile=self.projectile and self.projectile.without_spikes(),
-        )
+    def apply(self, change: Callable[[Track], Track]) -> ThrowTracks:
+        """Change both tracks alike."""
+        projectile = self.projectile and change(self.projectile)
+        return replace(self, plate=change(self.plate), projectile=projectile)
 
 
 def noise_of(time: Floats, position: Floats) -> float:

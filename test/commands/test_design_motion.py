@@ -60,7 +60,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     np.testing.assert_allclose(times, motion.times, rtol=1e-14)  # whole nanoseconds
     # What a controller makes of it by quintics stays within the limits, and throws once, as fast
     states = [(p.positions[0], p.velocities[0], p.accelerations[0]) for p in points]
-    sent = SampledMotion(np.array(times), np.array(states), 'hold')
+    sent = SampledMotion(np.array(times), np.array(states))
     limits, plate = PlateLimits.of(Rig().engine), PlateLimits.of(Engine(motion=sent))
     assert plate.speed <= limits.speed * (1.0 + 1e-9)
     assert np.abs(sent.states[:, 2]).max() <= limits.acceleration * (1.0 + 1e-9)

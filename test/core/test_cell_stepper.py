@@ -21,7 +21,16 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from reference import method_of_lines, normal_modes
-from reference.cases import EXACT, FREQUENCY, make_paper_rig, make_rig, STRAINS
+from reference.cases import (
+    EXACT,
+    FREQUENCY,
+    log_uniform,
+    make_paper_rig,
+    make_rig,
+    order,
+    released,
+    STRAINS,
+)
 from reference.method_of_steps import follow
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -32,12 +41,9 @@ from soft_throw_ros.core.cell_stepper import (
     first_throws,
     MAX_CELLS,
 )
-from soft_throw_ros.core.closed_form import first_release
-from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
-    EventLimitError,
     HorizonError,
     PLATE_FORCE,
     PLATE_POSITION,
@@ -50,44 +56,26 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.throw import simulate
 
 LOSSY = Rig(layer=Layer(loss_tangent=0.1))
-STACKED = Rig(
-    layer=Stack(
-        sheets=(
-            Layer(thickness=6e-3),
-            Layer(thickness=4e-3, wave_speed=20.0, loss_tangent=0.1),
-        )
-    )
-)
-CAPPED = Rig(
-    layer=Stack(
-        sheets=(
-            Layer(thickness=8e-3),
-            Layer(thickness=1e-4, wave_speed=200.0, density=5000.0),
-        )
-    )
-)
+SHEETS = (Layer(thickness=6e-3), Layer(thickness=4e-3, wave_speed=20.0, loss_tangent=0.1))
+CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0)
 GEL = {'elasticity': 'neo_hookean', 'loss': 'constant', 'loss_tangent': 0.1}
+GELS = Stack(sheets=tuple(replace(each, **GEL) for each in SHEETS))
 CASES = {
     'neo_hookean': (Rig(layer=Layer(elasticity='neo_hookean')), 'finite_difference'),
     'constant': (Rig(layer=Layer(loss_tangent=0.1, loss='constant')), 'finite_difference'),
     'gel': (Rig(layer=Layer(**GEL)), 'finite_difference'),
-    'gels': (
-        Rig(layer=Stack(sheets=tuple(replace(each, **GEL) for each in STACKED.layer.sheets))),
-        'finite_difference',
-    ),
+    'gels': (Rig(layer=GELS), 'finite_difference'),
     'glued gel': (Rig(layer=Layer(**GEL)), 'finite_difference_glued'),
     'elastic on a gel': (Rig(layer=Layer(**GEL)), 'finite_difference_elastic'),
     'uniform': (Rig(), 'finite_difference'),
+    'weightless': (Rig(gravity=0.0), 'finite_difference'),
     'lossy': (LOSSY, 'finite_difference'),
-    'stacked': (STACKED, 'finite_difference'),
-    'capped': (CAPPED, 'finite_difference'),
-    'echoes': (Rig(layer=Layer(thickness=0.002), gravity=20.0), 'finite_difference'),
+    'stacked': (Rig(layer=Stack(sheets=SHEETS)), 'finite_difference'),
     'elastic': (Rig(), 'finite_difference_elastic'),
     'soft': (Rig(projectile=Projectile(youngs_modulus=1e6)), 'finite_difference_elastic'),
     'glued': (LOSSY, 'finite_difference_glued'),
     'spring': (LOSSY, 'spring_mass'),
 }
-
 SOME_EXACT = [EXACT[i] for i in (0, 2, 10, 11, 12, 14, 19)]
 # Loss tangent 0.05, computed with 40-digit closed forms, checked by a second method
 LOSSY_RATIOS = {
@@ -98,18 +86,9 @@ LOSSY_RATIOS = {
 LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
 
 
-def throw(rig, periods=4.0, **options):
+def throw(rig, **options):
     """Advance until the projectile has left, and return the stepper."""
-    stepper = CellStepper(rig, **options)
-    for quarter in range(1, round(4 * periods) + 1):
-        if stepper.advance_to(0.25 * quarter / rig.engine.frequency):
-            return stepper
-    raise AssertionError('no release')
-
-
-def order(cells, errors):
-    """Return the exponent with which errors fall."""
-    return -np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
+    return released(CellStepper(rig, **options), periods=4.0)
 
 
 @pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), SOME_EXACT)
@@ -200,47 +179,6 @@ def test_bare_layer_leaves_the_plate_as_it_should(kappa):
     assert throws.speed == pytest.approx(speed, rel=1e-3)
 
 
-# Computed with 40-digit closed forms, checked by a second method; time in plate periods
-@pytest.mark.parametrize(
-    ('mu', 'kappa', 'events', 'first', 'alpha_first', 'last', 'alpha_last'),
-    [
-        (5.0, 1.5, 7, 1.1525105269970801, 0.03156194956881057, 5.030617046549641,
-         0.19482040123175556),
-        (3.0333, 2.5, 3, 0.8651147294875321, 0.1891200559290065, 2.002892429791799,
-         0.4218872106128318),
-    ],
-)  # fmt: skip
-def test_recontact_is_followed_to_the_last_release(
-    mu, kappa, events, first, alpha_first, last, alpha_last
-):
-    rig = make_rig(mu, kappa)
-    stepper = CellStepper(rig, cells=256)
-    assert stepper.advance_to(60.0 / FREQUENCY) == events
-    kinds = [event.kind for event in stepper.events()]
-    assert kinds == ['release', 'recontact'] * (events // 2) + ['release']
-    for event, time, alpha in (
-        (stepper.events()[0], first, alpha_first),
-        (stepper.events()[-1], last, alpha_last),
-    ):
-        assert event.time * FREQUENCY == pytest.approx(time, abs=1e-5)
-        assert (event.velocity / rig.engine.speed_scale) ** 2 == pytest.approx(alpha, abs=3e-5)
-
-
-# Computed with 40-digit closed forms, checked by a second method; s, m/s
-def test_gravity_delays_the_release_and_brings_the_projectile_back():
-    stepper = CellStepper(make_paper_rig(0.0056, gravity=9.81, damping_ratio=0.064), cells=128)
-    stepper.advance_to(0.275)
-    first, second = stepper.events()[:2]
-    assert (first.kind, second.kind) == ('release', 'landing')
-    assert first.time == pytest.approx(0.0057781780440564505, rel=1e-6)
-    assert first.velocity == pytest.approx(1.3129434316774524, rel=1e-5)
-    assert second.time == pytest.approx(0.27423609529097615, rel=2e-5)
-    assert second.velocity == pytest.approx(-1.3206287365148273, rel=2e-5)
-    flight = second.time - first.time
-    rise = flight * (first.velocity - 0.5 * 9.81 * flight)
-    assert second.position - first.position == pytest.approx(rise, abs=1e-6)
-
-
 @pytest.mark.parametrize(('thickness', 'largest', 'at_contact'), STRAINS)
 def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(thickness, largest, at_contact):
     rig = make_paper_rig(thickness)
@@ -256,19 +194,29 @@ def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(thickness, lar
     stepper.advance_to(0.05)
     assert (stepper.loads, stepper.plate_work) == (loads, work)
     assert stepper.work_so_far != work
+
+
+@pytest.mark.parametrize('case', [case for case in CASES if case != 'spring'])
+def test_release_and_loads_agree_with_those_of_many_throws_at_once(case):
+    rig, model = CASES[case]
+    stepper = throw(rig, model=model, cells=100)
     throws = first_throws(
-        mass_ratio=rig.mass_ratio, speed_ratio=rig.speed_ratio, cells=stepper.cells
+        **rig.cell_ratios,
+        crossing_ratio=rig.crossing_ratio if 'elastic' in model else 0.0,
+        glued_to='projectile' if 'glued' in model else 'plate',
+        cells=100,
     )
-    unit = rig.engine.speed_scale / rig.layer.wave_speed
-    assert throws.peak_strain * unit == pytest.approx(loads.strain, rel=1e-9)
-    assert throws.peak_plate_force * unit * stiffness == pytest.approx(loads.plate_force, rel=1e-9)
-    assert throws.plate_work * rig.projectile.mass * rig.engine.speed_scale**2 == pytest.approx(
-        work, rel=1e-9
-    )
-    omega = rig.engine.angular_frequency
-    assert throws.peak_acceleration * rig.engine.speed_scale * omega == pytest.approx(
-        loads.acceleration, rel=1e-9
-    )
+    [release], loads, layer = stepper.events(), stepper.loads, rig.layer
+    speed, omega = rig.engine.speed_scale, rig.engine.angular_frequency
+    for ours, theirs in (
+        (throws.ejection_phase, release.time * FREQUENCY),
+        (throws.speed, release.velocity / speed),
+        (throws.peak_strain, loads.strain * layer.wave_speed / speed),
+        (throws.peak_acceleration, loads.acceleration / (speed * omega)),
+        (throws.peak_plate_force, loads.plate_force * layer.crossing_time / (speed * layer.mass)),
+        (throws.plate_work, stepper.plate_work / (rig.projectile.mass * speed**2)),
+    ):
+        assert ours == pytest.approx(theirs, rel=1e-9)
 
 
 @pytest.mark.parametrize(('mu', 'kappa'), [(0.2342, 8.242), (5.2, 3.75)])
@@ -371,76 +319,19 @@ def test_layer_agrees_with_the_exact_history_to_second_order():
 
 @settings(max_examples=100)
 @given(
-    mass_ratio=st.floats(math.log(0.01), math.log(30.0)).map(math.exp),
-    speed_ratio=st.floats(math.log(0.3), math.log(60.0)).map(math.exp),
+    mass_ratio=log_uniform(0.01, 30.0),
+    speed_ratio=log_uniform(0.3, 60.0),
     damping_ratio=st.sampled_from([0.0, 0.064, 0.3]),
     gravity_ratio=st.sampled_from([0.0, 0.01]),
-    loss_tangent=st.floats(math.log(3e-3), math.log(2.0)).map(math.exp),
+    loss_tangent=log_uniform(3e-3, 2.0),
 )
-def test_release_with_loss_agrees_with_the_sum_over_modes(
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, loss_tangent
-):
-    case = {
-        'mass_ratio': mass_ratio,
-        'speed_ratio': speed_ratio,
-        'damping_ratio': damping_ratio,
-        'gravity_ratio': gravity_ratio,
-        'loss_tangent': loss_tangent,
-    }
+def test_release_with_loss_agrees_with_the_sum_over_modes(**case):
     exact = normal_modes.first_release(**case)
     if exact is None:
         return
     throws = first_throws(**case)
     assert throws.ejection_phase == pytest.approx(exact[0], rel=1e-3)
     assert throws.speed == pytest.approx(exact[1], rel=3e-4, abs=1e-4)
-
-
-def test_spread_wave_can_end_a_throw_before_it_has_arrived():
-    case = {'mass_ratio': math.exp(-1.0), 'speed_ratio': 1.0, 'loss_tangent': math.exp(0.5)}
-    phase, speed = normal_modes.first_release(**case)
-    assert phase < 1.0
-    throws = first_throws(**case, cells=256)
-    assert throws.ejection_phase == pytest.approx(phase, rel=1e-4)
-    assert throws.speed == pytest.approx(speed, rel=1e-4)
-
-
-@pytest.mark.parametrize(('mass_ratio', 'speed_ratio'), [(0.25, 8.5), (3.0, 20.0), (0.1, 5.7)])
-def test_little_loss_is_a_small_perturbation_of_none(mass_ratio, speed_ratio):
-    ratios = {'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': 0.064}
-    losses = np.array([0.0, 1e-5, 1e-4])
-    none, less, more = first_throws(**ratios, loss_tangent=losses, cells=256).energy_transfer
-    assert none == pytest.approx(first_release(**ratios).energy_transfer, rel=1e-4)
-    assert 0.0 < none - more < 0.01
-    assert (none - more) / (none - less) == pytest.approx(10.0, rel=0.1)
-
-
-@pytest.mark.parametrize('model', CELL_MODELS[:3])
-@pytest.mark.parametrize('gravity', [0.0, 9.81])
-def test_release_agrees_with_that_of_many_throws_at_once(model, gravity):
-    rig = make_rig(0.5, 7.0, 0.064, gravity=gravity, loss_tangent=0.05)
-    rig = replace(rig, projectile=replace(rig.projectile, youngs_modulus=1e7))
-    release = throw(rig, model=model, cells=100).events()[0]
-    throws = first_throws(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        damping_ratio=0.064,
-        gravity_ratio=rig.gravity_ratio,
-        loss_tangent=0.05,
-        crossing_ratio=rig.crossing_ratio if 'elastic' in model else 0.0,
-        glued_to='projectile' if 'glued' in model else 'plate',
-        cells=100,
-    )
-    assert release.time * FREQUENCY == pytest.approx(throws.ejection_phase, rel=1e-9)
-    assert release.velocity / rig.engine.speed_scale == pytest.approx(throws.speed, rel=1e-9)
-
-
-@pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel', 'gels'])
-def test_throw_of_a_gel_agrees_with_many_at_once(case):
-    rig, _ = CASES[case]
-    release = throw(rig, cells=100).events()[0]
-    throws = first_throws(**rig.cell_ratios, cells=100)
-    assert release.time * FREQUENCY == pytest.approx(throws.ejection_phase, rel=1e-9)
-    assert release.velocity / rig.engine.speed_scale == pytest.approx(throws.speed, rel=1e-9)
 
 
 @pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel', 'gels'])
@@ -505,26 +396,26 @@ def test_shocks_are_resolved():
     assert fine.heat > 0.04 * fine.work_so_far
 
 
-@pytest.mark.parametrize('amplitude', [2e-3, 8e-3, 0.05])
-def test_no_throw_is_too_large_to_be_followed(amplitude):
-    rig = Rig(engine=Engine(amplitude=amplitude), layer=Layer(thickness=0.01, **GEL))
+@pytest.mark.parametrize(
+    ('amplitude', 'layer'),
+    [
+        (2e-3, {**GEL, 'thickness': 0.01}),
+        (0.05, {**GEL, 'thickness': 0.01}),
+        (2e-3, {'elasticity': 'neo_hookean', 'wave_speed': 5.0}),
+        (0.1, {'elasticity': 'neo_hookean', 'wave_speed': 2.0}),
+    ],
+)
+def test_no_throw_is_too_large_to_be_followed(amplitude, layer):
+    """Not even an empty layer in resonance, or a plate that is faster than the waves."""
+    rig = Rig(engine=Engine(amplitude=amplitude), layer=Layer(**layer))
     stepper = CellStepper(rig, cells=32)
-    stepper.advance_to(0.05)
+    stepper.advance_to(0.08)
     assert stepper.event_count >= 1
     assert np.isfinite(stepper.state).all()
-    assert stepper.stored_energy() < 2.0 * stepper.work_so_far
+    assert np.isfinite(stepper.stored_energy() + stepper.heat)
     found = simulate(rig, model='finite_difference', max_events=1)
     assert found.max_strain == 0.5
     assert found.leaves_linear_range is (amplitude > 0.02)
-
-
-@pytest.mark.parametrize(('amplitude', 'wave_speed'), [(2e-3, 5.0), (0.1, 2.0), (0.1, 20.0)])
-def test_empty_layer_in_resonance_and_plates_faster_than_waves_stay_finite(amplitude, wave_speed):
-    layer = Layer(thickness=0.02, wave_speed=wave_speed, elasticity='neo_hookean')
-    stepper = CellStepper(Rig(engine=Engine(amplitude=amplitude), layer=layer), cells=32)
-    stepper.advance_to(0.08)
-    assert np.isfinite(stepper.state).all()
-    assert np.isfinite(stepper.stored_energy() + stepper.heat)
 
 
 def test_sheets_of_one_material_are_the_uniform_layer():
@@ -546,17 +437,6 @@ def test_stiff_sheet_between_two_layers_is_a_mass():
     assert found[0].velocity == pytest.approx(found[1].velocity, rel=1e-3)
 
 
-def test_stiff_projectile_is_a_rigid_one():
-    stiff = replace(Rig(), projectile=Projectile(youngs_modulus=1e12))
-    elastic = CellStepper(stiff, model='finite_difference_elastic', cells=128)
-    rigid = CellStepper(stiff, cells=128)
-    assert elastic.advance_to(0.32) == rigid.advance_to(0.32) >= 3  # on the layer, and up again
-    for one, other in zip(elastic.events(), rigid.events(), strict=True):
-        assert one.kind == other.kind
-        assert one.time == pytest.approx(other.time, rel=1e-4)
-        assert one.velocity == pytest.approx(other.velocity, abs=2e-3)
-
-
 @pytest.mark.parametrize('glued_to', ['plate', 'projectile'])
 def test_heavy_projectile_meets_a_spring(glued_to):
     ratio = np.array([0.5, 1.0, 1.62, 3.0])
@@ -569,17 +449,6 @@ def test_heavy_projectile_meets_a_spring(glued_to):
     )
     assert throws.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-3)
     assert throws.energy_transfer == pytest.approx(exact.energy_transfer, rel=1e-3)
-
-
-def test_layer_without_mass_is_the_spring_of_the_appendix():
-    for mass_ratio, speed_ratio in ((1.0, 5.0), (4.0, 20.0), (0.3, 9.0)):
-        rig = make_rig(mass_ratio, speed_ratio)
-        ratio = rig.natural_frequency / rig.engine.frequency
-        exact = spring_mass.first_release(frequency_ratio=ratio)
-        release = throw(rig, model='spring_mass').events()[0]
-        assert release.time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=2e-5)
-        speed = release.velocity / rig.engine.speed_scale
-        assert speed == pytest.approx(exact.speed, abs=2e-5)
 
 
 def test_layer_without_mass_agrees_with_an_integrated_oscillator():
@@ -635,7 +504,7 @@ def test_layer_on_the_projectile_takes_it_off_the_plate_and_back():
     assert landing.velocity == pytest.approx(falling, rel=1e-4)
 
 
-@pytest.mark.parametrize('case', [case for case in CASES if case not in ('capped', 'echoes')])
+@pytest.mark.parametrize('case', [case for case in CASES if case != 'weightless'])
 def test_work_of_the_plate_is_what_is_stored_and_what_is_lost(case):
     rig, model = CASES[case]
     errors = []
@@ -656,11 +525,10 @@ def test_work_of_the_plate_is_what_is_stored_and_what_is_lost(case):
     assert (stepper.heat > 1e-4 * stepper.plate_work) is (rig.layer.loss_tangent > 0.0)
 
 
-@pytest.mark.parametrize(
-    'case', ['uniform', 'capped', 'elastic', 'soft', 'glued', 'neo_hookean', 'constant', 'gels']
-)
+@pytest.mark.parametrize('case', ['elastic', 'soft', 'glued', 'neo_hookean', 'gels', 'capped'])
 def test_energy_never_grows_in_endless_bouncing(case):
-    rig, model = CASES[case]
+    capped = Rig(layer=Stack(sheets=(Layer(thickness=8e-3), CAP)))
+    rig, model = CASES.get(case, (capped, 'finite_difference'))
     engine = replace(rig.engine, damping_ratio=0.5)
     stepper = CellStepper(replace(rig, engine=engine, gravity=30.0), model=model, cells=40)
     stepper.advance_to(0.1)  # the plate rests
@@ -713,17 +581,6 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
     assert stepper.horizon == 0.0
 
 
-def test_endless_events_end_in_a_named_error():
-    times = np.arange(0.0, 10.0, 1.25e-4)
-    shaken = SampledMotion.from_positions(times, 1e-5 * (1.0 - np.cos(2e3 * math.pi * times)))
-    stepper = CellStepper(Rig(layer=Layer(thickness=5e-3)), shaken, cells=64)
-    for _ in range(2):
-        with pytest.raises(EventLimitError, match=r'4096 .* 9 s'):
-            stepper.advance_to(9.0)
-    stepper.reset()
-    assert stepper.advance_to(0.1) < 1000
-
-
 @pytest.mark.parametrize(
     ('arguments', 'complaint'),
     [
@@ -740,49 +597,27 @@ def test_bad_arguments_are_quoted(arguments, complaint):
         CellStepper(Rig(), **arguments)
 
 
+SLOW = Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3)
+LIGHT = Projectile(mass=1e-5)
+
+
 @pytest.mark.parametrize(
     ('make', 'value', 'model', 'number'),
     [
-        (
-            lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)),
-            0.5e-3,
-            CELL_MODELS[0],
-            '0.0005 m',
-        ),
-        (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6, CELL_MODELS[0], '1e-06 kg'),
-        (
-            lambda x: Rig(
-                engine=Engine(frequency=x),
-                layer=Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3),
-            ),
-            1000.0,
-            CELL_MODELS[0],
-            '1000 Hz',
-        ),
-        (
-            lambda x: Rig(projectile=Projectile(youngs_modulus=x, length=0.1, mass=0.02)),
-            1e4,
-            'finite_difference_elastic',
-            '10000 Pa',
-        ),
-        (
-            lambda x: Rig(
-                layer=Layer(wave_speed=x, diameter=0.2), projectile=Projectile(mass=1e-5)
-            ),
-            200.0,
-            'spring_mass',
-            'Hz',
-        ),
+        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=50.0)), 0.5e-3,
+         'finite_difference', '0.0005 m'),
+        (lambda x: Rig(projectile=Projectile(mass=x)), 1e-6,
+         'finite_difference', '1e-06 kg'),
+        (lambda x: Rig(engine=Engine(frequency=x), layer=SLOW), 1000.0,
+         'finite_difference', '1000 Hz'),
+        (lambda x: Rig(projectile=Projectile(youngs_modulus=x, length=0.1, mass=0.02)), 1e4,
+         'finite_difference_elastic', '10000 Pa'),
+        (lambda x: Rig(layer=Layer(wave_speed=x, diameter=0.2), projectile=LIGHT), 200.0,
+         'spring_mass', 'Hz'),
     ],
-)
+)  # fmt: skip
 def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model, number):
     with pytest.raises(ValueError, match=f'{number}.* the limit is') as refusal:
         cells_per_layer(make(value), model)
     feasible = str(refusal.value).split('feasible: ')[1].split('of ')[1].split()[0]
     assert CellStepper(make(float(feasible) * 0.9999), model=model).cells <= MAX_CELLS
-
-
-@pytest.mark.parametrize('wave_speed', [31.9, 41.1])
-def test_sorbothane_of_a_quarter_inch_can_be_stepped_in_real_time(wave_speed):
-    layer = Layer(thickness=6.35e-3, wave_speed=wave_speed, density=1350.0, loss_tangent=0.5)
-    assert cells_per_layer(Rig(layer=layer)) >= 64

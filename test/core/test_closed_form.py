@@ -20,40 +20,14 @@ from hypothesis import strategies as st
 import mpmath as mp
 import numpy as np
 import pytest
-from reference.cases import EXACT
-from soft_throw_ros.core import closed_form, spring_mass
+from reference.cases import EXACT, log_uniform
+from soft_throw_ros.core import closed_form
 from soft_throw_ros.core.closed_form import (
     first_release,
     first_releases,
     ThrowUnresolvedError,
 )
 from soft_throw_ros.core.plate import peak_velocity_ratio
-
-
-def between(low, high):
-    """Draw from a range of several magnitudes."""
-    return st.floats(math.log(low), math.log(high)).map(math.exp)
-
-
-MASS_RATIOS = between(0.003, 100.0)
-SPEED_RATIOS = between(0.15, 120.0)
-DAMPING_RATIOS = st.floats(0.0, 0.3)
-
-# Likewise, for the rig under a projectile of 16.3 mm: thickness [m], t_e [s], V_e [m/s]
-EXACT_WITH_GRAVITY = [
-    (0.0020, 0.003928483601452469, 1.1177660177283313),
-    (0.0056, 0.0057781780440564505, 1.3129434316774524),
-    (0.0095, 0.007000759739240912, 1.3049844801863633),
-]
-
-# G dips below 0 within a wave interval and is positive again at its end
-DIPPING = [
-    (0.3, 300.0, 0.0),
-    (0.55, 50.0, 0.0),
-    (0.6, 100.0, 0.2),
-    (1.25, 101.0, 0.0),
-    (2.15, 950.0, 0.0),
-]
 
 
 @pytest.fixture(autouse=True)
@@ -152,16 +126,6 @@ def test_release_is_exact(case):
     assert release.energy_transfer == pytest.approx(energy_transfer, rel=1e-12)
 
 
-@pytest.mark.parametrize(('thickness', 'time', 'speed'), EXACT_WITH_GRAVITY)
-def test_release_under_gravity_is_exact(thickness, time, speed):
-    omega = 2.0 * math.pi * 63.2
-    release = release_of(
-        1.3 * 16.3e-3 / thickness, 7.8 / (thickness * 63.2), 0.064, 9.81 / (2e-3 * omega**2)
-    )
-    assert release.ejection_phase == pytest.approx(time * 63.2, rel=0.0, abs=1e-9)
-    assert release.speed == pytest.approx(speed / (2e-3 * omega), rel=1e-9)
-
-
 @pytest.mark.parametrize('gravity', [0.0, 0.3])
 def test_releases_agree_with_the_laplace_series(gravity):
     cases = random_cases(40, seed=1, gravity=gravity)
@@ -247,74 +211,34 @@ def test_release_is_exact_on_both_sides_of_a_jump(crossings, mass_ratio, damping
     assert times[0] < crossings < times[1] - 0.01
 
 
-@pytest.mark.parametrize('case', DIPPING)
-def test_release_at_a_dip_is_the_first(case):
-    release = release_of(*case)
-    assert_exact(release, *case)
-    end = release.ejection_phase * case[1]
-    next_kink = 2 * math.ceil((end - 1) / 2) + 1
-    assert speed_of_projectile(mp.mpf(next_kink), *case, derivative=1) > 0
-    for time in np.arange(1.01, end, 0.02):
-        assert speed_of_projectile(mp.mpf(time), *case, derivative=1) > 0
-
-
-def test_releases_are_the_first():
-    """A scan finds the mass pushed at all times before."""
-    for case in zip(*random_cases(8, seed=4), strict=True):
-        ratios = [float(ratio) for ratio in case[:3]]
-        end = release_of(*ratios).ejection_phase * ratios[1]
-        for time in np.linspace(1.0, end, min(int(20 * end), 200), endpoint=False)[1:]:
-            assert speed_of_projectile(mp.mpf(time), *ratios, derivative=1) > 0
-
-
-# Before the plate stops, and the projectile would be caught again; where Halley's method cycles;
-# before it would leave again in the same interval
 @pytest.mark.parametrize(
     'case',
     [
+        # G dips below 0 within a wave interval and is positive again at its end
+        (0.3, 300.0, 0.0, 0.0),
+        (0.55, 50.0, 0.0, 0.0),
+        (0.6, 100.0, 0.2, 0.0),
+        (1.25, 101.0, 0.0, 0.0),
+        (2.15, 950.0, 0.0, 0.0),
+        # before the plate stops, and the projectile would be caught again
         (0.005397489576859395, 0.2353127994849778, 0.20488508212590453, 1.1027562463539),
+        # where Halley's method cycles
         (0.02535593739507207, 91.58088202703843, 0.0, 0.018855035546196983),
+        # before it would leave again in the same interval
         (0.6085752514780604, 57.54677160673658, 0.0902315980117538, 0.89110037458255),
         (0.43907184514008996, 83.95559092286346, 0.0, 0.8890571708046072),
     ],
 )
-def test_release_under_gravity_is_the_first(case):
+def test_release_is_the_first_and_exact(case):
     release = release_of(*case)
     assert_exact(release, *case)
-    end = release.ejection_phase * case[1]
-    for time in np.linspace(1.0, end, 200, endpoint=False)[1:]:
-        assert speed_of_projectile(mp.mpf(time), *case[:3], derivative=1) > -gravity_on(
-            case[3], case[1], case[2]
-        )
-
-
-def test_heavy_projectile_is_a_mass_on_a_spring():
-    for frequency_ratio in (0.5, 1.62, 3.0):
-        mass_ratio = 2e4
-        speed_ratio = 2.0 * math.pi * math.sqrt(mass_ratio) * frequency_ratio
-        limit = spring_mass.first_release(frequency_ratio=frequency_ratio)
-        release = release_of(mass_ratio, speed_ratio)
-        assert release.ejection_phase == pytest.approx(limit.ejection_phase, rel=1e-4)
-        assert release.energy_transfer == pytest.approx(limit.energy_transfer, rel=1e-4)
-
-
-def test_releases_equal_single_ones_to_the_last_bit():
-    cases = random_cases(2000, seed=2, gravity=0.3)
-    releases = releases_of(cases, unresolved='nan')
-    resolved = 0
-    for i, case in enumerate(zip(*cases, strict=True)):
-        try:
-            release = release_of(*map(float, case))
-        except ThrowUnresolvedError:
-            assert np.isnan([values[i] for values in releases]).all()
-        else:
-            resolved += 1
-            assert (releases.ejection_phase[i], releases.speed[i]) == release[:2]
-    assert resolved > 1500
+    weight = gravity_on(case[3], case[1], case[2])
+    for time in np.linspace(1.0, release.ejection_phase * case[1], 200, endpoint=False)[1:]:
+        assert speed_of_projectile(mp.mpf(time), *case[:3], derivative=1) > -weight
 
 
 @given(
-    between(1e-12, 1e6), between(1e-6, 1e6), st.floats(0.0, 0.99), st.floats(0.0, 10.0)
+    log_uniform(1e-12, 1e6), log_uniform(1e-6, 1e6), st.floats(0.0, 0.99), st.floats(0.0, 10.0)
 )  # fmt: skip
 def test_release_is_finite_or_refused_at_extremes(
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio
@@ -327,7 +251,9 @@ def test_release_is_finite_or_refused_at_extremes(
     assert all(map(math.isfinite, release))
 
 
-@given(between(0.003, 100.0), between(0.15, 120.0), st.floats(0.0, 0.3), st.floats(0.0, 10.0))
+@given(
+    log_uniform(0.003, 100.0), log_uniform(0.15, 120.0), st.floats(0.0, 0.3), st.floats(0.0, 10.0)
+)
 def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, gravity_ratio):
     free = release_of(mass_ratio, speed_ratio, damping_ratio)
     assert 1.0 < free.ejection_phase * speed_ratio < math.inf
@@ -338,17 +264,6 @@ def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, grav
         return
     assert held.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
     assert math.isfinite(held.speed)
-
-
-@pytest.mark.parametrize('mass_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
-@pytest.mark.parametrize('speed_ratio', [5e-324, 1e-150, 1e150, 1.7e308])
-@pytest.mark.parametrize('gravity_ratio', [0.0, 1e300])
-def test_overflow_is_refused_or_harmless(mass_ratio, speed_ratio, gravity_ratio):
-    try:
-        release = release_of(mass_ratio, speed_ratio, 0.1, gravity_ratio)
-    except ThrowUnresolvedError:
-        return
-    assert all(map(math.isfinite, release))
 
 
 @pytest.mark.parametrize(

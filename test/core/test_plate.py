@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 TIMES = np.linspace(0.0, 0.05, 251)
@@ -51,10 +51,6 @@ def test_peak_velocity_is_reached_at_its_time_and_never_exceeded(damping_ratio):
     assert plate.velocity(TIMES).max() <= plate.peak_velocity * (1.0 + 1e-12)
 
 
-def test_peak_velocity_ratio_without_damping_is_one():
-    assert peak_velocity_ratio(0.0) == 1.0
-
-
 def test_motion_rests_before_its_start():
     before = np.array([-1.0, -1e-9])
     sampled = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
@@ -63,35 +59,19 @@ def test_motion_rests_before_its_start():
         assert not plate.velocity(before).any()
 
 
-@pytest.mark.parametrize(
-    ('make', 'order'),
-    [
-        (lambda t: SampledMotion.from_positions(t, PLATE.position(t)), 4),
-        (lambda t: SampledMotion.from_velocities(t, PLATE.velocity(t)), 3),
-    ],
-)
-def test_sampled_positions_converge_with_the_promised_order(make, order):
-    fine = np.linspace(0.0, 0.05, 4001)
-    errors = []
-    for count in (65, 129, 257, 513):
-        sampled = make(np.linspace(0.0, 0.05, count))
+def test_sampled_positions_converge_with_the_promised_order():
+    fine, counts, errors = np.linspace(0.0, 0.05, 4001), (65, 129, 257, 513), []
+    for count in counts:
+        times = np.linspace(0.0, 0.05, count)
+        sampled = SampledMotion.from_positions(times, PLATE.position(times))
         errors.append(np.sqrt(np.mean((sampled.position(fine) - PLATE.position(fine)) ** 2)))
-    slope = np.polyfit(np.log([65, 129, 257, 513]), np.log(errors), 1)[0]
-    assert -slope > order - 0.35
-
-
-def test_sampled_peak_velocity_is_that_of_the_path():
-    sampled = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 3.65
     assert sampled.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-5)
-    assert sampled.velocity(np.linspace(0.0, 0.05, 9999)).max() <= 1.000001 * sampled.peak_velocity
 
 
-def test_sampled_motion_ends_as_told():
-    positions = PLATE.position(TIMES)
-    with pytest.raises(ValueError, match=r'time 0\.06 s is after the last plate sample at 0\.05'):
-        SampledMotion.from_positions(TIMES, positions).position(0.06)
-    held = SampledMotion.from_positions(TIMES, positions, after='hold')
-    assert held.position(0.06) == pytest.approx(positions[-1])
+def test_sampled_motion_stays_where_it_ends():
+    held = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
+    assert held.position(0.06) == pytest.approx(PLATE.position(0.05))
     assert held.velocity(0.06) == 0.0
 
 
@@ -104,15 +84,9 @@ def test_sampled_motion_ends_as_told():
         ([0.0, math.inf, 2.0, 3.0], [0.0] * 4, r'times must be finite, got inf at index 1'),
     ],
 )
-@pytest.mark.parametrize('make', [SampledMotion.from_positions, SampledMotion.from_velocities])
-def test_samples_that_make_no_motion_are_refused_with_the_value(make, times, values, message):
+def test_samples_that_make_no_motion_are_refused_with_the_value(times, values, message):
     with pytest.raises(ValueError, match=message):
-        make(times, values)
-
-
-def test_unknown_ending_is_refused():
-    with pytest.raises(ValueError, match="after must be 'error' or 'hold', got 'loop'"):
-        SampledMotion.from_positions(TIMES, PLATE.position(TIMES), after='loop')
+        SampledMotion.from_positions(times, values)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +126,7 @@ def test_record_converges_with_the_promised_order():
 
 
 @pytest.mark.parametrize(('noise', 'error'), [(1e-6, 0.01), (5e-6, 0.02), (2e-5, 0.05)])
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_noise_of_a_record_is_smoothed(noise, error, seed):
     times = np.arange(0.0, 0.15, 2e-4)
     heights = PLATE.position(times - 0.02007)

@@ -15,36 +15,12 @@
 
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy.signal import savgol_coeffs
 from soft_throw_ros.core.smoothing import AHEAD, BEHIND, smooth
 
 NOISE = 5e-6
-
-
-@given(
-    coefficients=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
-    seed=st.integers(0, 1000),
-    has_velocities=st.booleans(),
-)
-def test_cubics_are_reproduced_at_any_times(coefficients, seed, has_velocities):
-    path = np.polynomial.Polynomial(coefficients)
-    times = np.sort(np.random.default_rng(seed).uniform(-1.0, 1.0, 20))
-    fit = smooth(
-        [0.0, 0.25],
-        times,
-        path(times),
-        path.deriv()(times) if has_velocities else None,
-        window=1.5,
-        position_noise=1.0,
-    )
-    known = np.isfinite(fit.errors)
-    for order in range(3):
-        exact = path.deriv(order)(np.array([0.0, 0.25]))[known]
-        assert fit.states[known, order] == pytest.approx(exact, rel=1e-5, abs=1e-5)
 
 
 def test_even_samples_give_the_filter_of_savitzky_and_golay():

@@ -13,8 +13,6 @@
 # limitations under the License.
 """One throw with all that is asked of it."""
 
-import math
-
 import numpy as np
 import pytest
 from soft_throw_ros.core.models import MODELS
@@ -22,7 +20,6 @@ from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import (
-    apex_height,
     ejections,
     simulate,
     ThrowUnfinishedError,
@@ -39,22 +36,6 @@ def test_ejections_end_where_the_projectile_comes_down():
     ]
     assert ejections(events) == (events[0], events[2])
     assert ejections([]) == ()
-
-
-def test_apex_is_that_of_free_flight():
-    assert apex_height(Event('release', 0.0, 0.1, 2.0), 10.0) == pytest.approx(0.3)
-    assert apex_height(Event('release', 0.0, 0.1, -2.0), 10.0) == pytest.approx(0.1)
-    assert math.isinf(apex_height(Event('release', 0.0, 0.1, 2.0), 0.0))
-
-
-@pytest.mark.parametrize('model', MODELS)
-def test_work_is_energy_and_heat_at_the_release_in_every_model(model):
-    loss = 0.0 if model == 'travelling_wave' else 0.05
-    throw = simulate(Rig(layer=Layer(loss_tangent=loss)), model=model)
-    plate_work, stored, heat = throw.energies
-    assert plate_work == pytest.approx(stored + heat, rel=1e-4)
-    assert (heat > 0.0) == (loss > 0.0)
-    assert stored > 0.5 * throw.rig.projectile.mass * throw.ejection_speed**2
 
 
 def test_models_are_told_apart_by_what_they_model():

@@ -19,14 +19,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import EXACT, FREQUENCY, make_paper_rig, make_rig, STRAINS
+from reference.cases import (
+    EXACT,
+    FREQUENCY,
+    log_uniform,
+    make_paper_rig,
+    make_rig,
+    order,
+    released,
+    STRAINS,
+)
 from reference.method_of_steps import follow
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.stepper import (
-    EventLimitError,
-    MAX_EVENTS,
     PLATE_FORCE,
     PROJECTILE_FORCE,
     PROJECTILE_POSITION,
@@ -35,26 +42,13 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.wave_stepper import first_throws, steps_per_crossing, WaveStepper
 
 
-def throw(rig, periods=12.0, **options):
-    """Advance until the projectile has left, and return that release."""
-    model = WaveStepper(rig, **options)
-    for quarter in range(1, round(4 * periods) + 1):
-        if model.advance_to(0.25 * quarter / rig.engine.frequency):
-            return model.events()[0]
-    raise AssertionError('no release')
-
-
 @pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), EXACT)
 def test_first_release_is_exact_to_1e_6(mu, kappa, zeta, phase, alpha):
     rig = make_rig(mu, kappa, zeta)
-    release = throw(rig)
+    release = released(WaveStepper(rig)).events()[0]
     assert release.time * FREQUENCY == pytest.approx(phase, abs=1e-6)
     speed = math.sqrt(alpha) * peak_velocity_ratio(zeta)
     assert release.velocity / rig.engine.speed_scale == pytest.approx(speed, abs=1e-6)
-
-
-def log_uniform(low, high):
-    return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 
 @settings(max_examples=60)
@@ -75,7 +69,7 @@ def test_first_release_agrees_with_the_closed_form(
     except ThrowUnresolvedError:
         return
     rig = make_rig(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
-    release = throw(rig, periods=exact.ejection_phase + 1.0)
+    release = released(WaveStepper(rig), exact.ejection_phase + 1.0).events()[0]
     assert release.time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=1e-6)
     assert release.velocity / rig.engine.speed_scale == pytest.approx(exact.speed, abs=1e-6)
 
@@ -115,10 +109,10 @@ def test_later_events_agree_with_the_method_of_steps(ratios):
         assert event.position == pytest.approx(exact.position, abs=tolerance * 2e-3)
 
 
-@pytest.mark.parametrize(('ratios', 'order'), [((0.2342, 8.242), 3.6), ((3.0333, 2.5), 1.8)])
-def test_events_are_of_the_order_that_is_promised(ratios, order):
+@pytest.mark.parametrize(('ratios', 'promised'), [((0.2342, 8.242), 3.6), ((3.0333, 2.5), 1.8)])
+def test_events_are_of_the_order_that_is_promised(ratios, promised):
     rig = make_rig(*ratios, gravity_ratio=0.05)
-    history = follow(rig, max_events=1 if order > 3.0 else 2)
+    history = follow(rig, max_events=1 if promised > 3.0 else 2)
     steps = np.array([32, 64, 128, 256])
     errors = []
     for count in steps:
@@ -126,7 +120,7 @@ def test_events_are_of_the_order_that_is_promised(ratios, order):
         model.advance_to(history.end_time + 1e-4)
         errors.append(abs(model.events()[len(history.events) - 1].velocity
                           - history.events[-1].velocity))  # fmt: skip
-    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -order
+    assert order(steps, errors) > promised
 
 
 def test_kinds_of_events_tell_recontacts_from_landings():
@@ -187,7 +181,7 @@ def test_loads_up_to_the_first_release_are_exact(thickness, largest, at_contact)
 @pytest.mark.parametrize('ratios', [(0.01, 2.0, 0.0, 0.0), (0.6, 7.3, 0.064, 0.03), (5.0, 20.0)])
 def test_largest_strain_is_that_of_the_field(ratios):
     rig = make_rig(*ratios)
-    end = throw(rig).time
+    end = released(WaveStepper(rig)).events()[0].time
     model = WaveStepper(rig, field_points=401)
     strain = np.empty((400, 401))
     model.sample_strain(np.linspace(0.0, end, 400), strain)
@@ -195,15 +189,12 @@ def test_largest_strain_is_that_of_the_field(ratios):
     assert model.loads.strain >= np.abs(strain).max() * (1.0 - 1e-4)
 
 
-def test_work_of_the_plate_is_energy_of_layer_and_projectile():
+def test_work_of_the_plate_is_energy_of_layer_and_projectile_to_1e_6():
     model = WaveStepper(Rig())
     for time in (0.0035, 0.005, 0.006, 0.00764):
         model.advance_to(time)
         assert model.plate_work == model.work_so_far
         assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-6)
-    before = model.plate_work
-    model.advance_to(0.1)
-    assert model.plate_work == pytest.approx(before, rel=1e-3) != model.work_so_far
 
 
 @pytest.mark.parametrize('ratios', [(3.453, 1.6, 0.0, 0.05), (0.634, 7.35, 0.064, 0.02)])
@@ -216,16 +207,12 @@ def test_energy_is_kept_over_twenty_bounces(ratios):
     assert model.event_count > 20
 
 
-@pytest.mark.parametrize('after', ['error', 'hold'])
-@pytest.mark.parametrize('make', [SampledMotion.from_positions, SampledMotion.from_velocities])
-def test_sampled_plate_agrees_with_the_method_of_steps(make, after):
+@pytest.mark.parametrize('end', [0.0151, 0.041])
+def test_sampled_plate_agrees_with_the_method_of_steps(end):
     rig = Rig()
-    plate = Underdamped.of(rig.engine)
-    times = np.arange(1.7e-4, 0.0151 if after == 'hold' else 0.041, 2.5e-4)
-    values = plate.position(times)
-    if make == SampledMotion.from_velocities:
-        values = plate.velocity(times)
-    motion = make(times + 0.001, values, after=after)
+    times = np.arange(1.7e-4, end, 2.5e-4)
+    values = Underdamped.of(rig.engine).position(times)
+    motion = SampledMotion.from_positions(times + 0.001, values)
     history = follow(rig, motion, until=0.04)
     model = WaveStepper(rig, motion)
     model.advance_to(0.04)
@@ -235,30 +222,21 @@ def test_sampled_plate_agrees_with_the_method_of_steps(make, after):
         assert ours.velocity == pytest.approx(exact.velocity, abs=5e-5)
 
 
-def test_loss_and_stacks_are_refused_with_a_reason():
-    with pytest.raises(ValueError, match=r'loss_tangent.*0\.1'):
-        WaveStepper(Rig(layer=Layer(loss_tangent=0.1)))
-
-
 @pytest.mark.parametrize(
-    ('rig', 'value', 'better'),
+    ('make', 'bad', 'better'),
     [
+        (lambda x: Rig(layer=Layer(thickness=x, wave_speed=200.0)), 1e-4, 4e-4),
         (
-            Rig(layer=Layer(thickness=1e-4, wave_speed=200.0)),
-            '0.0001',
-            Rig(layer=Layer(thickness=4e-4, wave_speed=200.0)),
-        ),
-        (
-            Rig(engine=Engine(frequency=1e4), layer=Layer(thickness=0.1, wave_speed=1.0)),
-            '10000',
-            Rig(engine=Engine(frequency=500.0), layer=Layer(thickness=0.1, wave_speed=1.0)),
+            lambda x: Rig(engine=Engine(frequency=x), layer=Layer(thickness=0.1, wave_speed=1.0)),
+            1e4,
+            500.0,
         ),
     ],
 )
-def test_rigs_beyond_real_time_are_refused_with_what_would_do(rig, value, better):
-    with pytest.raises(ValueError, match=f'{value}.*limit.*feasible'):
-        steps_per_crossing(rig)
-    steps_per_crossing(better)
+def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, bad, better):
+    with pytest.raises(ValueError, match=f'{bad:g}.*limit.*feasible'):
+        steps_per_crossing(make(bad))
+    steps_per_crossing(make(better))
 
 
 def test_first_throws_are_releases_and_loads_of_steppers():
@@ -285,12 +263,3 @@ def test_first_throws_are_releases_and_loads_of_steppers():
             (found.plate_work[n], model.plate_work / (rig.projectile.mass * scale**2)),
         ):
             assert ours == pytest.approx(theirs, rel=1e-3)
-
-
-def test_endless_events_end_in_a_named_error():
-    engine = Engine(damping_ratio=0.0, amplitude=5e-5, frequency=40.0)
-    model = WaveStepper(Rig(engine=engine))
-    with pytest.raises(EventLimitError, match=f'{MAX_EVENTS}'):
-        model.advance_to(2000.0)
-    model.reset()
-    model.advance_to(0.01)

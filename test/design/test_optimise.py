@@ -81,14 +81,3 @@ def test_nothing_is_found_where_all_scores_are_0():
 
     start = (Optimum(0.01, 10.0, 0.0),)
     assert find_best_layer(score, LAYERS, step=0.2, starts=start) is None
-
-
-def test_layer_that_is_known_is_not_lost():
-    """A tooth far narrower than the grid, of which a point is known."""
-    start = Optimum(0.0123, 11.1, float(hill(0.0123, 11.1, place=(0.01231, 11.11), width=1e-3)))
-
-    def score(*layers, least):
-        return hill(*layers, place=(0.01231, 11.11), width=1e-3)
-
-    best = find_best_layer(score, LAYERS, step=0.1, starts=(start,))
-    assert best.score > 0.99

@@ -29,28 +29,30 @@ from soft_throw_ros.identification.tracks import ThrowTracks, Track
 DATA = Path(__file__).parents[1] / 'data'
 
 
-def _make_throw(
-    rig: Rig,
-    *,
-    rate: float = 5000.0,
-    duration: float = 0.1,
-    start: float = 0.0153,
-    noise: float = 2e-5,
-    seed: int = 0,
-    zeros: tuple[float, float] = (0.0, 0.0),
-) -> ThrowTracks:
-    """Throw by the exact model, and look at it from zeros of height, with noise."""
+def _see(time, plate, projectile, *, noise=2e-5, seed=0) -> ThrowTracks:
+    """Look at heights, with noise."""
     rng = np.random.default_rng(seed)
+    tracks = [
+        Track(time=time, position=height + noise * rng.normal(size=time.size))
+        for height in (plate, projectile)
+    ]
+    return ThrowTracks(name='made', plate=tracks[0], projectile=tracks[1])
+
+
+def _make_throw(
+    rig: Rig, *, rate=5000.0, duration=0.1, start=0.0153, zeros=(0.0, 0.0), **options
+) -> ThrowTracks:
+    """Throw by the exact model, and look at it from zeros of height."""
     time = np.arange(0.0, duration, 1.0 / rate)
     since = time - start
-    history = follow(rig, until=since[-1])
     plate = Underdamped.of(rig.engine).position(since)
-    projectile = history.projectile_position(since)
-    plate_track, projectile_track = (
-        Track(time=time, position=height - zero + noise * rng.normal(size=time.size))
-        for height, zero in zip((plate, projectile), zeros, strict=True)
-    )
-    return ThrowTracks(name='made', plate=plate_track, projectile=projectile_track)
+    projectile = follow(rig, until=since[-1]).projectile_position(since)
+    return _see(time, plate - zeros[0], projectile - zeros[1], **options)
+
+
+@pytest.fixture
+def see() -> Callable[..., ThrowTracks]:
+    return _see
 
 
 @pytest.fixture

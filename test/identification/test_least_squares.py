@@ -20,7 +20,13 @@ import re
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from soft_throw_ros.identification.least_squares import Estimate, fit_tracks, FitError, FitModel
+from soft_throw_ros.identification.least_squares import (
+    Alternative,
+    Estimate,
+    fit_tracks,
+    FitError,
+    FitModel,
+)
 from soft_throw_ros.identification.tracks import Track
 
 TIME = np.linspace(0.0, 2.0, 200)
@@ -135,6 +141,21 @@ def test_what_is_known_with_an_error_counts_as_a_sample():
     assert found['rate'].value == pytest.approx(mean, abs=0.2 * known.error)
     assert found['rate'].error == pytest.approx(weights.sum() ** -0.5, rel=0.05)
     assert found.dof == free.dof + 1
+
+
+def test_what_contradicts_what_is_known_is_said():
+    known = replace(MODEL, known={1: Estimate(0.7, 3e-3)})
+    warnings = fit_tracks(known, TRUTH, [('decay', track())]).warnings()
+    found = r'rate is found \d+\.\d errors from what is known of it, 0\.7000 \+- 0\.0030'
+    assert any(re.match(found, warning) for warning in warnings), warnings
+
+
+def test_other_minimum_is_named_and_spanned():
+    fit = fit_tracks(MODEL, TRUTH, [('decay', track())])
+    found = fit.spanning([Alternative(np.add(fit.values, [0.0, 0.1]), 4.0)])
+    assert 1.96 * found['rate'].error > 0.095
+    assert found['size'] == fit['size']
+    assert any('rate may as well be 0.9' in warning for warning in found.warnings())
 
 
 def test_fit_with_too_few_samples_is_refused():

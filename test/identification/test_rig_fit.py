@@ -24,21 +24,17 @@ from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
     HELD,
+    LAYER,
     PARAMETERS,
     USUAL,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import (
-    Alternative,
-    Fit,
-    FitError,
-    TrackResidual,
-)
+from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.throw_analysis import ejection_of
-from soft_throw_ros.identification.tracks import ThrowTracks, Track
+from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.twin.imperfect_rig import Imperfections, throw
 
 KNOWN = Rig(
@@ -59,15 +55,13 @@ REFERENCE = {
 }
 
 
-def truth_of(rig, start=0.0153):
-    return {'start_time': start, **values_of(rig, PARAMETERS)}
-
-
-def pulls_of(fit, truth, names=PARAMETERS):
-    """How many of its own errors a fit is from the truth."""
-    return {
-        name: (fit[name].value - truth[name]) / fit[name].error for name in names if name in fit
-    }
+def assert_true(found, rig, names=PARAMETERS, *, errors=4.0, start=0.0153):
+    """Assert that what was fitted is within so many of its own errors of the truth."""
+    truth = {'start_time': start, **values_of(rig, PARAMETERS)}
+    for name in names:
+        if name in found.fit:
+            value, error = found.fit[name]
+            assert value == pytest.approx(truth[name], abs=errors * error), name
 
 
 def test_rig_fit_gives_the_reference_values(reference_throw):
@@ -75,38 +69,34 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
         body: replace(getattr(reference_throw, body), known_noise=2e-5)
         for body in ('plate', 'projectile')
     }
-    throw = replace(reference_throw, **tracks)
     found = fit_rig(
-        [throw],
+        [replace(reference_throw, **tracks)],
         replace(KNOWN, gravity=0.0),
         FitDescription(HELD, 'absolute', 'centre'),
-    )
-    assert set(found.fit.names) == set(REFERENCE)
+    ).fit
+    assert set(found.names) == set(REFERENCE)
     for name, (value, error) in REFERENCE.items():
-        assert found.fit[name].value == pytest.approx(value, abs=1e-2 * error)
-        assert found.fit[name].error == pytest.approx(error, rel=5e-3)
-    assert found.fit.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
-    assert found.fit.dof == 995
-    assert found.fit.warnings() == []
+        assert found[name].value == pytest.approx(value, abs=1e-2 * error)
+        assert found[name].error == pytest.approx(error, rel=5e-3)
+    assert found.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
+    assert found.dof == 995
+    assert found.warnings() == []
 
 
 def test_many_throws_are_as_exact_as_they_should(make_throw):
-    rig = Rig()
     throws = [
-        make_throw(rig, rate=1500.0, duration=0.06, seed=seed, start=0.01 + 1e-4 * seed)
+        make_throw(Rig(), rate=1500.0, duration=0.06, seed=seed, start=0.01 + 1e-4 * seed)
         for seed in range(4)
     ]
     one = fit_rig(throws[:1], KNOWN, EXACT).fit
     found = fit_rig(throws, KNOWN, EXACT)
     for name in USUAL:
         assert found.fit[name].error == pytest.approx(0.5 * one[name].error, rel=0.2)
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert_true(found, Rig())
     for number in range(4):
-        name = f'start_time[{number + 1}]'
-        assert found.fit[name] == found.start_time(number)
-        assert found.start_time(number).value == pytest.approx(
-            0.01 + 1e-4 * number, abs=4.0 * found.fit[name].error
-        )
+        start = found.start_time(number)
+        assert start == found.fit[f'start_time[{number + 1}]']
+        assert start.value == pytest.approx(0.01 + 1e-4 * number, abs=4.0 * start.error)
 
 
 @pytest.mark.parametrize(
@@ -126,31 +116,30 @@ def test_wave_speed_is_found_without_a_guess(
         layer=Layer(thickness=thickness, wave_speed=wave_speed),
         gravity=gravity,
     )
-    throw = make_throw(rig, rate=3000.0, duration=0.02 + 3.0 / frequency, zeros=(0.3, -0.2))
+    seen = make_throw(rig, rate=3000.0, duration=0.02 + 3.0 / frequency, zeros=(0.3, -0.2))
     known = replace(KNOWN, layer=Layer(thickness=thickness, wave_speed=50.0), gravity=gravity)
-    found = fit_rig([throw], known, EXACT)
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    found = fit_rig([seen], known, EXACT)
+    assert_true(found, rig)
     assert found.fit['layer.wave_speed'].error < 0.03 * wave_speed
     assert found.fit['plate_offset'].value == pytest.approx(-0.3, abs=1e-5)
-    assert found.fit['projectile_offset'].value == pytest.approx(
-        0.2 + thickness - rig.static_sag, abs=1e-5
-    )
+    rest = 0.2 + thickness - rig.static_sag
+    assert found.fit['projectile_offset'].value == pytest.approx(rest, abs=1e-5)
 
 
-@pytest.mark.parametrize('reference', ['face', 'centre'])
-@pytest.mark.parametrize('heights', ['common', 'absolute'])
+@pytest.mark.parametrize(
+    ('heights', 'reference'), [('common', 'centre'), ('absolute', 'centre'), ('absolute', 'face')]
+)
 def test_heights_from_one_zero_tell_the_thickness(make_throw, heights, reference):
     # Under its weight a projectile of 20 g sinks by 0.9 mm
     rig = Rig(projectile=Projectile(mass=0.02, length=0.05))
     assert rig.static_sag > 4e-4
     zero = 0.1 if heights == 'common' else 0.0
     up = 0.025 if reference == 'centre' else 0.0
-    throw = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
+    seen = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
     known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
-    found = fit_rig(
-        [throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}, heights, reference)
-    )
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    description = FitDescription({**HELD, 'layer.thickness': 'free'}, heights, reference)
+    found = fit_rig([seen], known, description)
+    assert_true(found, rig)
     assert found.fit['layer.thickness'].error < 5e-5
     assert ('plate_offset' in found.fit) is (heights == 'common')
 
@@ -162,9 +151,9 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
         projectile=Projectile(mass=0.02),
         gravity=0.0,
     )
-    throw = make_throw(rig, rate=1000.0, duration=0.1)
+    seen = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    found = fit_rig([throw], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
+    found = fit_rig([seen], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
     fit = found.fit
     for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
         low, high = found.intervals[name]
@@ -174,171 +163,96 @@ def test_thickness_and_wave_speed_of_a_spring_are_not_told_apart(make_throw):
     (warning,) = [each for each in fit.warnings() if 'told apart' in each]
     assert 'layer.wave_speed and layer.thickness can hardly be told apart' in warning
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
-    compliance = thickness.value / speed.value**2
-    assert compliance == pytest.approx(2e-3 / 9.0, rel=0.02)
+    assert thickness.value / speed.value**2 == pytest.approx(2e-3 / 9.0, rel=0.02)
     assert thickness.error / thickness.value > 0.05
-    held = fit_rig([throw], replace(known, layer=Layer(thickness=2e-3)), EXACT).fit
+    held = fit_rig([seen], replace(known, layer=Layer(thickness=2e-3)), EXACT).fit
     assert held.warnings() == []
     assert held['layer.wave_speed'].error < 0.1 * speed.error
 
 
-@pytest.mark.parametrize('loss_tangent', [0.0, 0.05])
-def test_loss_is_found(loss_tangent):
-    rig = Rig(layer=Layer(loss_tangent=loss_tangent))
-    rng = np.random.default_rng(4)
-    time = np.arange(0.0, 0.06, 4e-4)
-    since = time - 0.0153
-    noise = 2e-5 * rng.normal(size=(2, time.size))
-    throw = ThrowTracks(
-        name='lossy',
-        plate=Track(time=time, position=Underdamped.of(rig.engine).position(since) + noise[0]),
-        projectile=Track(
-            time=time, position=ThrowSimulator().follow(rig, since).position + noise[1]
-        ),
-    )
-    found = fit_rig([throw], KNOWN, FitDescription({**HELD, 'layer.loss_tangent': 'free'}))
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
-    assert found.fit['layer.loss_tangent'].error < 0.01
-    if loss_tangent:  # and is missed if it is not looked for
-        assert any(
-            'no white noise' in each for each in fit_rig([throw], KNOWN, EXACT).fit.warnings()
-        )
-
-
 def test_what_comes_after_the_landing_does_not_matter(make_throw):
-    rig = Rig()
-    throw = make_throw(rig, rate=1000.0, duration=0.4)
-    landed = throw.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
-    other = np.where(landed, 0.05, throw.projectile.position)
-    spoilt = replace(throw, projectile=replace(throw.projectile, position=other, known_noise=2e-5))
+    seen = make_throw(Rig(), rate=1000.0, duration=0.4)
+    landed = seen.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
+    other = np.where(landed, 0.05, seen.projectile.position)
+    spoilt = replace(seen, projectile=replace(seen.projectile, position=other, known_noise=2e-5))
     found = fit_rig([spoilt], KNOWN, EXACT)
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 4.0
+    assert_true(found, Rig())
     assert 0.27 < found.throws[0].projectile.time[-1] < 0.0153 + 0.2875
     assert found.fit.warnings() == []
 
 
-@pytest.mark.parametrize(('body', 'place'), [('plate', 60), ('projectile', 90)])
-def test_sample_that_jumps_is_left_out(make_throw, body, place):
-    throw = make_throw(Rig(), rate=2000.0, duration=0.08)
-    clean = fit_rig([throw], KNOWN, EXACT)
-    position = getattr(throw, body).position.copy()
-    position[place] += 3e-3
-    spoilt = replace(throw, **{body: replace(getattr(throw, body), position=position)})
-    found = fit_rig([spoilt], KNOWN, EXACT)
-    listed = {each.name: each.outliers for each in found.fit.residuals if each.outliers}
-    assert list(listed) == [body]
-    assert [each.time for each in listed[body]] == [throw.plate.time[place]]
-    assert np.abs((found.fit.values - clean.fit.values) / clean.fit.errors).max() < 1.0
-    assert found.fit.warnings() == []
+def drifting_late_and_rare(time, heights, rng):
+    heights += 0.02 * 2e-3 * time / time[-1] * [[1.0], [-1.0]]
+    kept = rng.uniform(size=time.size) > 0.03
+    return (time[kept], *heights[:, kept]), 1e-4
 
 
-def changed(throw, *, plate=None, projectile=None, time=None, kept=slice(None)):
-    """Tracks with other heights or stamps, or of some samples only."""
-
-    def track(old, position):
-        position = old.position if position is None else position
-        return Track(time=(old.time if time is None else time)[kept], position=position[kept])
-
-    return replace(
-        throw, plate=track(throw.plate, plate), projectile=track(throw.projectile, projectile)
-    )
+def scaled_with_outliers(time, heights, rng):
+    heights[1] *= 1.005
+    sizes = rng.uniform(3e-4, 3e-3, heights.shape) * rng.choice([-1.0, 1.0], heights.shape)
+    return (time, *(heights + sizes * (rng.uniform(size=heights.shape) < 0.005))), 0.0
 
 
-def drifting(throw, _):
-    ramp = 0.02 * 2e-3 * throw.plate.time / throw.plate.duration
-    heights = throw.plate.position + ramp, throw.projectile.position - ramp
-    return changed(throw, plate=heights[0], projectile=heights[1])
+def rounded(time, heights, _rng):
+    return (time, *(2e-5 * np.rint(heights / 2e-5))), 0.0
 
 
-def scaled(throw, _):
-    return changed(throw, projectile=1.005 * throw.projectile.position)
-
-
-def late(throw, _):
-    return replace(throw, projectile=replace(throw.projectile, time=throw.projectile.time + 1e-4))
-
-
-def jittering(throw, rng):
-    time = throw.plate.time
-    return changed(throw, time=time + 4e-5 * rng.uniform(-1.0, 1.0, time.size))
-
-
-def missing(throw, rng):
-    return changed(throw, kept=rng.uniform(size=throw.plate.time.size) > 0.03)
-
-
-def with_outliers(throw, rng):
-    heights = []
-    for track in (throw.plate, throw.projectile):
-        size = track.time.size
-        sizes = rng.uniform(3e-4, 3e-3, size) * rng.choice([-1.0, 1.0], size)
-        heights.append(track.position + sizes * (rng.uniform(size=size) < 0.005))
-    return changed(throw, plate=heights[0], projectile=heights[1])
-
-
-def rounded(throw, _):
-    return changed(
-        throw,
-        plate=2e-5 * np.rint(throw.plate.position / 2e-5),
-        projectile=2e-5 * np.rint(throw.projectile.position / 2e-5),
-    )
-
-
-@pytest.mark.parametrize(
-    'fault', [drifting, scaled, late, jittering, missing, with_outliers, rounded]
-)
-def test_what_sensors_get_wrong_is_within_the_errors(make_throw, fault):
-    rng = np.random.default_rng(1)
-    throw = fault(make_throw(Rig(), zeros=(0.1, -0.2), noise=1.5e-5), rng)
-    found = fit_rig([throw], Rig(layer=Layer(wave_speed=20.0)))
-    names = (*USUAL, 'start_time')
-    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), names).values())) < 3.5
+@pytest.mark.parametrize('fault', [drifting_late_and_rare, scaled_with_outliers, rounded])
+def test_what_sensors_get_wrong_is_within_the_errors(make_throw, see, fault):
+    seen = make_throw(Rig(), zeros=(0.1, -0.2), noise=1.5e-5)
+    heights = np.array([seen.plate.position, seen.projectile.position])
+    wrong, delay = fault(seen.plate.time, heights, np.random.default_rng(1))
+    wrong = see(*wrong, noise=0.0)
+    late = replace(wrong.projectile, time=wrong.projectile.time + delay)
+    found = fit_rig([replace(wrong, projectile=late)], Rig(layer=Layer(wave_speed=20.0)))
+    assert_true(found, Rig(), (*USUAL, 'start_time'), errors=3.5)
     assert found.fit['engine.frequency'].error < 0.03
     assert found.fit.warnings() == []
 
 
-def test_stamps_that_are_off_make_noise_where_bodies_are_fast(make_throw):
-    throw = make_throw(Rig(), noise=1e-5)
-    found = fit_rig([jittering(throw, np.random.default_rng(2))], Rig(), EXACT)
-    residual = found.fit.residuals[1]
-    assert residual.noise.min() == pytest.approx(1e-5, rel=0.2)
-    assert residual.noise.max() == pytest.approx(1.4 * 4e-5 / 3**0.5, rel=0.25)
+def test_stamps_that_are_off_make_noise_where_bodies_are_fast(make_throw, see):
+    seen = make_throw(Rig(), noise=1e-5)
+    time = seen.plate.time
+    wrong = time + 4e-5 * np.random.default_rng(2).uniform(-1.0, 1.0, time.size)
+    jittering = see(wrong, seen.plate.position, seen.projectile.position, noise=0.0)
+    found = fit_rig([jittering], Rig(layer=Layer(wave_speed=20.0)))
+    assert_true(found, Rig(), (*USUAL, 'start_time'), errors=3.5)
+    assert found.fit.warnings() == []
+    noise = found.fit.residuals[1].noise
+    assert noise.min() == pytest.approx(1e-5, rel=0.2)
+    assert noise.max() == pytest.approx(1.4 * 4e-5 / 3**0.5, rel=0.25)
 
 
-def test_second_mode_of_a_plate_is_seen_and_said():
-    rig = Rig()
-    since = np.arange(0.0, 0.1, 2e-4) - 0.0153
-    plate = PlateWithModes(Underdamped.of(rig.engine), (0.0, 0.0, 0.0, 0.01), Mode(310.0, 0.02))
+def followed(see, rig, *, plate=None, duration=0.08, seed=0):
+    """Tracks of a throw by the model that is fitted."""
+    time = np.arange(0.0, duration, 2e-4)
+    since = time - 0.0153
     path = ThrowSimulator().follow(rig, since, motion=plate)
-    noise = 2e-5 * np.random.default_rng(3).normal(size=(2, since.size))
-    throw = ThrowTracks(
-        name='ringing',
-        plate=Track(time=since + 0.0153, position=plate.position(since) + noise[0]),
-        projectile=Track(time=since + 0.0153, position=path.position + noise[1]),
-    )
-    found = fit_rig([throw], rig)
-    remark = found.remarks[0]
-    assert 'a plate with a second mode explains' in remark
+    height = (plate or Underdamped.of(rig.engine)).position(since)
+    return see(time, height, path.position, seed=seed)
+
+
+def test_second_mode_of_a_plate_is_seen_and_said(see):
+    step = Underdamped.of(Rig().engine)
+    plate = PlateWithModes(step, (0.0, 0.0, 0.0, 0.01), Mode(310.0, 0.02))
+    found = fit_rig([followed(see, Rig(), plate=plate, duration=0.1, seed=3)], Rig())
+    assert 'a plate with a second mode explains' in found.remarks[0]
     frequency = found.fit['plate.mode_frequency']
     assert frequency.value == pytest.approx(310.0, abs=3.5 * frequency.error)
     assert found.fit.warnings() == []
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+    assert_true(found, Rig(), USUAL, errors=3.5)
 
 
-def imperfect_throw(imperfections, *, rig=None, seed=0, noise=2e-5):
+def imperfect_throw(see, rig, imperfections):
     """Tracks of a throw by small cells, which share nothing with what is fitted."""
-    thrown = throw(rig or Rig(), imperfections, until=0.07, start=-0.016, cells=128)
-    rng = np.random.default_rng(seed)
+    thrown = throw(rig, imperfections, until=0.07, start=-0.016, cells=128)
     time = np.arange(0.0, 0.08, 2e-4)
-    heights = thrown.plate(time - 0.0153), thrown.projectile(time - 0.0153)
-    plate, projectile = (
-        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
-    )
-    return ThrowTracks(name='imperfect', plate=plate, projectile=projectile), thrown.changes[0]
+    since = time - 0.0153
+    return see(time, thrown.plate(since), thrown.projectile(since)), thrown.changes[0]
 
 
-def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
-    tracks, release = imperfect_throw(Imperfections(sticking=2e-4))
+def test_layer_that_sticks_is_in_the_error_of_the_ejection_time(see):
+    tracks, release = imperfect_throw(see, Rig(), Imperfections(sticking=2e-4))
     fit = fit_rig([tracks], Rig())
     assert fit.warnings() == []  # it may as well not stick
     found = ejection_of(fit)
@@ -350,116 +264,58 @@ def test_layer_that_sticks_is_in_the_error_of_the_ejection_time():
 
 
 @pytest.mark.parametrize('phase', [0.5, 3.5])
-def test_plate_that_rings_before_leads_to_no_other_minimum(phase):
+def test_plate_that_rings_before_leads_to_no_other_minimum(see, phase):
     # So thin a layer that the projectile does not leave it before the throw
     rig = Rig(layer=Layer(thickness=8e-3))
-    tracks, release = imperfect_throw(Imperfections(ringing=0.015, ringing_phase=phase), rig=rig)
+    ringing = Imperfections(ringing=0.015, ringing_phase=phase)
+    tracks, release = imperfect_throw(see, rig, ringing)
     assert release.time > 0.0
     found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
     assert 'a plate that rings' in found.remarks[0]
     assert found.fit.warnings() == []
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig), USUAL).values())) < 3.5
+    assert_true(found, rig, USUAL, errors=3.5)
     peak = found.peak_plate_speed(0)  # which averages go by, too
     truth = Underdamped.of(Rig().engine).peak_velocity
     assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
     assert ejection_of(found).speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
-def test_other_minimum_is_named_and_spanned():
-    values = np.array([16.9, 1.0])
-    residual = TrackResidual(
-        name='a', track=Track(time=np.arange(20.0), position=np.zeros(20)), fitted=np.zeros(20),
-        noise=np.ones(20),
-    )  # fmt: skip
-    fit = Fit(
-        names=('layer.wave_speed', 'start_time'), values=values, covariance=np.diag([1e-4, 1e-4]),
-        chi2=18.0, dof=18, residuals=(residual,),
-    )  # fmt: skip
-    found = fit.spanning([Alternative(np.array([17.1, 1.0]), 4.0)])
-    assert 1.96 * found['layer.wave_speed'].error > 0.19
-    assert found['start_time'] == fit['start_time']
-    assert any('17.1' in warning for warning in found.warnings())
+def test_loss_that_is_free_may_be_none(see):
+    found = fit_rig([followed(see, Rig())], KNOWN, FitDescription({**HELD, LAYER[2]: 'free'}))
+    assert_true(found, Rig())
+    assert found.fit['layer.loss_tangent'].error < 0.01
 
 
-def test_loss_is_seen_without_being_asked_for():
-    rig = Rig(layer=Layer(loss_tangent=0.05))
-    since = np.arange(0.0, 0.07, 4e-4) - 0.0153
-    noise = 2e-5 * np.random.default_rng(4).normal(size=(2, since.size))
-    throw = ThrowTracks(
-        name='lossy',
-        plate=Track(
-            time=since + 0.0153, position=Underdamped.of(rig.engine).position(since) + noise[0]
-        ),
-        projectile=Track(
-            time=since + 0.0153, position=ThrowSimulator().follow(rig, since).position + noise[1]
-        ),
-    )
-    description = FitDescription({**HELD, 'layer.loss_tangent': 'free if seen'})
-    found = fit_rig([throw], Rig(), description)
-    (remark,) = found.remarks
-    assert 'a layer with loss explains these throws' in remark
-    assert 'one without loss' in remark
-    assert 'does not' in remark
+def test_loss_that_nobody_told_is_found_beside_all_that_a_bench_may_add(see):
+    rig = Rig(layer=Layer(loss_tangent=0.1))
+    found = fit_rig([followed(see, rig)], KNOWN)
+    assert_true(found, rig, errors=3.5)
+    assert found.fit['layer.loss_tangent'].error < 0.02
+    assert found.fit.warnings() == []
+    remark = found.remarks[-1]
+    assert re.fullmatch('a layer with loss explains .*; one .*without loss.* does not', remark)
     best = min(found.layers, key=lambda layer: layer.criterion)
     assert (best.name, best.criterion, best.is_fitted) == ('with loss', 0.0, True)
-    assert best.chi2 == pytest.approx(found.fit.chi2)
-    loss = found.estimates()['layer.loss_tangent']
-    assert loss.value == pytest.approx(0.05, abs=3.5 * loss.error)
 
 
-def followed(rig, *, name='followed', seed=0, noise=2e-5):
-    """Tracks of a throw by the model that is fitted, with noise."""
-    time = np.arange(0.0, 0.08, 2e-4)
-    since = time - 0.0153
-    heights = (
-        Underdamped.of(rig.engine).position(since),
-        ThrowSimulator().follow(rig, since).position,
-    )
-    rng = np.random.default_rng(seed)
-    plate, projectile = (
-        Track(time=time, position=each + noise * rng.normal(size=time.size)) for each in heights
-    )
-    return ThrowTracks(name=name, plate=plate, projectile=projectile)
-
-
-def test_layer_of_large_strain_is_told_from_linear_ones():
+def test_layer_of_large_strain_is_told_from_linear_ones(see):
     rig = Rig(engine=Engine(amplitude=5e-3), layer=Layer(elasticity='neo_hookean'))
-    found = fit_rig([followed(rig)], KNOWN)
+    found = fit_rig([followed(see, rig)], KNOWN)
     assert found.rig.layer.elasticity == 'neo_hookean'
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig), ENGINE).values())) < 3.5
+    assert_true(found, rig, ENGINE, errors=3.5)
     speed = found.estimates()['layer.wave_speed']
     assert speed.value == pytest.approx(7.8, abs=3.5 * speed.error)
     assert found.fit.warnings() == []
-    assert re.fullmatch(
-        r'a layer of large strain explains these throws \(chi squared (0.9|1.0).*'
-        r'; one .*without loss .* does not',
-        found.remarks[-1],
-    )
+    remark = r'a layer of large strain .*squared (0.9|1.0).*; one .*without loss.* does not'
+    assert re.fullmatch(remark, found.remarks[-1])
     best = min(found.layers, key=lambda layer: layer.criterion)
     assert (best.name, best.is_fitted) == ('of large strain', True)
-
-
-def test_what_contradicts_what_is_known_is_said(make_throw):
-    throw = make_throw(Rig())
-    wrong = changed(throw, projectile=1.05 * throw.projectile.position)
-    (warning,) = fit_rig([wrong], KNOWN).warnings()
-    assert re.match(
-        r'projectile\.scale is found 10\.\d errors from .* 1\.0000 \+- 0\.0050', warning
-    )
 
 
 def test_layer_that_is_linear_stays_so(make_throw):
     found = fit_rig([make_throw(Rig(engine=Engine(amplitude=5e-3)))], KNOWN)
     assert found.rig.layer.elasticity == 'linear'
     assert found.remarks[-1].startswith('a layer without loss explains these throws')
-
-
-def test_loss_that_nobody_told_is_found_beside_all_that_a_bench_may_add():
-    rig = Rig(layer=Layer(loss_tangent=0.1))
-    found = fit_rig([followed(rig)], KNOWN)
-    assert max(map(abs, pulls_of(found.fit, truth_of(rig)).values())) < 3.5
-    assert found.fit['layer.loss_tangent'].error < 0.02
-    assert found.fit.warnings() == []
 
 
 def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
@@ -473,7 +329,7 @@ def test_throws_of_two_masses_tell_thickness_and_wave_speed_apart(make_throw):
     conditions = {name: {'projectile.mass': mass} for name, mass in masses.items()}
     both = fit_rig(throws, light, FitDescription(parameters, throws=conditions))
     one = fit_rig(throws[:1], light, FitDescription(parameters))
-    assert max(map(abs, pulls_of(both.fit, truth_of(light), PARAMETERS).values())) < 4.0
+    assert_true(both, light)
     assert both.fit['layer.thickness'].error < 0.5 * one.fit['layer.thickness'].error
 
 
@@ -483,7 +339,6 @@ def test_amplitude_of_each_throw_is_its_own(make_throw):
         make_throw(Rig(engine=Engine(amplitude=each)), rate=2000.0, duration=0.06, seed=seed)
         for seed, each in enumerate(amplitudes)
     ]
-    assert fit_rig(throws, KNOWN, EXACT).fit.is_mismatch
     found = fit_rig(throws, KNOWN)
     assert not found.fit.is_mismatch
     for number, truth in enumerate(amplitudes, 1):
@@ -494,32 +349,14 @@ def test_amplitude_of_each_throw_is_its_own(make_throw):
     assert mean.value == pytest.approx(np.mean(amplitudes), abs=4.0 * mean.error)
 
 
-def test_error_of_a_mass_is_carried_into_the_wave_speed(make_throw):
-    throw = make_throw(Rig(), rate=2000.0, duration=0.06)
-    exact = fit_rig([throw], KNOWN, EXACT).fit
-    found = fit_rig([throw], KNOWN, FitDescription({**HELD, 'projectile.mass': '+- 5 %'})).fit
-    assert found['projectile.mass'].error < 0.06 * KNOWN.projectile.mass
-    assert found['layer.wave_speed'].error > 2.0 * exact['layer.wave_speed'].error
-
-
-def test_plate_alone_gives_the_engine(make_throw):
-    throws = [
-        replace(make_throw(Rig(), rate=2000.0, seed=seed), projectile=None) for seed in range(2)
-    ]
-    found = fit_rig(throws, KNOWN, FitDescription({**HELD, 'layer.wave_speed': 'held'}))
-    assert set(found.fit.names) >= set(ENGINE)
-    assert max(map(abs, pulls_of(found.fit, truth_of(Rig()), ENGINE).values())) < 4.0
-    assert found.rig.layer == KNOWN.layer
-
-
 def test_tracks_that_do_not_give_the_layer_are_refused(make_throw):
-    throw = make_throw(Rig(), rate=500.0)
-    rng = np.random.default_rng(1)
-    still = replace(throw.plate, position=1e-5 * rng.normal(size=throw.plate.time.size))
+    seen = make_throw(Rig(), rate=500.0)
+    time = seen.plate.time
+    still = Track(time=time, position=1e-5 * np.random.default_rng(1).normal(size=time.size))
     for throws, value in (
         ([], 'no throw'),
-        ([replace(throw, projectile=None)], 'layer.wave_speed cannot be found without'),
-        ([throw, replace(throw, name='still.csv', plate=still)], 'still.csv: the plate'),
+        ([replace(seen, projectile=None)], 'layer.wave_speed cannot be found without'),
+        ([seen, replace(seen, name='still.csv', plate=still)], 'still.csv: the plate'),
     ):
         with pytest.raises(FitError, match=re.escape(value)):
             fit_rig(throws, KNOWN)

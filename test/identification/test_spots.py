@@ -13,18 +13,16 @@
 # limitations under the License.
 """Spots followed through rendered pictures whose truth is known to the last digit."""
 
-from pathlib import Path
 import re
-import runpy
 
+from identification.rendering import CONTRAST, DIAMETER, disc, exposed, picture
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
 from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
-CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
-picture = CAMERA['picture']
 SHAPE = (150, 50)
 
 
@@ -78,8 +76,8 @@ def test_spot_that_leaves_the_picture_is_followed_until_then():
     seen = spots[2].row.size
     assert 30 < seen < 45
     # to within a picture or so of where its edge, with its blur, touches that of the picture
-    assert places_of(seen - 1)[2][0] > 0.5 * CAMERA['DIAMETER']
-    assert places_of(seen + 1)[2][0] < 0.5 * CAMERA['DIAMETER'] + 4.0
+    assert places_of(seen - 1)[2][0] > 0.5 * DIAMETER
+    assert places_of(seen + 1)[2][0] < 0.5 * DIAMETER + 4.0
     assert np.abs(errors_of(spots)[2][-3:]).max() < 0.08
 
 
@@ -88,19 +86,22 @@ def behind(wire, width, grey, rows, slope=0.0, seed=0):
     rng = np.random.default_rng(seed)
     shape = (100, 60)
     across = np.arange(shape[0])[:, None] - wire - slope * (np.arange(shape[1]) - 30.0)
-    cover = CAMERA['gaussian_filter'](1.0 * (np.abs(across) < 0.5 * width), (1.0, 0.0))
+    cover = gaussian_filter(1.0 * (np.abs(across) < 0.5 * width), (1.0, 0.0))
     for row in rows:
-        levels = 200.0 - CAMERA['CONTRAST'] * CAMERA['disc'](shape, float(row), 30.2)
-        yield CAMERA['exposed']((1.0 - cover) * levels + cover * grey, rng)
+        levels = 200.0 - CONTRAST * disc(shape, float(row), 30.2)
+        yield exposed((1.0 - cover) * levels + cover * grey, rng)
 
 
 STEP = 80.0 - 18.0 * (1.0 - np.cos(0.11 * np.maximum(np.arange(70) - 10, 0)))
 
 
-@pytest.mark.parametrize('slope', [0.0, 0.3])
 @pytest.mark.parametrize('grey', [20.0, 120.0, 200.0, 250.0])
 @pytest.mark.parametrize('width', [2.0, 6.0])
-@pytest.mark.parametrize('rows', [STEP, 124.0 - STEP], ids=['step', 'back'])
+@pytest.mark.parametrize(
+    ('rows', 'slope'),
+    [(STEP, 0.0), (124.0 - STEP, 0.0), (STEP, 0.3)],
+    ids=['step', 'back', 'sloping'],
+)
 def test_spot_behind_a_wire_is_missing_or_right_and_found_again(rows, width, grey, slope):
     (spot,) = follow_spots(behind(62.0, width, grey, rows, slope))
     left = np.hypot(spot.row - rows[spot.picture], spot.column - 30.2)
@@ -124,8 +125,8 @@ def test_spots_that_smear_while_a_picture_is_taken_are_followed():
     pictures = []
     for number in range(60):
         rows = 80.0 + 40.0 * np.cos(0.15 * (number + during))
-        seen = sum(CAMERA['disc']((160, 50), row, 25.0) for row in rows) / during.size
-        pictures.append(CAMERA['exposed'](200.0 - CAMERA['CONTRAST'] * seen, rng))
+        seen = sum(disc((160, 50), row, 25.0) for row in rows) / during.size
+        pictures.append(exposed(200.0 - CONTRAST * seen, rng))
     (spot,) = follow_spots(pictures)
     assert spot.picture.size > 55
     assert np.abs(spot.row - middle[spot.picture]).max() < 0.3

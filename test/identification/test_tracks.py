@@ -182,9 +182,9 @@ def test_throw_that_has_only_begun_when_the_record_ends_is_none(seen, count):
     assert len(split_into_throws(whole.between(0.0, 1.3 + seen))) == count
 
 
-def test_record_of_an_hour_is_cut_too():
+def test_long_record_is_cut_too():
     # Far more samples than swings: at 400 Hz the plate has ten in a period
-    starts = [5.0, 1800.0, 3590.0]
+    starts = [5.0, 300.0, 590.0]
     throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
 

@@ -13,10 +13,9 @@
 # limitations under the License.
 """Videos read from files, and edges followed along a line of them."""
 
-from pathlib import Path
 import re
-import runpy
 
+from identification.rendering import band, disc, exposed
 import numpy as np
 import pytest
 from soft_throw_ros.identification.tracks import TrackError
@@ -30,7 +29,6 @@ from soft_throw_ros.identification.video import (
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
 pytest.importorskip('av', reason='comes with the extra [video]')
-CAMERA = runpy.run_path(str(Path(__file__).with_name('rendering.py')))
 STACK = np.random.default_rng(0).integers(0, 4096, size=(5, 12, 16)).astype('<u2')
 """Pictures of a camera with 12 bits."""
 
@@ -124,11 +122,11 @@ def layer_video():
     rng = np.random.default_rng(5)
     pictures = []
     for bottom, length in zip(BOTTOM, LENGTH, strict=True):
-        layer = CAMERA['band'](LAYER_SHAPE, bottom, bottom - length)
-        plate = CAMERA['band'](LAYER_SHAPE, LAYER_SHAPE[0] + 20.0, bottom)
+        layer = band(LAYER_SHAPE, bottom, bottom - length)
+        plate = band(LAYER_SHAPE, LAYER_SHAPE[0] + 20.0, bottom)
         levels = 40.0 + 150.0 * layer + 30.0 * plate
-        levels -= 110.0 * CAMERA['disc'](LAYER_SHAPE, bottom - 0.5 * length, 12.0)
-        pictures.append(CAMERA['exposed'](levels, rng))
+        levels -= 110.0 * disc(LAYER_SHAPE, bottom - 0.5 * length, 12.0)
+        pictures.append(exposed(levels, rng))
     return pictures
 
 

@@ -15,6 +15,9 @@
 
 import math
 
+from hypothesis import strategies as st
+import numpy as np
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 FREQUENCY = 63.2
@@ -78,3 +81,31 @@ def make_paper_rig(thickness, *, gravity=0.0, damping_ratio=0.0):
         projectile=Projectile(mass=1300.0 * 16.3e-3 * math.pi * 6e-3**2, length=16.3e-3),
         gravity=gravity,
     )
+
+
+def exact_release(rig):
+    """Compute the first release of a rig by the closed form."""
+    return first_release(
+        mass_ratio=rig.mass_ratio,
+        speed_ratio=rig.speed_ratio,
+        damping_ratio=rig.engine.damping_ratio,
+        gravity_ratio=rig.gravity_ratio,
+    )
+
+
+def released(stepper, periods=12.0):
+    """Advance a stepper until the projectile has left, and return it."""
+    for quarter in range(1, round(4 * periods) + 1):
+        if stepper.advance_to(0.25 * quarter / stepper.rig.engine.frequency):
+            return stepper
+    raise AssertionError('no release')
+
+
+def log_uniform(low, high):
+    """Draw from a range of several magnitudes."""
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+def order(counts, errors):
+    """Return the exponent with which errors fall as cells or steps get more."""
+    return -np.polyfit(np.log(counts), np.log(np.abs(errors)), 1)[0]

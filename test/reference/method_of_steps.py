@@ -197,21 +197,13 @@ class WaveHistory:
 
     def _known(self, time: ArrayLike) -> Floats:
         time = np.asarray(time, dtype=np.float64)
-        if time.size and not time.max() <= self.end_time:
-            raise ValueError(
-                f'time {time.max():g} s is after {self.end_time:g} s, where this history ends; '
-                'follow the throw for longer (until, max_events)'
-            )
+        assert not time.size or time.max() <= self.end_time, 'follow the throw for longer'
         return time
 
     def _waves(self, depth: ArrayLike, time: ArrayLike) -> tuple[Floats, Floats]:
         """Upward and downward wave at (depth, time)."""
         depth = np.asarray(depth, dtype=np.float64)
-        thickness = self.rig.layer.thickness
-        if depth.size and not (depth.min() >= 0.0 and depth.max() <= thickness):
-            outside = depth[~((depth >= 0.0) & (depth <= thickness))].flat[0]
-            raise ValueError(f'depth must be in [0, {thickness:g}] m, got {outside:g}')
-        from_top = (thickness - depth) / self.rig.layer.wave_speed
+        from_top = (self.rig.layer.thickness - depth) / self.rig.layer.wave_speed
         time = self._known(time)
         return self.upward(time + from_top), self._down(time - from_top)
 
@@ -228,11 +220,7 @@ def follow(
     until: float | None = None,
     max_events: int | None = None,
 ) -> WaveHistory:
-    """
-    Follow a throw from rest to `until` [s], or so many events, or else to the first landing.
-
-    A sampled motion that does not hold ends one crossing after its last sample in any case.
-    """
+    """Follow a throw from rest to `until` [s], or so many events, or else to the first landing."""
     rig.check_for_waves()
     if motion is None:
         motion = Underdamped.of(rig.engine)
@@ -253,8 +241,6 @@ class _Follower:
         self.scale = motion.peak_velocity
         self.max_events = max_events
         self.until = math.inf if until is None else until
-        if isinstance(motion, SampledMotion) and motion.after == 'error':
-            self.until = min(self.until, motion.end_time + self.crossing)
         self.kinks: list[float] = (_knots(motion) + self.crossing).tolist()
         heapq.heapify(self.kinks)
         self.time = float(heapq.heappop(self.kinks))

@@ -1,0 +1,146 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+r"""
+A fit as a linear problem: what a change of some parameters leaves when all others are adapted.
+
+Notes
+-----
+With the derivatives :math:`J` at the values that were fitted, what is left of other values is
+projected off the columns of :math:`J`: that is chi squared after a step of Gauss and Newton. So
+profiles, and gains by further parameters (a score test), take no fit.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import contextlib
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.identification.fit_description import LAYER
+from soft_throw_ros.identification.forward import EffortError
+from soft_throw_ros.identification.least_squares import Fit, FitError, INSEPARABLE
+from soft_throw_ros.identification.rig_model import RigModel
+
+Floats = NDArray[np.float64]
+
+_NEWTON_STEPS = 3  # along an interval
+_CHI2_95 = 3.84  # that 95 % are below, of one degree of freedom
+_LONGEST = 6.0  # errors that half of an interval may be long
+_HALVES = 8  # in which its end is looked for
+
+
+class LinearFit:
+    """
+    Samples, and what is known, over their errors, as linear functions of parameters.
+
+    Parameters
+    ----------
+    model : RigModel
+    fit : Fit
+        Of the model.
+    fixed : sequence of int
+        Places of values that are not adapted to the others.
+
+    """
+
+    def __init__(self, model: RigModel, fit: Fit, fixed: Sequence[int] = ()) -> None:
+        self._model, self._fit = model, fit
+        self._position = np.concatenate([track.position for _, track in model.tracks()])
+        self._others = np.delete(np.arange(fit.values.size), fixed)
+        self._known = [place for place in self._others.tolist() if place in model.known]
+        rows = np.zeros((len(self._known), fit.values.size))
+        for row, place in zip(rows, self._known, strict=True):
+            row[place] = 1.0 / model.known[place].error
+        slopes = self._weigh(model.jacobian(fit.values).T).T
+        design = np.concatenate([slopes, rows])[:, self._others]
+        self._sizes = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        self._basis, self._triangle = np.linalg.qr(design / self._sizes)
+
+    def adapt(self, values: Floats) -> tuple[Floats, float]:
+        """Adapt the others to such values; return all, and chi squared to first order."""
+        left = self._left(values)
+        change, *_ = np.linalg.lstsq(self._triangle, self._basis.T @ left, rcond=1e-12)
+        adapted: Floats = values.copy()
+        adapted[self._others] += change / self._sizes
+        return adapted, float(np.sum(self._project(left) ** 2))
+
+    def gain(self, columns: Floats) -> tuple[float, Floats]:
+        """By how much chi squared falls by further parameters, and their values, in any units."""
+        extra = self._weigh(columns.T).T
+        unseen = np.zeros((len(self._known), extra.shape[1]))
+        extra = self._project(np.concatenate([extra, unseen]))
+        extra /= np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
+        left = self._project(self._left(self._fit.values))
+        found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
+        return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
+
+    def _weigh(self, heights: Floats) -> Floats:
+        """Divide heights of all samples by their noise, and leave out outliers."""
+        return np.asarray((heights / self._fit.noise)[..., self._fit.kept])
+
+    def _left(self, values: Floats) -> Floats:
+        """Weigh what a model with such values leaves."""
+        known = self._model.known
+        left = self._weigh(self._position - self._model.predict(values))
+        priors = [(known[p].value - values[p]) / known[p].error for p in self._known]
+        return np.append(left, priors)
+
+    def _project(self, left: Floats) -> Floats:
+        """Take off what the parameters can explain."""
+        return np.asarray(left - self._basis @ (self._basis.T @ left))
+
+
+def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float]]:
+    """
+    Find intervals of 95 % of what the covariance is no good for: what is hardly told apart.
+
+    Along such a parameter chi squared is followed to where it is larger by 3.84, while all others
+    are adapted, by steps of Gauss and Newton with the derivatives of the fit.
+    """
+    correlation = np.abs(fit.correlation)
+    places = {name: fit.names.index(name) for name in LAYER if name in fit.names}
+    found = {}
+    for name, place in places.items():
+        others = [each for each in places.values() if each != place]
+        if correlation[place, others].max(initial=0.0) > INSEPARABLE:
+            with contextlib.suppress(FitError):
+                system = LinearFit(model, fit, [place])
+                low, high = (_end_of_interval(system, fit, place, sign) for sign in (-1.0, 1.0))
+                found[name] = (low, high)
+    return found
+
+
+def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> float:
+    """Find by halves where the profile of a parameter leaves the interval of 95 %."""
+    limit = system.adapt(fit.values)[1] + _CHI2_95 * max(1.0, fit.reduced_chi2)
+    direction = fit.covariance[place] / fit.covariance[place, place]
+
+    def is_inside(distance: float) -> bool:
+        moved = fit.values + sign * distance * direction
+        try:
+            for _ in range(_NEWTON_STEPS):
+                moved, _chi2 = system.adapt(moved)
+            return system.adapt(moved)[1] < limit
+        except EffortError:
+            raise
+        except (FitError, ValueError):
+            return False  # no rig is like that
+
+    inside, outside = 0.0, _LONGEST * fit.errors[place]
+    for _ in range(_HALVES):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
+    return float(fit.values[place] + sign * inside)
