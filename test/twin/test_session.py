@@ -19,7 +19,7 @@ import contextlib
 import math
 import re
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -373,6 +373,7 @@ INPUTS = st.one_of(
 )
 
 
+@settings(max_examples=50)
 @given(
     inputs=st.lists(st.tuples(st.integers(1, 300), INPUTS), min_size=1, max_size=12),
     data=st.data(),
