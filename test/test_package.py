@@ -243,7 +243,7 @@ def test_checkout_finds_config_without_being_installed(environment, tmp_path):
     assert_finds_config(printed, ROOT)
 
 
-def test_colcon_lays_things_where_ros_looks(colcon_prefix):
+def test_colcon_lays_things_where_ros_looks_and_finds_config(colcon_prefix, tmp_path):
     share = colcon_prefix / 'share/soft_throw_ros'
     assert {path.name for path in (colcon_prefix / 'lib/soft_throw_ros').iterdir()} == set(
         EXECUTABLES
@@ -256,9 +256,6 @@ def test_colcon_lays_things_where_ros_looks(colcon_prefix):
         assert paths
         for path in paths:
             assert (share / folder / path.name).read_bytes() == path.read_bytes()
-
-
-def test_colcon_build_finds_config(colcon_prefix, tmp_path):
     command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PLACE_AND_CONFIG)
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
 

@@ -604,7 +604,9 @@ def _complete_loads(s, waves):
     _compare_loads(s, waves, max(s.cell - N + 1 - s.compared, 0))
     low = high = waves[1, i - N]
     for k in range(N):
-        older, newer = waves[1, i - N - k], waves[1, i - N + k]
+        # Before the first wave that is kept there was rest
+        older = waves[1, i - N - k] if i - N - k >= 0 else 0.0
+        newer = waves[1, i - N + k]
         low, high = min(low, older, newer), max(high, older, newer)
         p = waves[0, i - k] + s.gravity_offset
         s.peak_strain = max(s.peak_strain, p - low, high - p)

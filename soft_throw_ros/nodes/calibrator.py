@@ -45,7 +45,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time, status_to_msg
+from soft_throw_ros.nodes.conversions import msg_to_throw_result, status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
@@ -110,7 +110,6 @@ class Calibrator(RunnableNode):
             self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
         )
         self.create_timer(1.0, self._publish_status)
-        self._released: dict[int, tuple[int, float]] = {}
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_mispredicted: Rig | None = None
         self._is_busy = False
@@ -126,19 +125,17 @@ class Calibrator(RunnableNode):
     # in the executor's thread
 
     def _on_results(self, msg: DiagnosticArray) -> None:
-        stamp_ns = msg_to_time(msg.header.stamp)
         for status in msg.status:
             result = msg_to_throw_result(status)
-            if result.stage == 'release' and result.first is not None:
-                self._released = {result.throw: (stamp_ns, result.first.ejection_time)}
-            elif result.stage == 'final':
+            if result.stage == 'final':
                 self._on_final(result)
 
     def _on_final(self, result: ThrowResult) -> None:
         """Collect a throw which the twin is not true to."""
-        released = self._released.pop(result.throw, None)
-        comparison = result.comparison
-        if released is None or comparison is None or not result.is_valid or self._is_busy:
+        release, accuracy, comparison = result.first, result.accuracy, result.comparison
+        if release is None or accuracy is None or comparison is None:
+            return
+        if self._is_busy or not result.is_valid:
             return
         if comparison.is_within_threshold or result.rig != self._rig_of_mispredicted:
             self._mispredicted.clear()  # what is identified together has to be of one rig
@@ -147,12 +144,10 @@ class Calibrator(RunnableNode):
             return
         self._measured.take()
         period_ns = 1e9 / result.rig.engine.frequency
-        stamp_ns, after = released
-        start_ns = stamp_ns - round(1e9 * after + _BEFORE * period_ns)
+        begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
+        end_ns = accuracy.release_ns + round(_AFTER * period_ns)
         try:
-            tracks = self._measured.between(
-                start_ns, stamp_ns + round(_AFTER * period_ns), name=f'throw {result.throw}'
-            )
+            tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
         except TrackError as error:
             self.get_logger().warning(f'throw {result.throw} is of no use: {error}')
             return

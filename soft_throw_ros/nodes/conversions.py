@@ -32,6 +32,7 @@ from rclpy.qos import (
 from rclpy.time import Time
 from soft_throw_ros.configuration import rig_of, rig_values
 from soft_throw_ros.configuration.interface import FRAME
+from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.message import LATEST
 from soft_throw_ros.twin.results import ThrowResult
@@ -180,9 +181,5 @@ def _value(text: str) -> Any:
     """Read what `_text` wrote."""
     if text in ('true', 'false'):
         return text == 'true'
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text
+    number = number_of(text)
+    return text if number is None else number

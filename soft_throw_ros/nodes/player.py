@@ -51,12 +51,6 @@ DRAIN_TIMEOUT = 0.5
 STOP_TIMEOUT = 0.3
 """Longest wait for the thread to end. [s]"""
 
-TERMINAL_PERIOD = 0.1
-"""How often progress is shown on a terminal. [s]"""
-
-LOG_PERIOD = 10.0
-"""How often it is written elsewhere. [s]"""
-
 _LONG = 1e9  # longer than any bag [s]
 
 _REFUSALS = (ImportError, ValueError, TypeError, KeyError, OverflowError, RuntimeError)
@@ -144,8 +138,6 @@ class Player(RunnableNode):
         create_service(self, REPLAY_SERVICES.pause, self._on_pause)
         create_service(self, REPLAY_SERVICES.resume, self._on_resume)
         create_service(self, REPLAY_SERVICES.step, self._on_step)
-        self._is_terminal = sys.stderr.isatty()
-        self.call_every(TERMINAL_PERIOD if self._is_terminal else LOG_PERIOD, self._show)
 
     @property
     def exit_code(self) -> int | None:
@@ -165,8 +157,6 @@ class Player(RunnableNode):
     def close(self) -> None:
         """Stop playing, and say how much was played."""
         self._stop()
-        if self._is_terminal:
-            print(file=sys.stderr)
         _say(f'{self.played} messages of {len(self._publishers_by_channel)} topics played')
 
     def _stop(self) -> None:
@@ -285,16 +275,6 @@ class Player(RunnableNode):
             passed = self._schedule.time(time.monotonic_ns()) - self._reader.start_time
         length = self._reader.end_time - self._reader.start_time
         return f'{passed / SECOND:.3f} s of {length / SECOND:.3f} s'
-
-    def _show(self) -> None:
-        if self._code is not None:
-            return
-        state = 'paused' if self._schedule.is_paused else 'playing'
-        text = f'{state} at {self._position()}, {self.played} messages'
-        if self._is_terminal:
-            print(f'\r\033[Kreplay: {text}', end='', file=sys.stderr, flush=True)
-        else:
-            _say(text)
 
 
 def _offer(text: str) -> QoSProfile:

@@ -133,12 +133,12 @@ class Recording:
         if self.writer is not None:
             for channel, count in self.writer.lost().items():
                 lost[channel.topic] += count
-        return {topic: count for topic, count in sorted(lost.items()) if count}
+        return dict(sorted((+lost).items()))
 
     def earlier(self) -> dict[str, int]:
         """Return how many messages of which topics were published before we joined."""
-        counts = {item.channel.topic: item.earlier for item in self.subscriptions}
-        return {topic: count for topic, count in sorted(counts.items()) if count}
+        counts = Counter({item.channel.topic: item.earlier for item in self.subscriptions})
+        return dict(sorted((+counts).items()))
 
     @property
     def has_failed(self) -> bool:

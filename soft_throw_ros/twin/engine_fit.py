@@ -78,73 +78,65 @@ _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 
 @_jit
-def _shape(time: float, omega: float, zeta: float) -> tuple[float, float]:
-    """Evaluate height and velocity of a damped step of height 1."""
+def _shape(time: float, omega: float, zeta: float) -> tuple[float, float, float]:
+    """Evaluate height, velocity and acceleration of a damped step of height 1."""
     root = math.sqrt(1.0 - zeta * zeta)
     decayed, phase = math.exp(-zeta * omega * time), root * omega * time
     sine = math.sin(phase) / root
-    return 1.0 - decayed * (math.cos(phase) + zeta * sine), omega * decayed * sine
+    height = 1.0 - decayed * (math.cos(phase) + zeta * sine)
+    speed = omega * decayed * sine
+    return height, speed, omega * (omega * (1.0 - height) - 2.0 * zeta * speed)
 
 
 @_jit
 def _add_up(
-    times: Floats,
-    heights: Floats,
-    speeds: Floats,
+    samples: Floats,
     engine: Floats,
     x: Floats,
     covariance: Floats,
     normal: Floats,
     right: Floats,
-    left_out: NDArray[np.bool_],
     residuals: Floats,
 ) -> tuple[float, float]:
     """
-    Add samples to the normal equations; the squares of all, and of the last ones.
+    Add samples to the normal equations; return the squares of all, and of the last ones.
 
-    `engine` is amplitude, angular frequency, damping ratio, and the noise of heights and speeds.
+    Rows of `samples` are time, height and speed; `engine` is amplitude, angular frequency, damping
+    ratio, and the noise of heights and speeds. Residuals are NaN where a sample is left out.
     """
     amplitude = engine[0] * (1.0 + x[AMPLITUDE])
     omega, zeta = engine[1] * (1.0 + x[FREQUENCY]), engine[2] + x[DAMPING]
-    row = np.zeros(5)
-    total, last = 0.0, np.zeros(_LAST)
-    count = 0
-    for n in range(times.size):
-        since = times[n] - x[START]
-        moves = since > 0.0
-        row[:] = 0.0
-        row[REST] = 1.0
+    of_height, of_speed = np.zeros(5), np.zeros(5)  # derivatives by the unknowns
+    total, last, count = 0.0, np.zeros(_LAST), 0
+    for n in range(len(samples)):
+        since = samples[n, 0] - x[START]
         height, speed = 0.0, 0.0
-        if moves:
-            height, speed = _shape(since, omega, zeta)
-            above, _ = _shape(since, omega, zeta + _SLOPE)
-            row[AMPLITUDE] = engine[0] * height
-            row[START] = -amplitude * speed
-            row[FREQUENCY] = amplitude * since * speed / (1.0 + x[FREQUENCY])
-            row[DAMPING] = amplitude * (above - height) / _SLOPE
-        error = heights[n] - x[REST] - amplitude * height
+        of_height[:] = 0.0
+        of_height[REST] = 1.0
+        if since > 0.0:
+            height, speed, acceleration = _shape(since, omega, zeta)
+            above, faster, _ = _shape(since, omega, zeta + _SLOPE)
+            of_height[AMPLITUDE], of_speed[AMPLITUDE] = engine[0] * height, engine[0] * speed
+            of_height[START], of_speed[START] = -amplitude * speed, -amplitude * acceleration
+            stretch = amplitude / (1.0 + x[FREQUENCY])
+            of_height[FREQUENCY] = stretch * since * speed
+            of_speed[FREQUENCY] = stretch * (speed + since * acceleration)
+            of_height[DAMPING] = amplitude * (above - height) / _SLOPE
+            of_speed[DAMPING] = amplitude * (faster - speed) / _SLOPE
+        error = samples[n, 1] - x[REST] - amplitude * height
         spread = engine[3] * engine[3]
         for i in range(5):
             for j in range(5):
-                spread += row[i] * covariance[i, j] * row[j]
-        left_out[n] = error * error > _SURE * _SURE * spread
-        residuals[n] = math.nan if left_out[n] else error / engine[3]
-        if left_out[n]:
+                spread += of_height[i] * covariance[i, j] * of_height[j]
+        is_left_out = error * error > _SURE * _SURE * spread
+        residuals[n] = math.nan if is_left_out else error / engine[3]
+        if is_left_out:
             continue
-        square = (error / engine[3]) ** 2
-        _add(normal, right, row, error, engine[3])
-        if moves and np.isfinite(speeds[n]):
-            _, faster = _shape(since + 1e-6, omega, zeta)
-            _, above_speed = _shape(since, omega, zeta + _SLOPE)
-            curvature = amplitude * (faster - speed) / 1e-6
-            row[AMPLITUDE] = engine[0] * speed
-            row[START] = -curvature
-            row[FREQUENCY] = amplitude * speed + since * curvature
-            row[DAMPING] = amplitude * (above_speed - speed) / _SLOPE
-            row[REST] = 0.0
-            _add(normal, right, row, speeds[n] - amplitude * speed, engine[4])
-        total += square
-        last[count % _LAST] = square
+        _add(normal, right, of_height, error, engine[3])
+        if since > 0.0 and np.isfinite(samples[n, 2]):
+            _add(normal, right, of_speed, samples[n, 2] - amplitude * speed, engine[4])
+        total += residuals[n] ** 2
+        last[count % _LAST] = residuals[n] ** 2
         count += 1
     return total, last.sum()
 
@@ -161,15 +153,12 @@ def _add(normal: Floats, right: Floats, row: Floats, error: float, noise: float)
 
 @_jit
 def _fit(
-    times: Floats,
-    heights: Floats,
-    speeds: Floats,
+    samples: Floats,
     engine: Floats,
     expected: Floats,
     weights: Floats,
     x: Floats,
     covariance: Floats,
-    left_out: NDArray[np.bool_],
     residuals: Floats,
 ) -> tuple[float, float]:
     """Go on to the best unknowns `x`, see `_add_up`; NaN if there are none."""
@@ -180,9 +169,7 @@ def _fit(
         for i in range(5):
             normal[i, i] = weights[i]
             right[i] = weights[i] * (expected[i] - x[i])
-        total, last = _add_up(
-            times, heights, speeds, engine, x, covariance, normal, right, left_out, residuals
-        )
+        total, last = _add_up(samples, engine, x, covariance, normal, right, residuals)
         for i in range(5):
             scale[i] = 1.0 / math.sqrt(normal[i, i])
         for i in range(5):  # units differ by ten orders of magnitude
@@ -191,18 +178,17 @@ def _fit(
                 normal[i, j] *= scale[i] * scale[j]
         if not factorise(normal):
             return math.nan, math.nan
+        solve(normal, right)
+        has_converged = True
         for i in range(5):
             column = covariance[i]
             column[:] = 0.0
             column[i] = 1.0
             solve(normal, column)
-        solve(normal, right)
-        has_converged = True
-        for i in range(5):
-            has_converged &= right[i] * right[i] < _CONVERGED * _CONVERGED * covariance[i, i]
+            has_converged &= right[i] * right[i] < _CONVERGED * _CONVERGED * column[i]
             x[i] += scale[i] * right[i]
             for j in range(5):
-                covariance[i, j] *= scale[i] * scale[j]
+                column[j] *= scale[i] * scale[j]
         x[DAMPING] = max(x[DAMPING], -engine[2])
         if x[AMPLITUDE] <= -1.0 or x[FREQUENCY] <= -1.0 or engine[2] + x[DAMPING] >= 1.0:
             return math.nan, math.nan
@@ -217,9 +203,9 @@ def damped_states(
 ) -> None:
     """Write height, velocity and acceleration of a damped step at times since its start."""
     for n in range(times.size):
-        height, speed = _shape(times[n], omega, zeta)
+        height, speed, acceleration = _shape(times[n], omega, zeta)
         states[n, 0], states[n, 1] = amplitude * height, amplitude * speed
-        states[n, 2] = amplitude * omega * (omega * (1.0 - height) - 2.0 * zeta * speed)
+        states[n, 2] = amplitude * acceleration
 
 
 @dataclass(frozen=True)
@@ -321,59 +307,49 @@ class EngineFit:
         if len(samples) < FEWEST:
             return None
         origin_ns = self.origin_ns
-        times, heights, speeds = np.array(
+        table = np.array(
             [((stamp_ns - origin_ns) / SECOND, at, speed) for stamp_ns, at, speed, _ in samples]
-        ).T.copy()
-        self._fit(times, heights, speeds)
-        moved = int((times > self._x[START]).sum())
+        )
+        used = self._fit(table)
+        if self.has_failed and used.size >= _FEWEST_FOR_NOISE:
+            # once more with the noise that is there, if it is larger than at rest
+            larger = max(np.square(used).mean(), np.square(used[-_LAST:]).mean())
+            is_noise = np.square(np.diff(used)).sum() >= _WHITE * np.square(used).sum()
+            if is_noise and larger > 1.0:
+                self._engine[3:] *= math.sqrt(larger)
+                self._fit(table)
+        moved = int((table[:, 0] > self._x[START]).sum())
         if self.has_failed or moved < FEWEST:
             return None
         return self._estimate(moved)
 
-    def _fit(self, times: Floats, heights: Floats, speeds: Floats) -> None:
-        """Fit, once more with the noise that is there if it is larger than at rest."""
-        left_out, residuals = np.zeros(times.size, dtype=np.bool_), np.empty(times.size)
-        for is_last in (False, True):
-            total, last = _fit(
-                times,
-                heights,
-                speeds,
-                self._engine,
-                self._expected,
-                self._weights,
-                self._x,
-                self._covariance,
-                left_out,
-                residuals,
-            )
-            self._judge(left_out, total, last)
-            used = residuals[~left_out]
-            if is_last or not self.has_failed or used.size < _FEWEST_FOR_NOISE:
-                return
-            larger = max(total / used.size, last / _LAST)
-            is_noise = np.square(np.diff(used)).sum() >= _WHITE * total
-            if not (is_noise and larger > 1.0):
-                return
-            self._engine[3:] *= math.sqrt(larger)
-
-    def _judge(self, left_out: NDArray[np.bool_], total: float, last: float) -> None:
-        """Tell whether the plate still does as the engine should."""
-        count = int((~left_out).sum())
+    def _fit(self, table: Floats) -> Floats:
+        """Fit, tell whether the plate does as the engine should, and return what is left over."""
+        residuals = np.empty(len(table))
+        total, last = _fit(
+            table,
+            self._engine,
+            self._expected,
+            self._weights,
+            self._x,
+            self._covariance,
+            residuals,
+        )
+        left_out = np.isnan(residuals)
+        used = residuals[~left_out]
         self.left_out = int(left_out.sum())
-        in_a_row = longest = 0
-        for is_out in left_out.tolist():
-            in_a_row = in_a_row + 1 if is_out else 0
-            longest = max(longest, in_a_row)
+        most_in_a_row = np.convolve(left_out, np.ones(_MOST_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
         moved = (self._x - self._expected)[known] ** 2
         told = 1.0 / self._weights[known] - self._covariance.diagonal()[known]
         self.has_failed = (
             math.isnan(total)
-            or longest >= _MOST_IN_A_ROW
+            or most_in_a_row >= _MOST_IN_A_ROW
             or bool((moved > _CHANCE**2 * told + 1e-3 / self._weights[known]).any())
-            or total > largest_by_chance(count)
-            or last > largest_by_chance(min(count, _LAST))
+            or total > largest_by_chance(used.size)
+            or last > largest_by_chance(min(used.size, _LAST))
         )
+        return used[:0] if math.isnan(total) else used
 
     def _estimate(self, moved: int) -> EngineEstimate:
         amplitude, omega, zeta, *_ = self._engine.tolist()
@@ -399,7 +375,6 @@ def largest_by_chance(count: int) -> float:
 
 def warm_up() -> None:
     """Compile or load the kernel."""
-    two, five, square = np.zeros(2), np.ones(5), np.eye(5)
-    left_out = np.zeros(2, np.bool_)
-    _fit(two, two, two, 0.1 * five, 0.0 * five, five, 0.0 * five, square, left_out, 1.0 * two)
-    damped_states(two, 1.0, 1.0, 0.0, np.empty((2, 3)))
+    five = np.ones(5)
+    _fit(np.zeros((2, 3)), 0.1 * five, 0.0 * five, five, 0.0 * five, np.eye(5), np.zeros(2))
+    damped_states(np.zeros(2), 1.0, 1.0, 0.0, np.empty((2, 3)))

@@ -55,7 +55,6 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
-from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.twin.onset import Onset, Rest
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
@@ -126,12 +125,6 @@ def decode(line: str) -> dict[str, Any]:
         motions.remember(entry.get('motions', {}))
     except (AttributeError, ValueError) as error:
         raise JournalError(f'an entry of a journal, {error}: {line!r}') from error
-    if 'result' in entry:  # early journals of 0.2.0 have other models in it
-        entry['result'] = {
-            name: value
-            for name, value in entry['result'].items()
-            if name.partition('.')[0] not in MODELS
-        }
     for part in ('settings', 'pending', 'values'):
         if isinstance(entry.get(part), dict):  # JSON knows no tuples
             entry[part] = {
@@ -292,8 +285,6 @@ class JournalWriter:
         self._states = bytearray()  # that the checksums lack: to add up many at once is quicker
         self._second = _Checksum(step)
         self._throw: _Checksum | None = None
-        self._rate = 0.0  # steps per second of the clock, now [Hz]
-        self._begin_second(step)
 
     def write(self, kind: str, step: int, **values: Any) -> None:
         """Write an entry, whose values are of many types."""
@@ -304,7 +295,6 @@ class JournalWriter:
 
     def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
         """Write that a session or a throw starts, and begin checksums anew."""
-        self._rate = settings['rate.state']
         self._write_checksum(step)
         if kind == 'throw':
             self._throw = _Checksum(step)
@@ -336,7 +326,6 @@ class JournalWriter:
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
         """Add what a step gave to the checksums, and write what is due after it."""
-        self._rate = rate
         self._states += STATE.pack(*outputs.state)
         if len(self._states) > _MOST_AT_ONCE:
             self._add_states()
@@ -347,7 +336,7 @@ class JournalWriter:
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # even if there are none, which is worth knowing
-        if following >= self._end:
+        if following - self._second.first >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -373,11 +362,7 @@ class JournalWriter:
         self._add_states()
         if step > self._second.first:
             self.write('checksum', step, first=self._second.first, **self._second.values())
-        self._begin_second(step)
-
-    def _begin_second(self, step: int) -> None:
         self._second = _Checksum(step)
-        self._end = step + max(1, round(CHECKSUM_TIME * self._rate))
 
     def _flush(self, step: int) -> None:
         """Write down what has been measured since the last time."""

@@ -102,7 +102,6 @@ class MeasuredThrow(OngoingThrow):
         self._fit: EngineFit | None = onset.rest.engine_fit(config, onset.onset_ns)
         self._follows_engine = onset.trusts_engine and prepared.forecaster is not None
         self._estimate: EngineEstimate | None = None  # by which the plate is followed
-        self.engine_holds = True  # whether the plate has done so far as the engine should
         self._times: list[float] = []  # since the start: what the stepper knows of the plate
         self._states: list[list[float]] = []
         self._residuals = _Residuals(
@@ -117,7 +116,7 @@ class MeasuredThrow(OngoingThrow):
         self._left_out = 0
 
     def advance(
-        self, motion: PlateStates, *, step: int, now_ns: int, config: TwinConfig
+        self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
     ) -> ThrowStep:
         """Go on as far as the plate is known, and look ahead from there."""
         crossing = self._prepared.rig.crossing_time

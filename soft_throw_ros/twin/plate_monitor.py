@@ -175,9 +175,10 @@ class PlateMonitor:
 
     def _check_noise(self, time: float) -> None:
         """Find a noise that hides that the plate is at rest."""
-        if self.is_armed or not time - self._checked_time < _CHECKING:
-            self._checked_time = time
-        if self.is_armed or self._checked_time < time:
+        if not self.is_armed and time - self._checked_time < _CHECKING:
+            return
+        self._checked_time = time
+        if self.is_armed:
             return
         heights = np.array([sample.plate for sample in self.estimator.samples(-math.inf)])
         if heights.size < _FEWEST_TO_CHECK:

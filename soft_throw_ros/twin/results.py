@@ -84,15 +84,6 @@ class Release:
     ejection_speed: float  # [m/s]
     energy_transfer: float  # square of the latter over the peak speed of the plate [-]
 
-    @classmethod
-    def of(cls, *, time: float, speed: float, peak_plate_speed: float) -> Release:
-        """Make it from the two speeds whose ratio counts."""
-        return cls(
-            ejection_time=time,
-            ejection_speed=speed,
-            energy_transfer=(speed / peak_plate_speed) ** 2,
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:

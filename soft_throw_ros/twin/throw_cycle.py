@@ -171,7 +171,7 @@ class ThrowCycle:
 
     def advance(self, step: int) -> Outputs:
         """Go one step on."""
-        motion = None
+        motion = NO_STATES
         if self.monitor is not None:
             motion = self._watch_plate(step, self.monitor)
         elif self._phase in (Phase.REST, Phase.RETURNING):
@@ -224,7 +224,10 @@ class ThrowCycle:
         )
         if onset is None:
             self._throw = ScheduledThrow(
-                self._prepared, number=self.throws, start_ns=self.schedule.deadline(step)
+                self._prepared,
+                number=self.throws,
+                start_step=step,
+                start_ns=self.schedule.deadline(step),
             )
         else:
             self._start_monitoring(onset)
@@ -234,22 +237,15 @@ class ThrowCycle:
             )
         self._enter(Phase.CONTACT)
 
-    def _advance_throw(self, step: int, motion: PlateStates | None) -> ThrowStep | None:
+    def _advance_throw(self, step: int, motion: PlateStates) -> ThrowStep | None:
         """Bring the state to a step; return what the throw under way gives, if there is one."""
         throw, config = self._throw, self._staged.config
         if throw is None:
             self._state = self._idle_state(step)
             return None
         had_left = bool(throw.events)
-        if isinstance(throw, ScheduledThrow):
-            time = (step - self._start) * self._prepared.tick
-            advanced = throw.advance(time, max_events=config.max_events)
-        else:
-            assert isinstance(throw, MeasuredThrow)
-            assert motion is not None
-            assert self.monitor is not None
-            now_ns = self.schedule.deadline(step)
-            advanced = throw.advance(motion, step=step, now_ns=now_ns, config=config)
+        advanced = throw.advance(step, self.schedule.deadline(step), motion, config)
+        if self.monitor is not None:
             self.monitor.trusts_engine = throw.engine_holds
         self._state = advanced.state
         for event in advanced.events:

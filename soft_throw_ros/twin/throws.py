@@ -24,6 +24,7 @@ import numpy as np
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
+from soft_throw_ros.twin.plate_estimator import PlateStates
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
     Accuracy,
@@ -78,6 +79,7 @@ class OngoingThrow(ABC):
         self.number = number
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
+        self.engine_holds = True  # whether the plate has done so far as the engine should
         self._prepared = prepared
         self._stepper = self._shown = prepared.stepper
         self._start_ns = start_ns
@@ -99,6 +101,12 @@ class OngoingThrow(ABC):
         rows = np.empty((3, FIELD_POINTS))
         self._shown.read_layer(rows)
         return LayerState(*rows)
+
+    @abstractmethod
+    def advance(
+        self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
+    ) -> ThrowStep:
+        """Go on to a step, which is due now, with how a measured plate has moved until then."""
 
     @abstractmethod
     def throw_field(self) -> ThrowField | None:
@@ -168,27 +176,38 @@ class OngoingThrow(ABC):
         )
 
     def _release(self, event: Event) -> Release:
-        return Release.of(
-            time=event.time, speed=event.velocity, peak_plate_speed=self._peak_plate_speed
+        return Release(
+            ejection_time=event.time,
+            ejection_speed=event.velocity,
+            energy_transfer=(event.velocity / self._peak_plate_speed) ** 2,
         )
 
 
 class ScheduledThrow(OngoingThrow):
     """A throw by the schedule or on request, see `OngoingThrow`."""
 
-    def __init__(self, prepared: PreparedRig, *, number: int, start_ns: int = 0) -> None:
+    def __init__(
+        self, prepared: PreparedRig, *, number: int, start_step: int = 0, start_ns: int = 0
+    ) -> None:
         super().__init__(
             prepared,
             number=number,
             start_ns=start_ns,
             rest_speed=REST_SPEED * prepared.peak_plate_speed,
         )
+        self._start_step = start_step
         self._time = 0.0
 
-    def advance(self, time: float, *, max_events: int) -> ThrowStep:
-        """Go on to `time` after the start [s]."""
-        self._time = time
-        return ThrowStep(*self._go_to(time, max_events))
+    def advance(
+        self,
+        step: int,
+        now_ns: int,  # noqa: ARG002  this and the motion are for measured plates
+        motion: PlateStates,  # noqa: ARG002
+        config: TwinConfig,
+    ) -> ThrowStep:
+        """Go on to a step."""
+        self._time = (step - self._start_step) * self._prepared.tick
+        return ThrowStep(*self._go_to(self._time, config.max_events))
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time, once, when that time has passed or the throw is over."""
@@ -214,5 +233,5 @@ def time_until_over(prepared: PreparedRig, elapsed: float, *, max_events: int) -
     ticks = 0
     while not throw.ended_by:
         ticks += 1
-        throw.advance(ticks * tick, max_events=max_events)
+        throw._go_to(ticks * tick, max_events)
     return max(ticks * tick - elapsed, 0.0)

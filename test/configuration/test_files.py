@@ -15,7 +15,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER, TWIN
@@ -126,6 +126,7 @@ def test_read_refuses_a_file_with_nothing_to_read(tmp_path: Path, content: bytes
         files.read(path)
 
 
+@settings(max_examples=30)
 @given(data=st.data())
 def test_write_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) -> None:
     path = tmp_path_factory.getbasetemp() / 'written.yaml'

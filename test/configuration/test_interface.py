@@ -11,7 +11,6 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-import pytest
 from soft_throw_ros.configuration.interface import (
     find_topic,
     FORMER_TOPICS,
@@ -23,22 +22,13 @@ from soft_throw_ros.configuration.interface import (
 OWN = [topic for topic in (*TWIN_TOPICS, *FORMER_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
 
 
-@pytest.mark.parametrize('topic', OWN, ids=lambda topic: topic.name)
-@pytest.mark.parametrize('node', ['/twin', '/rig1/twin', '/layer'])
-def test_topic_of_a_node_is_found_by_its_full_name(topic, node) -> None:
-    assert find_topic(topic.at(node).name, topic.type) == (node, topic)
-
-
-@pytest.mark.parametrize(
-    ('name', 'kind'),
-    [
-        ('/twin/phase', JOINT_STATE),
-        ('/rig1/diagnostics', TWIN_TOPICS.diagnostics.type),
-        ('/twin/joint_states_too', JOINT_STATE),
-    ],
-)
-def test_topic_of_other_name_or_type_is_not_found(name, kind) -> None:
-    assert find_topic(name, kind) is None
+def test_topic_is_found_by_its_full_name_and_type() -> None:
+    for topic in OWN:
+        for node in ('/twin', '/rig1/twin', '/layer'):
+            assert find_topic(topic.at(node).name, topic.type) == (node, topic)
+    assert find_topic('/twin/phase', JOINT_STATE) is None
+    assert find_topic('/twin/joint_states_too', JOINT_STATE) is None
+    assert find_topic('/rig1/diagnostics', TWIN_TOPICS.diagnostics.type) is None
 
 
 def test_names_are_unique() -> None:

@@ -39,30 +39,39 @@ def system(start, tmp_path):
     return System(lambda _name, *command, **kwargs: start(*command, **kwargs), tmp_path)
 
 
+def kill(system, name):
+    (pid,) = system.pids(name)
+    os.kill(pid, signal.SIGKILL)
+    if name != 'viewer':  # which the recorder starts again
+        assert system.running[name].wait() == -signal.SIGKILL
+        system.start(name)
+
+
 @pytest.mark.parametrize(
-    ('name', 'seconds', 'is_late', 'is_lossy'),
+    ('stops', 'late', 'is_lossy'),
     [
-        ('subscriber', 2.0, False, False),
-        ('viewer', 2.0, False, False),
-        ('recorder', 2.0, False, False),
-        ('recorder', 8.0, False, True),  # longer than the twin keeps states for it
-        ('twin', 2.0, True, False),
-        ('all', 3.0, True, False),  # as if the machine slept
+        ({'subscriber': 2.0, 'viewer': 2.0, 'recorder': 2.0}, 0.0, False),
+        ({'recorder': 8.0}, 0.0, True),  # longer than the twin keeps states for it
+        ({'twin': 2.0, 'all': 3.0}, 5.0, False),  # and as if the machine slept
     ],
+    ids=['others', 'recorder for long', 'twin and all'],
 )
-def test_process_that_is_stopped_and_goes_on(system, name, seconds, is_late, is_lossy):
-    stopped = system.pids(name)
-    for pid in stopped:
-        os.kill(pid, signal.SIGSTOP)
-    time.sleep(seconds)
-    for pid in stopped:
-        os.kill(pid, signal.SIGCONT)
+def test_processes_that_are_stopped_and_go_on(system, stops, late, is_lossy):
+    for name, seconds in stops.items():
+        stopped = system.pids(name)
+        for pid in stopped:
+            os.kill(pid, signal.SIGSTOP)
+        time.sleep(seconds)
+        for pid in stopped:
+            os.kill(pid, signal.SIGCONT)
+        if name != list(stops)[-1]:
+            system.wait_for_states()
     outcome = system.end()
     (states,) = outcome.bags
     assert missing(states.numbers) == outcome.missing
     assert (states.lost > 1000) if is_lossy else (states.lost == 0)
     assert outcome.ticks_missing <= outcome.ticks_skipped
-    assert outcome.ticks_skipped > 1000 * (seconds - 0.2) or not is_late
+    assert outcome.ticks_skipped > 1000 * (late - 0.2 * len(stops)) or not late
     first, *_, last = outcome.heard.tolist()
     assert last > outcome.told  # a twin that ends takes with it what was not fetched yet
     between = (outcome.published >= first) & (outcome.published <= last)
@@ -70,24 +79,27 @@ def test_process_that_is_stopped_and_goes_on(system, name, seconds, is_late, is_
     assert outcome.viewers == 1
 
 
-@pytest.mark.parametrize('name', ['subscriber', 'viewer', 'recorder', 'twin'])
-def test_process_that_is_killed_and_started_again(system, tmp_path, name):
-    (pid,) = system.pids(name)
-    os.kill(pid, signal.SIGKILL)
-    if name != 'viewer':  # which the recorder starts again
-        assert system.running[name].wait() == -signal.SIGKILL
-        system.start(name)
-    if name == 'recorder':
-        killed = system.bags[0]
-        system.bags[0] = tmp_path / 'recovered'
-        recover.main([str(killed), '--to', str(system.bags[0])])
+def test_others_that_are_killed_and_started_again_cost_nothing(system, tmp_path):
+    kill(system, 'subscriber')
+    kill(system, 'viewer')
+    system.wait_for_states()
+    kill(system, 'recorder')
+    killed, system.bags[0] = system.bags[0], tmp_path / 'recovered'
+    recover.main([str(killed), '--to', str(system.bags[0])])
     system.wait_for_states()
     outcome = system.end()
-    states = outcome.bags[-1]
+    assert missing(outcome.bags[-1].numbers) == outcome.missing
+    assert all(bag.lost == 0 for bag in outcome.bags)
+    assert outcome.ticks_missing <= outcome.ticks_skipped
+
+
+def test_twin_that_is_killed_and_started_again_is_recorded_on(system):
+    kill(system, 'twin')
+    system.wait_for_states()
+    kill(system, 'viewer')
+    system.wait_for_states()
+    outcome = system.end()
+    (states,) = outcome.bags
     assert missing(states.numbers) == outcome.missing
-    if name == 'twin':
-        assert (np.diff(states.numbers) < 0).sum() == 1  # one bag has both
-    else:
-        assert all(bag.lost == 0 for bag in outcome.bags)
-        assert outcome.ticks_missing <= outcome.ticks_skipped
-    assert outcome.viewers == (2 if name == 'viewer' else 1)
+    assert (np.diff(states.numbers) < 0).sum() == 1  # one bag has both
+    assert outcome.viewers == 2

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig that is measured, through DDS: in this process, and as two."""
+"""A rig that is measured, through DDS; as processes it is in `test_calibrator`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ from collections.abc import Iterable
 import math
 from pathlib import Path
 import runpy
-import sys
-import threading
-import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -30,15 +27,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.conversions import (
-    msg_to_throw_result,
-    msg_to_time,
-    msg_to_values,
-    time_to_msg,
-)
-from soft_throw_ros.nodes.realtime import SystemClock
+from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to_msg
 from soft_throw_ros.twin.plate_estimator import Sample
 
 rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
@@ -188,43 +179,3 @@ def test_without_measurement_nothing_is_told_of_it(ros, start_twin, listen_to) -
     statuses = listener.heard[TWIN_TOPICS.diagnostics.name][0].status
     assert not {'/twin: measurement', '/twin: model'} & {status.name for status in statuses}
     assert twin.session.sample_counts.taken == 0
-
-
-def test_twin_in_another_process_follows_a_rig_in_real_time(start, ros, listen_to) -> None:
-    process = start(
-        sys.executable, '-m', 'soft_throw_ros', 'twin', '--ros-args',
-        '-p', 'engine.motion:=measured', '-p', 'layer.name:=gelatin_29.1mm',
-    )  # fmt: skip
-    process.wait_for('ready')
-    listener = listen_to()
-    listener.listen(TWIN_TOPICS.throw_result)
-    sensors = ros.node(Sensors, ros)
-    rig = Rig(layer=Layer(thickness=29.1e-3))
-
-    def releases() -> list[Any]:
-        messages = listener.heard[TWIN_TOPICS.throw_result.name]
-        results = [msg_to_throw_result(message.status[0]) for message in messages]
-        return [result for result in results if result.stage == 'release']
-
-    def measure() -> None:
-        clock = SystemClock()
-        for _ in range(5):  # in case that messages are lost, or late by more than a second
-            for sample in rigs['measured_throw'](
-                rig, begin_ns=clock.now(), rate=2500.0, onset=0.15, duration=0.4
-            ):
-                while clock.now() < sample.stamp_ns:
-                    time.sleep(1e-4)
-                sensors.send(sample)
-            if releases():
-                return
-
-    thread = threading.Thread(target=measure)
-    thread.start()
-    ros.spin_until(lambda: bool(releases()), 'the release')
-    thread.join()
-    assert releases()[0].first.ejection_speed == pytest.approx(
-        simulate(rig).ejection_speed, rel=0.01
-    )
-    assert releases()[0].lead is not None
-    process.end(2)
-    assert not any('Traceback' in line for line in process.lines), process.lines

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 from pathlib import Path
-import sys
 from typing import Any
 
 import bags
@@ -155,15 +154,6 @@ def test_only_the_part_and_the_topics_that_are_asked_for_come(
     assert slow == []
 
 
-def test_looped_bag_comes_again_and_again(ros, listener, play, tmp_path) -> None:
-    heard = listener.listen('/fast')
-    player = play(write(tmp_path / 'bag', messages(50)), 1, loop=True)
-    ros.spin_until(lambda: len(heard) >= 170, 'the fourth time')
-    loop = [text(f'fast {number}') for number in range(50)]
-    assert heard[:170] == (loop * 4)[:170]
-    assert player.exit_code is None
-
-
 def test_clock_tells_the_time_of_the_bag_in_place_of_a_recorded_one(
     ros, listener, play, tmp_path
 ) -> None:
@@ -270,15 +260,3 @@ def test_damaged_bag_is_played_as_far_as_it_is_readable(
     kept = datas(made[:2000] + made[3000:], '/fast')
     ros.spin_until(lambda: len(heard) == len(kept), 'what there is')
     assert heard == kept
-
-
-def test_progress_stays_on_one_line_of_a_terminal(
-    ros, play, tmp_path, capsys, monkeypatch
-) -> None:
-    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
-    player = play(write(tmp_path / 'bag', messages(300)))
-    assert finish(ros, player) == 0
-    player.close()
-    shown = capsys.readouterr().err.split('\n')
-    assert shown[0].startswith('\r\033[Kreplay: playing at 0.')
-    assert shown[1:] == [f'replay: {player.played} messages of 3 topics played', '']

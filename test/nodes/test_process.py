@@ -20,45 +20,41 @@ import signal
 import sys
 from typing import Any
 
-import pytest
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.twin import main
 
-COMMAND = [sys.executable, '-m', 'soft_throw_ros', 'twin']
+SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
-def assert_quiet(process: Any) -> None:
+def assert_ends_well(process: Any, number: int) -> None:
+    assert process.end(number) == 0, process.lines
     assert not any('Traceback' in line for line in process.lines), process.lines
 
 
-@pytest.mark.parametrize(
-    ('name', 'number', 'line'),
-    [
+def test_nodes_end_well_by_a_signal(start) -> None:
+    fast = ('--ros-args', '-p', 'throw.period:=0.05')
+    expected = (
         ('twin', INT, 'throw 3: left'),  # while it throws
-        ('twin', TERM, 'ready'),
         ('twin', HUP, 'ready'),
         ('rig', INT, 'ready'),
         ('calibrator', TERM, 'ready'),
-    ],
-)
-def test_node_ends_well_by_a_signal(start, name, number, line) -> None:
-    fast = ('--ros-args', '-p', 'throw.period:=0.05') if name == 'twin' else ()
-    node = start(sys.executable, '-m', 'soft_throw_ros', name, *fast)
-    node.wait_for(line)
-    assert node.end(number) == 0
-    assert_quiet(node)
+    )
+    started = [
+        start(*SOFT_THROW, name, *(fast if name == 'twin' else ())) for name, *_ in expected
+    ]
+    for process, (_, number, line) in zip(started, expected, strict=True):
+        process.wait_for(line)
+        assert_ends_well(process, number)
 
 
 def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> None:
-    twin = start(*COMMAND, env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
+    twin = start(*SOFT_THROW, 'twin', env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
     twin.wait_for('compiling')
-    assert twin.end(INT) == 0
-    assert_quiet(twin)
+    assert_ends_well(twin, INT)
 
 
-@pytest.mark.parametrize('number', [INT, TERM, HUP])
-def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start, number) -> None:
+def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
     # whatever is imported first tells that importing has begun, and takes long
     telling = (
         'import builtins, sys, time, types; import soft_throw_ros.__main__ as umbrella\n'
@@ -68,10 +64,11 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start, number) 
         'sys.meta_path.insert(0, Slow())\n'
         "sys.exit(umbrella.main(['twin']))"
     )
-    twin = start(sys.executable, '-c', telling)
-    twin.wait_for('importing')
-    assert twin.end(number) == 0
-    assert twin.lines == ['importing']
+    twins = {number: start(sys.executable, '-c', telling) for number in (INT, TERM, HUP)}
+    for number, twin in twins.items():
+        twin.wait_for('importing')
+        assert twin.end(number) == 0
+        assert twin.lines == ['importing']
 
 
 SUBSCRIBER = """
@@ -88,17 +85,17 @@ rclpy.spin(node)
 """
 
 
-@pytest.mark.parametrize('number', [signal.SIGSTOP, signal.SIGKILL])
-def test_twin_outlives_a_subscriber_that_is_stopped_or_killed(start, listen_to, number) -> None:
-    twin = start(*COMMAND, '--ros-args', '-p', 'throw.period:=0.1')
-    subscriber = start(sys.executable, '-c', SUBSCRIBER)
-    subscriber.wait_for('heard')
-    subscriber.process.send_signal(number)
+def test_twin_outlives_subscribers_that_are_stopped_or_killed(start, listen_to) -> None:
+    twin = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'throw.period:=0.1')
+    numbers = (signal.SIGSTOP, signal.SIGKILL)
+    subscribers = [start(sys.executable, '-c', SUBSCRIBER) for _ in numbers]
+    for subscriber, number in zip(subscribers, numbers, strict=True):
+        subscriber.wait_for('heard')
+        subscriber.process.send_signal(number)
     listener = listen_to()
     listener.listen(TWIN_TOPICS.diagnostics)
     listener.hear(TWIN_TOPICS.diagnostics, 3)  # it goes on for seconds
-    assert twin.end(signal.SIGTERM) == 0
-    assert_quiet(twin)
+    assert_ends_well(twin, TERM)
 
 
 BAD_FILE = """/**:
@@ -106,39 +103,36 @@ BAD_FILE = """/**:
     layer:
       thickness: 16.8
 """
-
-
-@pytest.mark.parametrize(
-    ('name', 'arguments', 'words'),
-    [
-        ('twin', ['-p', 'layer.thickness:=-1.0'], ['-p layer.thickness:=-1.0', 'got -1.0']),
-        ('twin', ['-p', 'engine.frequency:=1000.0', '-p', 'layer.wave_speed:=1.0',
-                  '-p', 'layer.thickness:=0.1'], ['steps per crossing']),
-        ('twin', ['-p', 'use_sim_time:=maybe'], ['use_sim_time', 'maybe']),
-        ('twin', ['-p', 'foo'], ['-p foo']),
-        ('twin', ['--params-file', '{file}'], ['bad.yaml:4', 'got 16.8']),
-        ('twin', ['--params-file', '{file}.missing'], ['bad.yaml.missing']),
-        ('twin', ['-r', 'foo'], ['-r foo']),
-        ('twin', ['-r', '__node:=no-name'], ['no-name']),
-        ('twin', ['--bogus'], ['--bogus']),
-        ('twin', ['--', '--thickness', '3'], ['no such argument: --thickness 3; usage: twin']),
-        ('rig', ['-p', 'noise:=-1.0'], ['got -1.0']),
-        ('rig', ['-p', 'layer.name:=gelatin_2.0mm'], ['layer.name']),
-        ('calibrator', ['-p', 'throws:=0'], ['got 0']),
-        ('calibrator', ['-p', 'twin:=/twin/'], ["got '/twin/'"]),
-        ('recorder', ['-p', 'name:=../bag'], ["'../bag'"]),
-    ],
+REFUSED = (
+    ('twin', '-p layer.thickness:=-1.0', ['-p layer.thickness:=-1.0', 'got -1.0']),
+    ('twin', '-p engine.frequency:=1000.0 -p layer.wave_speed:=1.0 -p layer.thickness:=0.1',
+     ['steps per crossing']),
+    ('twin', '-p use_sim_time:=maybe', ['use_sim_time', 'maybe']),
+    ('twin', '-p foo', ['-p foo']),
+    ('twin', '--params-file {file}', ['bad.yaml:4', 'got 16.8']),
+    ('twin', '--params-file {file}.missing', ['bad.yaml.missing']),
+    ('twin', '-r foo', ['-r foo']),
+    ('twin', '-r __node:=no-name', ['no-name']),
+    ('twin', '-- --thickness 3', ['no such argument: --thickness 3; usage: twin']),
+    ('rig', '-p layer.name:=gelatin_2.0mm', ['layer.name']),
+    ('calibrator', '-p twin:=/twin/', ["got '/twin/'"]),
+    ('recorder', '-p name:=../bag', ["'../bag'"]),
 )  # fmt: skip
-def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path, name, arguments, words) -> None:
+
+
+def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:
     file = tmp_path / 'bad.yaml'
     file.write_text(BAD_FILE)
-    arguments = [argument.format(file=file) for argument in arguments]
-    node = start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *arguments)
-    assert node.wait() == 2
-    assert len(node.lines) == 1, node.lines
-    (line,) = node.lines
-    assert line.startswith(f'{name}: ')
-    assert all(word in line for word in words)
+    for refused in (REFUSED[:4], REFUSED[4:8], REFUSED[8:]):  # four at a time
+        nodes = [
+            start(*SOFT_THROW, name, '--ros-args', *arguments.format(file=file).split())
+            for name, arguments, _ in refused
+        ]
+        for node, (name, _, words) in zip(nodes, refused, strict=True):
+            assert node.wait() == 2, node.lines
+            (line,) = node.lines
+            assert line.startswith(f'{name}: ')
+            assert all(word in line for word in words), line
 
 
 def test_help_says_how(capsys) -> None:

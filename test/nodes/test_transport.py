@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The transport profiles of Fast DDS; what else they are good for is in `test_recorder_faults`."""
+"""The transport profiles of Fast DDS; what else they do is in `test_recorder_process`."""
 
 from __future__ import annotations
 
@@ -46,28 +46,24 @@ for line in Path('/proc/net/udp').read_text().splitlines()[1:]:
 
 
 @pytest.mark.parametrize('chosen', [None, *VARIABLES])
-@pytest.mark.parametrize(
-    ('reach', 'ours'),
-    [
-        (None, 'fastdds.xml'),
+def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
+    for reach, ours in (
+        ('', 'fastdds.xml'),
         ('SUBNET', 'fastdds.xml'),
         ('LOCALHOST', 'fastdds_loopback.xml'),
         ('OFF', 'fastdds_loopback.xml'),
-    ],
-)
-def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen, reach, ours) -> None:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach or '')
-    for name in VARIABLES:
-        monkeypatch.setenv(name, 'theirs')  # so that it is put back, whatever is done to it
-        if name != chosen:
-            monkeypatch.delenv(name)
-    use_transport_profile()
-    found = {name: os.environ[name] for name in VARIABLES if name in os.environ}
-    if chosen is not None:
-        assert found == {chosen: 'theirs'}
-        return
-    (path,) = found.values()
-    assert Path(path).name == ours
+    ):
+        monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
+        for name in VARIABLES:
+            monkeypatch.setenv(name, 'theirs')  # so that it is put back, whatever is done to it
+            if name != chosen:
+                monkeypatch.delenv(name)
+        use_transport_profile()
+        found = {name: os.environ[name] for name in VARIABLES if name in os.environ}
+        if chosen is None:
+            assert [Path(path).name for path in found.values()] == [ours]
+        else:
+            assert found == {chosen: 'theirs'}
 
 
 def test_profiles_let_a_second_wait_and_differ_in_who_is_heard() -> None:
@@ -85,25 +81,28 @@ def test_profiles_let_a_second_wait_and_differ_in_who_is_heard() -> None:
     assert _values(plain) == _values(local)
 
 
-@pytest.mark.parametrize(
-    ('reach', 'address'), [('LOCALHOST', '0100007F'), ('OFF', '0100007F'), ('SUBNET', '00000000')]
-)
-def test_ports_are_open_to_this_machine_only_unless_others_are_wanted(
-    domain_id, reach, address
-) -> None:
+def test_ports_are_open_to_this_machine_only_unless_others_are_wanted(domain_id) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
-    printed = subprocess.run(
-        [sys.executable, '-c', LISTEN],
-        env=environment | {'ROS_AUTOMATIC_DISCOVERY_RANGE': reach},
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout
-    sockets = [line.split(':') for line in printed.splitlines()]
+    expected = {'LOCALHOST': '0100007F', 'OFF': '0100007F', 'SUBNET': '00000000'}
+    listening = {
+        reach: subprocess.Popen(
+            [sys.executable, '-c', LISTEN],
+            env=environment | {'ROS_AUTOMATIC_DISCOVERY_RANGE': reach},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for reach in expected
+    }
     first = 7400 + 250 * domain_id  # where DDS listens; what sends has any other port
-    found = {host for host, port in sockets if first <= int(port, 16) < first + 250}
-    assert address in found
-    assert found <= {address, '0100FFEF'}  # and the group 239.255.0.1, that finds others
+    for reach, process in listening.items():
+        printed, _ = process.communicate(timeout=100)
+        sockets = [line.split(':') for line in printed.splitlines()]
+        found = {host for host, port in sockets if first <= int(port, 16) < first + 250}
+        assert expected[reach] in found, reach
+        assert found <= {
+            expected[reach],
+            '0100FFEF',
+        }  # and the group 239.255.0.1, that finds others
 
 
 def _values(root: ET.Element) -> list[tuple[str, str]]:

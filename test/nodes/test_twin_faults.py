@@ -16,30 +16,26 @@
 from __future__ import annotations
 
 import math
-import signal
-import sys
-import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-import pytest
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values, time_to_msg
-from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.session import Session
 
-COMMAND = [sys.executable, '-m', 'soft_throw_ros', 'twin']
 SECOND = 1_000_000_000
-MILLISECOND = SECOND // 1000
 
 
-def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(ros, start_twin, capfd) -> None:
+def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(
+    ros, start_twin, listen_to, capfd
+) -> None:
     twins = [start_twin() for _ in range(2)]
+    listener = listen_to(twins[0])
+    listener.listen(TWIN_TOPICS.diagnostics)
     log = ''
 
     def has_said(text: str, count: int) -> bool:
@@ -48,52 +44,25 @@ def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(ros, start_twi
         return log.count(text) == count
 
     ros.spin_until(lambda: has_said('another node is named /twin', 2), 'what both say')
-    ros.remove(twins[1])
-    ros.spin_until(lambda: has_said('no other node has this name', 1), 'that it is over')
-
-
-def test_namesake_is_a_warning_in_diagnostics(start_twin, listen_to) -> None:
-    twin, _ = start_twin(), start_twin()
-    listener = listen_to(twin)
-    listener.listen(TWIN_TOPICS.diagnostics)
     status = listener.status(
         TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['namesakes'] == 1
     )
     assert status.level == DiagnosticStatus.WARN
     assert '/twin' in status.message
+    ros.remove(twins[1])
+    ros.spin_until(lambda: has_said('no other node has this name', 1), 'that it is over')
 
 
-def test_clock_topic_that_stops_is_said_and_loses_no_step(ros, listen_to) -> None:
-    twin = ros.node(Twin, ros_args=('-p', 'use_sim_time:=true'))
-    listener = listen_to(twin)
-    listener.listen(TWIN_TOPICS.diagnostics)
-    clock = listener.create_publisher(ClockMessage, '/clock', 10)
-    ros.spin_until(lambda: clock.get_subscription_count() > 0, '/clock')
-    twin.ticker.start()
-
-    def go_to(milliseconds: int, ticks: int) -> None:
-        clock.publish(ClockMessage(clock=time_to_msg(milliseconds * MILLISECOND)))
-        ros.spin_until(lambda: twin.ticker.counts['ticks'] == ticks, f'tick {ticks}')
-
-    go_to(5000, 1)
-    go_to(5100, 101)
-    status = listener.status(TWIN_TOPICS.diagnostics, 'timing', lambda s: '/clock' in s.message)
-    assert status.level == DiagnosticStatus.WARN
-    go_to(5200, 201)
-    assert twin.ticker.counts['ticks_skipped'] == 0
-
-
-@pytest.mark.parametrize('jump', [-3600 * SECOND, 3600 * SECOND])
-def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener, jump) -> None:
+def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
     listener.listen(TWIN_TOPICS.joint_states)
     twin.clock.time += 10_000 * SECOND  # so that it can be set back
     twin.clock.epoch += 1
     twin.session.request_throw()
     twin.go(50)
-    twin.clock.time += jump
+    twin.clock.time -= 3600 * SECOND
     twin.clock.epoch += 1
     twin.ticker.run_due()
-    twin.clock.time -= jump  # and back
+    twin.clock.time += 3600 * SECOND  # and forth
     twin.clock.epoch += 1
     twin.go(50)
     twin.session.close()
@@ -109,26 +78,6 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener, jump) -> 
     ours = [outputs.state for outputs in twin.outputs]
     assert [outputs.state for outputs in again] == ours[: len(again)]
     assert len(again) >= len(ours) - 1
-
-
-def test_twin_that_is_stopped_for_seconds_skips_and_counts_them(start, listen_to) -> None:
-    twin = start(*COMMAND)
-    twin.wait_for('ready')
-    listener = listen_to()
-    listener.listen(TWIN_TOPICS.diagnostics, TWIN_TOPICS.joint_states)
-    twin.process.send_signal(signal.SIGSTOP)
-    time.sleep(2.0)
-    twin.process.send_signal(signal.SIGCONT)
-    values = msg_to_values(
-        listener.status(
-            TWIN_TOPICS.diagnostics, 'timing', lambda s: msg_to_values(s)['ticks_skipped'] > 0
-        )
-    )
-    assert values['ticks_skipped'] >= 1500
-    assert values['ticks_caught_up'] >= 100  # a tenth of a second
-    heard = len(listener.heard[TWIN_TOPICS.joint_states.name])
-    listener.hear(TWIN_TOPICS.joint_states, heard + 100)  # and so on
-    assert twin.end(signal.SIGTERM) == 0
 
 
 def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin) -> None:

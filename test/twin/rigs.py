@@ -38,7 +38,6 @@ def measured_throw(
     noise: float = 0.0,
     jitter: float = 0.0,
     seed: int = 0,
-    has_projectile: bool = True,
 ) -> list[Sample]:
     """Measure one throw, the plate of which starts at `onset` [s]; `jitter` is in intervals."""
     random = np.random.default_rng(seed)
@@ -52,13 +51,10 @@ def measured_throw(
         row[:] = model.state[[PLATE_POSITION, PROJECTILE_POSITION]]
     rows += [PLATE_ZERO, PROJECTILE_ZERO]
     rows += noise * random.standard_normal(rows.shape)
-    samples = [
+    return [
         Sample(stamp, plate, math.nan, projectile)
         for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
     ]
-    if has_projectile:
-        return samples
-    return [sample._replace(projectile=math.nan) for sample in samples]
 
 
 def aged(rig: Rig, factor: float) -> Rig:

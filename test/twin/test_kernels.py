@@ -43,17 +43,17 @@ def warm_up(tmp_path):
 
 @pytest.mark.timeout(300)
 def test_what_is_compiled_is_told_and_compiled_once(warm_up, tmp_path) -> None:
-    first, _ = warm_up('travelling_wave').communicate()
-    assert 'wave_stepper.' in first
-    second, _ = warm_up('travelling_wave').communicate()
+    first, _ = warm_up('measured').communicate()
+    assert 'compiling, once: ' in first
+    second, _ = warm_up('measured').communicate()
     assert 'compiling' not in second
-    assert second.startswith('1/1 travelling_wave: ready')
-    (mark,) = (tmp_path / 'cache').rglob('travelling_wave.*.nbi')
+    assert second.startswith('1/1 measured: ready')
+    (mark,) = (tmp_path / 'cache').rglob('measured.*.nbi')
     mark.unlink()
     with mark.with_suffix('.lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with warm_up('travelling_wave') as waiting:
-            assert 'another process compiles travelling_wave' in waiting.stdout.readline()
+        with warm_up('measured') as waiting:
+            assert 'another process compiles measured' in waiting.stdout.readline()
             fcntl.flock(lock, fcntl.LOCK_UN)
             assert 'ready' in waiting.stdout.read()
     assert mark.exists()

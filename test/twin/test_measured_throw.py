@@ -139,22 +139,9 @@ def test_throw_field_is_that_of_the_throw(quiet, start) -> None:
     assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_noise_and_jitter_leave_the_release_to_a_percent(start, seed) -> None:
-    run = start(**MEASURED, layer__name='gelatin_29.1mm')
-    run.measure(noise=5e-6, jitter=0.3, seed=seed, onset=0.0501)
-    exact = simulate(run.rig)
-    first, certain = run.results('predicted')
-    assert first.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.015)
-    assert certain.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=5e-3)
-    assert certain.first.ejection_time == pytest.approx(exact.ejection_time, rel=2e-3)
-    assert certain.lead > 0.25 * run.rig.crossing_time
-
-
 @pytest.mark.parametrize(
     ('model', 'loss', 'is_ahead'),
     [
-        ('finite_difference', 0.0, True),
         ('finite_difference', 0.02, True),
         ('finite_difference_elastic', 0.0, True),
         ('finite_difference_glued', 0.0, False),  # it leaves at the plate
@@ -174,9 +161,11 @@ def test_other_models_are_as_far_ahead_as_their_waves(start, model, loss, is_ahe
     assert predicted.is_ahead == is_ahead
 
 
-def test_without_a_projectile_there_is_no_residual(start) -> None:
+def test_without_a_projectile_there_is_no_residual(start, rigs) -> None:
     run = start(**MEASURED)
-    run.measure(has_projectile=False)
+    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns)
+    run.send(sample._replace(projectile=math.nan) for sample in samples)
+    run.receive()
     assert not any(outputs.residual for outputs in run.outputs)
     assert run.results('release')[0].comparison is None
 
@@ -229,17 +218,6 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(start, rigs, gap, is
         assert 'throw 1' in final.describe()
 
 
-def test_plate_that_is_not_measured_any_more_is_lost(start) -> None:
-    run = start(**MEASURED)
-    run.measure(duration=0.056)
-    assert run.session.throws == 1
-    run.go(900)
-    assert not run.results('final')  # nothing is concluded from messages that are late
-    run.go(150)
-    assert not run.results('final')[0].is_valid
-    assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
-
-
 @pytest.mark.parametrize(
     ('rate', 'request_', 'reason'),
     [
@@ -280,13 +258,7 @@ def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
     )
 
 
-def test_throw_cannot_be_requested(start) -> None:
-    with pytest.raises(RequestRejected, match='measured'):
-        start(**MEASURED).session.request_throw()
-
-
-@pytest.mark.parametrize('rate', [2500.0, 5000.0])
-@pytest.mark.parametrize('trusts_engine', [True, False])
+@pytest.mark.parametrize(('rate', 'trusts_engine'), [(2500.0, True), (5000.0, False)])
 def test_samples_that_jump_are_left_out(start, rigs, rate, trusts_engine) -> None:
     run = start(**MEASURED)
     if not trusts_engine:  # the last throw was of another engine
@@ -344,13 +316,12 @@ def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, a
     assert not run.results('release')
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_stamps_that_are_not_exact_make_errors_larger_and_nothing_worse(start, rigs, seed) -> None:
+def test_stamps_that_are_not_exact_make_errors_larger_and_nothing_worse(start, rigs) -> None:
     errors = []
     for part in (0.0, 0.1):  # of the time from one sample to the next
         run = start(**MEASURED)
-        samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6, seed=seed)
-        late = np.random.default_rng(seed).standard_normal(len(samples)) * part * SECOND / 5000.0
+        samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6)
+        late = np.random.default_rng(0).standard_normal(len(samples)) * part * SECOND / 5000.0
         run.send(
             item._replace(stamp_ns=item.stamp_ns + round(error))
             for item, error in zip(samples, late.tolist(), strict=True)
@@ -446,15 +417,10 @@ def deviations_of_a_trial(start, rigs, seed, *, rate, outliers) -> tuple[float, 
     return predictions[0].lead, deviations
 
 
-@pytest.mark.parametrize(('rate', 'outliers'), [(2500.0, 0.0), (5000.0, 0.005)])
-def test_intervals_of_predictions_hold_the_truth_as_often_as_they_say(
-    start, rigs, rate, outliers
-) -> None:
+def test_intervals_of_predictions_hold_the_truth_as_often_as_they_say(start, rigs) -> None:
+    kinds = {'rate': 2500.0, 'outliers': 0.0}, {'rate': 5000.0, 'outliers': 0.005}
     leads, deviations = zip(
-        *(
-            deviations_of_a_trial(start, rigs, seed, rate=rate, outliers=outliers)
-            for seed in range(120)
-        ),
+        *(deviations_of_a_trial(start, rigs, seed, **kinds[seed % 2]) for seed in range(120)),
         strict=True,
     )
     held = (np.abs(np.array(deviations)) < 1.96).mean(axis=0)
@@ -470,7 +436,7 @@ def test_throw_that_is_lost_at_any_moment_ends_with_what_is_known(start, rigs, f
     samples = rigs['measured_throw'](
         replace(exact, engine=engine), begin_ns=start.begin_ns, noise=5e-6, duration=0.07
     )
-    for seen in range(1, 40, 2):  # samples after the onset
+    for seen in range(1, 40, 3):  # samples after the onset
         run = start(**MEASURED)
         run.send(samples[: 250 + seen])
         run.receive()
@@ -500,14 +466,12 @@ def test_next_jump_after_a_rest_starts_the_next_throw_with_what_waits(start, rig
     assert run.results('final')[0].ended_by in ('next', 'rest', 'max_events')
 
 
-@pytest.mark.parametrize('is_flying', [False, True])
-def test_jump_takes_over_another_motion_that_waits(start, rigs, same, is_flying) -> None:
+def test_jump_takes_over_another_motion_that_waits(start, rigs, same) -> None:
     run = start(**MEASURED, throw__period=0.0)
-    if is_flying:
-        run.measure()
-        flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
-        run.send(rigs['measured_throw'](run.rig, **flat))
-        run.receive()
+    run.measure()
+    flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
+    run.send(rigs['measured_throw'](run.rig, **flat))
+    run.receive()
     throws = run.session.throws
     run.session.change({'engine.motion': 'underdamped'})
     run.measure()
@@ -539,6 +503,8 @@ def test_measurement_can_be_switched_on_and_off(start, same) -> None:
     run.session.request_throw()  # which takes over what was pending first, and then there is none
     run.measure()
     assert run.session.is_measured
+    with pytest.raises(RequestRejected, match='measured'):
+        run.session.request_throw()
     assert (run.session.throws, len(run.results('release'))) == (1, 1)
     run.session.change({'engine.motion': 'underdamped'})
     run.session.reset()

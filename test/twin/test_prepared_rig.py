@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +27,7 @@ from soft_throw_ros.core.cell_stepper import first_throws
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.throw import MODELS, simulate
 from soft_throw_ros.twin.other_models import predict_by_other_models
+from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
 from soft_throw_ros.twin.throws import ScheduledThrow, time_until_over
 
@@ -55,11 +57,11 @@ def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, r
     values = settings(**request_)
     prepared = prepare(values)
     exact = simulate(rig_of(values), model=prepared.config.model)
-    throw = ScheduledThrow(prepared, number=1)
+    throw, config = ScheduledThrow(prepared, number=1), replace(prepared.config, max_events=2)
     release, tick = None, 0
     while not throw.ended_by:
         tick += 1
-        throw.advance(tick * prepared.tick, max_events=2)
+        throw.advance(tick, 0, NO_STATES, config)
         if throw.first_release and release is None:
             release = throw.result('release', tick, prepared.config)
     final = throw.result('final', tick, prepared.config)
