@@ -25,7 +25,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import PARAMETERS, values_of
 from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow, throw
-from soft_throw_ros.twin.sensor_faults import SensorFaults
+from soft_throw_ros.twin.sensor_faults import draw_chances, SensorFaults
 
 Floats = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ class Bench:
             time,
             lambda moments: thrown.plate(moments - start),
             lambda moments: thrown.projectile(moments - start),
-            random,
+            draw_chances(random, time.size),
         )
         columns = np.column_stack([sample.stamp, sample.plate, sample.projectile])
         is_seen = np.asarray(sample.is_seen)

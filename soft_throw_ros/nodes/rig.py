@@ -30,7 +30,7 @@ from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.twin.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.sensor_faults import SensorFaults
+from soft_throw_ros.twin.sensor_faults import chances_one_by_one, SensorFaults
 from soft_throw_ros.twin.session import Session
 
 
@@ -53,7 +53,7 @@ class SimulatedRig(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('rig', **kwargs)
-        self._random = np.random.default_rng(0)
+        self._chances = chances_one_by_one(np.random.default_rng(0))
         self._throws = 0
         self._start = 0  # step at which the last throw began
         self._is_worn = False
@@ -87,7 +87,7 @@ class SimulatedRig(RealTimeNode):
             time,
             lambda seen: plate + off[0] + (seen - time) * plate_velocity,
             lambda seen: projectile + off[1] + (seen - time) * projectile_velocity,
-            self._random,
+            next(self._chances),
         )
         if sample.is_seen:
             self.send(due + round(1e9 * (sample.stamp - time)), (sample.plate, sample.projectile))

@@ -14,14 +14,15 @@
 """
 What sensors of plate and projectile get wrong.
 
-The node `rig` measures sample by sample, the trials whole throws: all that is done here takes
+The node `rig` asks sample by sample, the trials ask for whole throws: all that is done here takes
 numbers and arrays alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,9 +30,31 @@ from soft_throw_ros.core import checks
 
 Numbers: TypeAlias = Any
 """A float or an array: what is done here serves both, for which there is no type."""
+Flags: TypeAlias = Any
+"""A bool, or an array of them."""
 
 _SMALLEST_OUTLIER = 0.1  # of the largest
 _DRIFT_TURNS = 1.0  # after which drift turns round [s]
+_BLOCK = 4096  # random numbers that are drawn at a time
+
+
+class Chances(NamedTuple):
+    """
+    Random numbers of one sample, or arrays of those of many.
+
+    `jitter`, `stamp` and the outliers' sizes are even in [-1, 1], the other chances even in
+    [0, 1), and noise is normal.
+    """
+
+    jitter: Numbers
+    stamp: Numbers
+    missing: Numbers
+    plate_noise: Numbers
+    plate_outlier: Numbers
+    plate_outlier_size: Numbers
+    projectile_noise: Numbers
+    projectile_outlier: Numbers
+    projectile_outlier_size: Numbers
 
 
 class Sample(NamedTuple):
@@ -40,7 +63,7 @@ class Sample(NamedTuple):
     stamp: Numbers
     plate: Numbers
     projectile: Numbers
-    is_seen: Numbers
+    is_seen: Flags
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +123,7 @@ class SensorFaults:
         time: Numbers,
         plate: Callable[[Numbers], Numbers],
         projectile: Callable[[Numbers], Numbers],
-        random: np.random.Generator,
+        chances: Chances,
     ) -> Sample:
         """
         Measure both bodies.
@@ -111,28 +134,56 @@ class SensorFaults:
             At which samples are due. [s]
         plate, projectile : callable
             True heights [m] at times [s].
-        random : Generator
-            Chances are drawn from it.
+        chances : Chances
+            Of as many samples.
 
         """
-        size = np.shape(time) or None  # None draws a number
-        seen = time + self.jitter * random.uniform(-1.0, 1.0, size)
+        seen = time + self.jitter * chances.jitter
         drift = self.drift * (_DRIFT_TURNS - abs(seen % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
-        higher = self.projectile_scale * projectile(seen - self.projectile_delay)
+        heights = plate(seen), self.projectile_scale * projectile(seen - self.projectile_delay)
+        stamp = seen + self.stamp_error * chances.stamp
         return Sample(
-            stamp=seen + self.stamp_error * random.uniform(-1.0, 1.0, size),
-            plate=self._look(plate(seen) + drift, random, size),
-            projectile=self._look(higher + drift, random, size),
-            is_seen=random.random(size) >= self.missing_rate,
+            stamp,
+            self._look(heights[0] + drift, *chances[3:6]),
+            self._look(heights[1] + drift, *chances[6:9]),
+            chances.missing >= self.missing_rate,
         )
 
-    def _look(
-        self, height: Numbers, random: np.random.Generator, size: tuple[int, ...] | None
-    ) -> Numbers:
-        """Add noise, and outliers of either sign, none of them small; and round."""
-        part = random.uniform(-1.0, 1.0, size)
-        outlier = np.copysign(_SMALLEST_OUTLIER + (1.0 - _SMALLEST_OUTLIER) * abs(part), part)
-        is_outlier = random.random(size) < self.outlier_rate
-        measured = height + self.noise * random.standard_normal(size)
-        measured = measured + is_outlier * self.outlier_size * outlier
-        return np.rint(measured / self.rounding) * self.rounding if self.rounding else measured
+    def _look(self, height: Numbers, noise: Numbers, outlier: Numbers, size: Numbers) -> Numbers:
+        """Add noise and outliers, and round."""
+        measured = height + self.noise * noise
+        return self._round(measured + (outlier < self.outlier_rate) * self._outlier(size))
+
+    def _outlier(self, size: Numbers) -> Numbers:
+        """Stretch what is even in [-1, 1] to outliers of either sign, none of them small."""
+        part = _SMALLEST_OUTLIER + (1.0 - _SMALLEST_OUTLIER) * abs(size)
+        if isinstance(part, float):
+            return math.copysign(self.outlier_size * part, size)
+        return np.copysign(self.outlier_size * part, size)
+
+    def _round(self, height: Numbers) -> Numbers:
+        """Round to the next step."""
+        if self.rounding == 0.0:
+            return height
+        steps = height / self.rounding
+        rounded = round(steps) if isinstance(steps, float) else np.rint(steps)
+        return rounded * self.rounding
+
+
+def draw_chances(random: np.random.Generator, samples: int) -> Chances:
+    """Draw the random numbers of so many samples."""
+    jitter, stamp, plate_size, projectile_size = random.uniform(-1.0, 1.0, (4, samples))
+    missing, plate_outlier, projectile_outlier = random.uniform(size=(3, samples))
+    plate_noise, projectile_noise = random.standard_normal((2, samples))
+    return Chances(
+        jitter, stamp, missing,
+        plate_noise, plate_outlier, plate_size,
+        projectile_noise, projectile_outlier, projectile_size,
+    )  # fmt: skip
+
+
+def chances_one_by_one(random: np.random.Generator) -> Iterator[Chances]:
+    """Yield the random numbers of sample after sample, again and again."""
+    while True:
+        block = draw_chances(random, _BLOCK)
+        yield from map(Chances, *(np.asarray(each).tolist() for each in block))

@@ -69,21 +69,28 @@ def test_perfect_sensors_tell_where_everything_is(start) -> None:
 
 
 def test_sensors_are_as_bad_as_they_should_be(start) -> None:
-    """How bad that is, is in `test_sensor_faults`."""
-    rig = start(
-        '-p', 'noise:=1e-4', '-p', 'jitter:=5e-5', '-p', 'faults.missing_rate:=0.1',
-        '-p', 'faults.outlier_rate:=0.02', '-p', 'faults.outlier_size:=1e-2',
-    )  # fmt: skip
-    rig.go(0.9)  # up to the first throw
-    stamps = 1e-9 * (np.array(rig.stamps) - rig.stamps[0])
-    assert len(stamps) == pytest.approx(0.9 * 0.9 * RATE, rel=0.05)
-    late = stamps - np.rint(stamps * RATE) / RATE
+    rig = start('-p', 'noise:=1e-4', '-p', 'jitter:=5e-5')
+    rig.go(1.5)
+    states = exact(rig)
+    late = 1e-9 * (np.array(rig.stamps) - rig.stamps[0]) - np.arange(len(states)) / RATE
     late -= 0.5 * (late.max() + late.min())
     assert np.abs(late).max() == pytest.approx(5e-5, rel=0.02)
-    noise = np.array(rig.positions) - rig.session.advance().state[:2]
-    is_far = np.abs(noise) > 9e-4
-    assert is_far.mean() == pytest.approx(0.02, abs=0.01)
-    assert noise[~is_far].std() == pytest.approx(1e-4, rel=0.05)
+    noise = np.array(rig.positions) - (states[:, :2] + late[:, None] * states[:, 2:])
+    assert noise.std(axis=0) == pytest.approx([1e-4, 1e-4], rel=0.05)
+    assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1e-5)
+
+
+def test_faulty_sensors_lose_samples_and_tell_outliers(start) -> None:
+    rig = start(
+        *QUIET, '-p', 'faults.missing_rate:=0.1', '-p', 'faults.outlier_rate:=0.02',
+        '-p', 'faults.outlier_size:=1e-2', '-p', 'faults.projectile_scale:=1.01',
+    )  # fmt: skip
+    rig.go(0.4)
+    assert len(rig.stamps) == pytest.approx(0.9 * 0.4 * RATE, rel=0.05)
+    plate, projectile = np.transpose(rig.positions)
+    rest = rig.session.advance().state
+    assert (np.abs(plate - rest[0]) > 9e-4).mean() == pytest.approx(0.02, abs=0.01)
+    assert np.median(projectile) == pytest.approx(1.01 * rest[1])
 
 
 def test_imperfect_rig_does_what_the_model_does_not(start) -> None:
@@ -103,6 +110,14 @@ def test_imperfect_rig_does_what_the_model_does_not(start) -> None:
     assert np.abs(off[soon, 1]).max() > 1e-5
 
 
+def test_plate_rings_before_a_throw_by_the_period(start) -> None:
+    rig = start(*QUIET, '-p', 'throw.period:=0.8', '-p', 'faults.ringing:=0.02')
+    rig.go(1.55)
+    positions = np.array(rig.positions)[:, 0]
+    count = int(0.04 * RATE)
+    assert 2e-5 < np.ptp(positions[-count:]) < 8.1e-5
+
+
 def test_layer_ages_once_after_its_throws(start, ros) -> None:
     rig = start(
         *QUIET, '-p', 'wear.throws:=2', '-p', 'wear.wave_speed:=0.5', '-p', 'throw.period:=0.6'
@@ -117,10 +132,11 @@ def test_layer_ages_once_after_its_throws(start, ros) -> None:
     assert rig.get_parameter('layer.wave_speed').value == 0.5 * speed
 
 
-def test_rig_measures_for_the_twin_in_its_namespace(ros) -> None:
-    rig = ros.node(SimulatedRig, ros_args=('-r', '__ns:=/rig1'))
+@pytest.mark.parametrize('namespace', ['', '/rig1'])
+def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
+    rig = ros.node(SimulatedRig, ros_args=('-r', f'__ns:={namespace or "/"}'))
     topics = [publisher.topic_name for publisher in rig.publishers]
-    assert f'/rig1/{RIG_TOPICS.measured_joint_states.name}' in topics
+    assert f'{namespace}/{RIG_TOPICS.measured_joint_states.name}' in topics
 
 
 def test_rig_that_cannot_be_played_is_refused_with_the_number(start) -> None:

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sensor_faults import SensorFaults
+from soft_throw_ros.twin.sensor_faults import chances_one_by_one, draw_chances, SensorFaults
 
 TIME = np.arange(0.0, 4.0, 1e-3)
 
@@ -29,8 +29,8 @@ def projectile(time):
 
 
 def measure(seed=0, **faults):
-    random = np.random.default_rng(seed)
-    return SensorFaults(**faults).measure(TIME, plate, projectile, random)
+    chances = draw_chances(np.random.default_rng(seed), TIME.size)
+    return SensorFaults(**faults).measure(TIME, plate, projectile, chances)
 
 
 def test_sensors_without_faults_tell_the_truth():
@@ -70,12 +70,23 @@ def test_jitter_is_in_the_stamps_and_their_errors_are_not_in_the_heights():
         assert np.abs(sample.stamp - TIME).max() == pytest.approx(1e-4, rel=0.02)
 
 
-def test_one_sample_is_measured_as_many_are():
-    faults = SensorFaults(drift=1e-3, projectile_delay=1e-4, projectile_scale=1.1, rounding=1e-5)
-    block = faults.measure(TIME, plate, projectile, np.random.default_rng(1))
+def test_samples_one_by_one_are_those_of_a_block():
+    faults = SensorFaults(
+        noise=1e-5, jitter=1e-5, stamp_error=1e-5, outlier_rate=0.3, outlier_size=1e-3,
+        drift=1e-3, projectile_delay=1e-4, projectile_scale=1.1, missing_rate=0.3, rounding=1e-5,
+    )  # fmt: skip
+    block = faults.measure(
+        TIME, plate, projectile, draw_chances(np.random.default_rng(1), 4096 - 96)
+    )
+    singles = chances_one_by_one(np.random.default_rng(1))
+    chances = draw_chances(np.random.default_rng(1), 4096)
+    assert [next(singles) for _ in range(3)] == [tuple(c[i] for c in chances) for i in range(3)]
     for i in (0, 1, 3999):
-        one = faults.measure(float(TIME[i]), plate, projectile, np.random.default_rng(1))
-        assert one == pytest.approx(tuple(each[i] for each in block))
+        some = draw_chances(np.random.default_rng(1), 4000)
+        one = type(some)(*(float(each[i]) for each in some))
+        assert faults.measure(float(TIME[i]), plate, projectile, one) == pytest.approx(
+            tuple(each[i] for each in block)
+        )
 
 
 @pytest.mark.parametrize('name', ['noise', 'missing_rate', 'projectile_scale'])
