@@ -195,7 +195,7 @@ def sixteen_twins() -> Result:
         (*SOFT_THROW, 'twin', '--ros-args', '-r', f'__ns:={name.removesuffix("/twin")}',
          '-p', 'rate.state:=100.0')
         for name in names
-    ]  # fmt: skip
+    ]
     with tempfile.TemporaryDirectory() as folder:
         everything = (*SOFT_THROW, *_recorder_into(folder, 'bag', "topics:=['/']"))
         with subscriber() as heard, running(everything, *twins) as processes:
@@ -222,7 +222,7 @@ def sixteen_twins() -> Result:
         ['of one core, all twins [%]', 100.0 * sum(shares[1:]), None],
         ['of one core, the recorder [%]', 100.0 * shares[0], None],
         ['lateness p99, median [us]', 1e6 * float(np.median(late[:, 1])), None],
-    ])  # fmt: skip
+    ])
     return result
 
 

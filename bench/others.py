@@ -146,7 +146,7 @@ def diffrax(case: Case, *, cells: int = 25, tolerance: float = 1e-6) -> Throw:
         done = dx.diffeqsolve(
             dx.ODETerm(motion), dx.Tsit5(), 0.0, LONGEST, 1e-3, jnp.zeros(2 * cells),
             stepsize_controller=controller, event=event, max_steps=100_000,
-        )  # fmt: skip
+        )
         return done.ts[-1], done.ys[-1, -1]
 
     def throw() -> Release:

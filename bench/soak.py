@@ -150,7 +150,7 @@ class _Soak:
                 for number in range(1, SUBSCRIBERS + 1)
             },
             'twin': (*SOFT_THROW, 'twin'),
-        }  # fmt: skip
+        }
 
     def run(self, seconds: float) -> None:
         """Run all for so long after the first state, and end them in order."""

@@ -116,7 +116,7 @@ def one_throw() -> Table:
         Case('solve_ivp, DOP853, 50 cells, rtol 1e-06',
              partial(peers.method_of_lines, case, cells=50, tolerance=1e-6)),
         *thrown,
-    ]  # fmt: skip
+    ]
 
     def error(found: peers.Release) -> float:
         return abs(found.ejection_phase - TRUE.ejection_phase)
@@ -160,7 +160,7 @@ def one_gel() -> Table:
                  lambda: first_release_by_lines(rig, cells=64)[0],
                  error=lambda time: abs(time / true - 1.0)),
         ],
-    )  # fmt: skip
+    )
 
 
 @nb.njit(error_model='numpy')
@@ -216,11 +216,11 @@ def landscape() -> Table:
             for cells in (25, 100)
         ),
         Case('solve_ivp, DOP853, 25 cells, rtol 1e-06 (12 throws)', by_lines, float(some.size)),
-    ]  # fmt: skip
+    ]
     return Table(
         f'map of {SIDE} x {SIDE}', 'throw', 'error of t_e f, 90 %',
         [case._replace(error=error) for case in cases],
-    )  # fmt: skip
+    )
 
 
 @nb.njit(error_model='numpy')
@@ -276,7 +276,7 @@ def one_second() -> Table:
         'large strain and constant loss': (
             Layer(elasticity='neo_hookean', loss_tangent=0.05, loss='constant'), 100.0
         ),
-    }  # fmt: skip
+    }
 
     def of_gel(gel: Rig) -> Callable[[float], float]:
         fine = simulate(gel, model='finite_difference', max_events=1, cells=1024)
@@ -304,11 +304,11 @@ def one_second() -> Table:
                  partial(differences, count))
             for count in (64, 200)
         ),
-    ]  # fmt: skip
+    ]
     return Table(
         'one second', 'second', 'error of t_e f',
         [case._replace(error=case.error or error) for case in cases], is_factor=True,
-    )  # fmt: skip
+    )
 
 
 # Recommendations
@@ -344,7 +344,7 @@ def recommendation() -> Table:
         Case('with a limit of strain', lambda: recommend(rig, limits=limits)),
         Case('with loss and a limit of strain',
              lambda: recommend(lossy, limits=limits), goal=2e6),
-    ]  # fmt: skip
+    ]
     return Table('one recommendation', 'answer', 'alpha lost, relative', cases)
 
 
@@ -364,11 +364,11 @@ def motion() -> Table:
                  partial(peers.searched_motion, rig, limits, pieces=pieces, cells=50))
             for pieces in (8, 24)
         ),
-    ]  # fmt: skip
+    ]
     return Table(
         'one motion', 'motion', 'alpha lost, relative',
         [case._replace(error=lambda alpha: 1.0 - alpha / best) for case in cases],
-    )  # fmt: skip
+    )
 
 
 # How cost grows
@@ -387,7 +387,7 @@ def growth_with_crossings() -> Table:
     return _growth('crossings', 'run', {
         count: partial(_pass, stepper, count * rig.crossing_time)
         for count in (100, 400, 1600)
-    })  # fmt: skip
+    })
 
 
 def growth_with_bag_length() -> Table:

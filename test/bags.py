@@ -35,7 +35,7 @@ def profiles(*given: dict[str, Any]) -> str:
         'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
         'deadline': infinite, 'lifespan': infinite, 'liveliness': 'automatic',
         'liveliness_lease_duration': infinite, 'avoid_ros_namespace_conventions': False,
-    }  # fmt: skip
+    }
     return dump_yaml([{**default, **profile} for profile in given])
 
 

@@ -28,7 +28,7 @@ KNOWN_TO_CORE = {
     '__future__', 'abc', 'bisect', 'cmath', 'collections', 'concurrent', 'dataclasses', 'enum',
     'fractions', 'functools', 'heapq', 'itertools', 'math', 'numba', 'numpy', 'operator', 'scipy',
     'soft_throw_ros', 'types', 'typing',
-}  # fmt: skip
+}
 
 
 def lint_imports(root):

@@ -59,7 +59,7 @@ def stand_ins(monkeypatch):
     for name in (
         'launch', 'launch.actions', 'launch.substitutions',
         'launch_ros', 'launch_ros.actions', 'launch_ros.parameter_descriptions',
-    ):  # fmt: skip
+    ):
         module(name)
     module('ament_index_python')
     module('ament_index_python.packages', get_package_share_directory=lambda _name: str(ROOT))

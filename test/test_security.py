@@ -25,7 +25,7 @@ SOURCES = sorted((ROOT / 'soft_throw_ros').rglob('*.py'))
 MODULES = {'pickle', 'cPickle', 'dill', 'shelve', 'marshal', 'joblib', 'cloudpickle'}
 CALLS = {'eval', 'exec', 'compile', '__import__', 'os.system', 'os.popen', 'yaml.load',
          'yaml.full_load', 'yaml.unsafe_load', 'yaml.load_all', 'np.load', 'numpy.load',
-         'tempfile.mktemp', 'subprocess.getoutput', 'subprocess.getstatusoutput'}  # fmt: skip
+         'tempfile.mktemp', 'subprocess.getoutput', 'subprocess.getstatusoutput'}
 
 
 def nodes_of(path):
@@ -51,7 +51,7 @@ def dangers(nodes):
                     yield f'{called}({keyword.arg}=...)'
         elif isinstance(node, ast.Attribute) and ast.unparse(node) in {
             'yaml.Loader', 'yaml.UnsafeLoader', 'yaml.FullLoader', 'yaml.CLoader',
-        }:  # fmt: skip
+        }:
             yield ast.unparse(node)
 
 
@@ -66,7 +66,7 @@ def test_sources_run_and_unpickle_nothing():
         'yaml.load(text, Loader=yaml.Loader)', 'subprocess.run("ls", shell=True)',
         'np.load(path, allow_pickle=True)',
     ],
-)  # fmt: skip
+)
 def test_what_is_dangerous_is_noticed(text):
     assert list(dangers(ast.walk(ast.parse(text))))
 
@@ -113,7 +113,7 @@ def test_locks_have_what_is_asked_for_and_what_the_package_depends_on():
     (call,) = (
         node for node in nodes_of(ROOT / 'setup.py')
         if isinstance(node, ast.Call) and ast.unparse(node.func) == 'setup'
-    )  # fmt: skip
+    )
     given = {item.arg: item.value for item in call.keywords}
     needed = ast.literal_eval(given['install_requires'])
     extras = ast.literal_eval(given['extras_require'])

@@ -46,7 +46,7 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--rows', metavar='TEXT', nargs='+', default=[''],
         help='only rows whose names contain one of these',
-    )  # fmt: skip
+    )
     parser.add_argument('--list', action='store_true', help='say what rows there are, and end')
     parser.add_argument(
         '--log', metavar='FILE', type=Path, help='write all verdicts into it (JSON lines)'

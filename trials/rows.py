@@ -209,7 +209,7 @@ ROWS = (
             _OUTLIERS, missing_rate=0.02, stamp_error=2e-5, projectile_scale=1.001, rounding=5e-6
         ),
     ), *_FIT_LOSS)),
-)  # fmt: skip
+)
 """All rows, in their order."""
 
 ROWS_BY_NAME = {row.name: row for row in ROWS}

@@ -32,7 +32,7 @@ _COLUMNS = {
 
 HEADS = (
     'row', 'rigs', 'refused', 'warned', 'silently wrong', 'all', *_COLUMNS, 'largest', 'slowest',
-)  # fmt: skip
+)
 
 
 def header() -> list[str]:

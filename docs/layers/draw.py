@@ -110,7 +110,7 @@ def find_best(
                 )
                 for thickness, speed, density, tangent in values.reshape(-1, 4).tolist()
             )
-        )  # fmt: skip
+        )
 
     def lacking(logs: Floats) -> float:
         layer = stack(logs)
@@ -156,7 +156,7 @@ def loss_table() -> Iterator[tuple[str, ...]]:
             row += [
                 f'{kept:.3f}', f'{best.energy_transfer:.3f}', f'{mass / sheet.mass:.3f}',
                 f'{kappa:.2f}',
-            ]  # fmt: skip
+            ]
         yield tuple(row)
 
 
@@ -174,7 +174,7 @@ def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str
             f'`{text_of(best.layer)}`',
             f'{best.energy_transfer:.2f}', f'{1e2 * best.strain:.0f} %', f'{best.speed:.2f}',
             f'{alpha:.2f}', f'{1e2 * strain:.0f} %',
-        )  # fmt: skip
+        )
 
 
 def summary(stacks: Sequence[tuple[int, float, Best]]) -> str:
@@ -252,11 +252,11 @@ def replace_part(text: str, name: str, part: str) -> str:
 LOSS_HEAD = (
     'tan delta', 'Kelvin-Voigt: the lossless optimum', 'the best layer', 'mu', 'kappa',
     'constant: the lossless optimum', 'the best layer', 'mu', 'kappa',
-)  # fmt: skip
+)
 STACK_HEAD = (
     'sheets', 'strain allowed', 'from the plate up: m, m/s, kg/m3', 'alpha', 'strain',
     'V_e (m/s)', 'alpha as a real gel', 'its strain',
-)  # fmt: skip
+)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -130,7 +130,7 @@ def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
     axes.fill_between(
         1e3 * thicknesses, np.min(curves, axis=0), np.max(curves, axis=0), color=style.SKY,
         alpha=0.5, label='within one error of $c_s$',
-    )  # fmt: skip
+    )
     axes.plot(1e3 * thicknesses, curves[1], color=style.BLUE, label='layer that was found')
     true = _energy_transfer(RIG, thicknesses, RIG.layer.wave_speed)
     axes.plot(1e3 * thicknesses, true, color=style.BLACK, ls='--', lw=1.0, label='true layer')
@@ -143,7 +143,7 @@ def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
         axes.plot(
             1e3 * thickness, alpha, marker, color=style.RED, ms=11, mec='white', ls='none',
             label=f'{label}: {1e3 * thickness:.1f} mm, {alpha:.2f}',
-        )  # fmt: skip
+        )
     axes.set(xlabel='thickness $L_s$ [mm]', ylabel=r'energy transfer $\alpha$')
     axes.legend(loc='lower right')
     style.save(figure, path)

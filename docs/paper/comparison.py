@@ -137,7 +137,7 @@ def _optimum() -> tuple[Row, ...]:
         Row('alpha at these two, (0.32, 8.4)', 'Sec. III', printed('4.12'),
             float(quoted.energy_transfer), 4,
             'as they do not belong together, they are not quite the optimum'),
-    )  # fmt: skip
+    )
 
 
 def _thin_and_thick() -> tuple[Row, ...]:
@@ -164,7 +164,7 @@ def _thin_and_thick() -> tuple[Row, ...]:
         Row('t_e f without a layer', 'Fig. 5', printed('0.25'), leaves * Engine().frequency, 4,
             last),
         Row('alpha without a layer', 'Fig. 5', printed('1'), bare, 4, last),
-    )  # fmt: skip
+    )
 
 
 def _limits() -> tuple[Row, ...]:
@@ -192,7 +192,7 @@ def _limits() -> tuple[Row, ...]:
             '- e^(-1 - pi/(2 omega tau))'),
         Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', printed('16'),
             float(limits.exact(large).energy_transfer * large**2), 2),
-    )  # fmt: skip
+    )
 
 
 def _rig() -> tuple[Row, ...]:
@@ -230,7 +230,7 @@ def _rig() -> tuple[Row, ...]:
             Published('a few', -5.0, 5.0), _range(change), 1,
             f'half of the throws are within {np.median(np.abs(change)):.1f}; most is where a '
             'thin layer transfers little'),
-    )  # fmt: skip
+    )
 
 
 class Fact(NamedTuple):
@@ -299,7 +299,7 @@ def throws_of_the_rig() -> list[tuple[str, ...]]:
                 f'{phase:.3f}', f'{speed * engine.speed_scale:.3f}',
                 f'{float(np.asarray(releases.energy_transfer)[i]):.2f}',
                 f'{100.0 * strains[i]:.1f}', f'{again}',
-            )  # fmt: skip
+            )
             rows.append(values)
     return rows
 
@@ -414,5 +414,5 @@ def _best_with_loss() -> tuple[float, float]:
     found = minimize_scalar(
         lambda speed_ratio: -_alpha_with_loss(_NEARLY_LIGHT, speed_ratio),
         bounds=(5.0, 6.6), method='bounded', options={'xatol': 0.05},
-    )  # fmt: skip
+    )
     return float(found.x), -float(found.fun)

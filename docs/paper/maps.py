@@ -41,7 +41,7 @@ _CHANGES = (-15.0, -10.0, -6.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 6.0, 10.0, 15.0
 
 _PLACES_OF_LABELS = (
     (0.85, 3.0), (0.72, 4.6), (0.66, 9.0), (0.53, 9.8), (0.43, 10.6), (0.35, 11.4), (0.3, 12.2),
-)  # fmt: skip
+)
 
 PLACES = (np.arange(POINTS) + 0.5) / POINTS, HIGHEST * (np.arange(POINTS) + 0.5) / POINTS
 """Of a map, along x and along C."""

@@ -55,7 +55,7 @@ def write_page(figures: str) -> str:
 _HEADS = (
     'f (Hz)', 'L_r (mm)', 'L_s (mm)', 'x', 'mu', 'kappa', 't_s (ms)', 't_e (ms)', 't_e f',
     'V_e (m/s)', 'alpha', 'strain (%)', 're-contacts',
-)  # fmt: skip
+)
 
 
 def _ours(row: Row) -> str:

@@ -33,7 +33,7 @@ TASKS = {
     ),
     'motion': ('design_motion', 'add_arguments', 'run', 'design how the plate moves'),
     'map': ('design_map', 'add_arguments', 'run', 'map ejection time and energy over two axes'),
-}  # fmt: skip
+}
 
 
 def main(args: list[str] | None = None) -> int:

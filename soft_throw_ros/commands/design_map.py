@@ -87,16 +87,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--model', choices=MODELS, metavar='NAME',
         help=f'one of {", ".join(MODELS)} '
         '(default travelling_wave, or finite_difference with loss)',
-    )  # fmt: skip
+    )
     add('--release', choices=get_args(Release), default='first', help='which one (default first)')
     add(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
-    )  # fmt: skip
+    )
     add(
         '--rerun', action='store_true',
         help=f'show it in a viewer of Rerun, that at {HOST}:{PORT} if there is one',
-    )  # fmt: skip
+    )
     add_executor_options(parser)
     add_rig_options(parser)
 
@@ -233,7 +233,7 @@ def draw(landscape: Landscape, path: Path) -> None:
         image = panel.pcolormesh(
             *(axis.values for axis in shown), getattr(landscape, name).T, cmap=colours, vmin=0.0,
             vmax=highest, shading='nearest',
-        )  # fmt: skip
+        )
         label = f'{quantity.meaning.lower()} {quantity.symbol}'
         figure.colorbar(image, label=label, extend='neither' if highest is None else 'max')
         panel.set(facecolor='0.75')
@@ -241,14 +241,14 @@ def draw(landscape: Landscape, path: Path) -> None:
             limits = (axis.values[0], axis.values[-1])
             panel.set(**{
                 f'{letter}scale': axis.scale, f'{letter}label': axis.title, f'{letter}lim': limits
-            })  # fmt: skip
+            })
         for marker, (title, *place) in zip('o*', _marks(landscape), strict=False):
             panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=title)
     figure.suptitle(_title(landscape), fontsize='medium')
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2,
         facecolor='0.5', labelcolor='white',
-    )  # fmt: skip
+    )
     with atomic_file(path) as unfinished:
         figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
 
@@ -331,4 +331,4 @@ def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
 
 _WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
     '.npz': Landscape.save, '.nc': Landscape.save, '.png': draw, '.rrd': _record,
-}  # fmt: skip
+}

@@ -56,11 +56,11 @@ _VARY = replace(
 _LIMITS = (
     'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
     'thickness_max', 'wave_speed_min', 'wave_speed_max', 'max_strain', 'max_acceleration',
-)  # fmt: skip
+)
 _HEADS = {
     'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer',
     'linear': 'linear_layer',
-}  # fmt: skip
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.csv (what --motion reads), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
         'or .rrd (recording of Rerun)',
-    )  # fmt: skip
+    )
     asked = [f'recommendation.{name}' for name in _LIMITS]
     assert set(asked) <= set(RECOMMENDATION_OPTIONS)
     add_options(parser, asked, title='what the actuator and the layer may do', entries=[_VARY])
@@ -147,7 +147,7 @@ def joint_trajectory(motion: SampledMotion) -> dict[str, object]:
             'time_from_start': {
                 'sec': nanoseconds // 1_000_000_000, 'nanosec': nanoseconds % 1_000_000_000
             },
-        })  # fmt: skip
+        })
     return {'joint_names': ['plate'], 'points': points}
 
 
@@ -185,7 +185,7 @@ def draw(design: MotionDesign, path: Path) -> None:
     below.annotate(
         'release', (release, 0.02), xycoords=('data', 'axes fraction'), color='0.4',
         textcoords='offset points', xytext=(-4, 0), ha='right',
-    )  # fmt: skip
+    )
     above.legend(frameon=False, title='motion: ejection speed', fontsize='small', loc='lower left')
     figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
@@ -219,4 +219,4 @@ def _record(design: MotionDesign, path: Path) -> None:
 
 _WRITERS: Mapping[str, Callable[[MotionDesign, Path], None]] = {
     '.csv': _write_csv, '.yaml': _write_trajectory, '.png': draw, '.rrd': _record,
-}  # fmt: skip
+}

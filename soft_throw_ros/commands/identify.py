@@ -123,28 +123,28 @@ def _parser() -> argparse.ArgumentParser:
         '--free-layer', metavar=('M', 'FILE'), nargs=2, action='append', default=[],
         help='thickness of a layer that rings freely, and a CSV file with tracks of its ends, '
         'or a video; once for each layer',
-    )  # fmt: skip
+    )
     add(
         '--thickness-error', metavar='M', type=float, default=1e-4,
         help='standard error of those thicknesses (default %(default)g)',
-    )  # fmt: skip
+    )
     add(
         '--fit', metavar='NAME[=HOW]', action='append', default=[],
         help=f'fit this too: one of {", ".join(DEFAULTS)} (default: to fit {", ".join(USUAL)}, '
         'and what else is known with an error). HOW is '
         f'{TREATMENTS.replace("%", "%%")}, as in '
         "'projectile.mass=0.0012 +- 1 %%', or shorter '--mass 0.0012+-1%%'. May be repeated",
-    )  # fmt: skip
+    )
     add(
         '--hold', metavar='NAME', action='append', default=[],
         help='do not fit this, it is known; may be repeated',
-    )  # fmt: skip
+    )
     add(
         '--fit-file', metavar='FILE',
         help='YAML file that says the same: `parameters` (NAME: HOW), `heights`, `reference`, and '
         '`throws` (names of files, or patterns, to parameters and names of `layer` and '
         '`projectile` that are otherwise there)',
-    )  # fmt: skip
+    )
     add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
     add(
         '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
@@ -158,7 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
         help='picture of data, fit and residuals to draw',
-    )  # fmt: skip
+    )
     add('--json', action='store_true', help='print one object: SI units')
     add_video_options(parser)
     add_plan_options(parser)

@@ -131,7 +131,7 @@ def draw_layers(
         panels['ring'].annotate(
             f'{_MILLI * thickness:.3g} mm', xy=(since[-1], step), xytext=(0, 12),
             textcoords='offset points', ha='right',
-        )  # fmt: skip
+        )
         panels['left'].plot(since, _MICRO * residual.values, color='black', **_DATA)
     panels['ring'].set(ylabel='change of length (mm), one below the other', xticklabels=[])
     panels['left'].set(xlabel='time (ms)', ylabel='data - model (µm)')
@@ -148,7 +148,7 @@ def draw_layers(
         panels[name].errorbar(
             _MILLI * thicknesses, scale * values, yerr=scale * error, fmt='o', color='black',
             ms=4.0, capsize=2.0,
-        )  # fmt: skip
+        )
         line = 2.0 * ends / speed.value.value if name == 'line' else np.zeros(2)
         panels[name].plot(
             _MILLI * ends, scale * line, color=_COLOURS['layer'], lw=1.2, label=label
@@ -173,7 +173,7 @@ def draw_space_time(
             _MILLI * (line.time[0] - half), _MILLI * (line.time[-1] + half),
             0.0, _MILLI * line.scale * width,
         ),
-    )  # fmt: skip
+    )
     colour = _COLOURS['layer']
     for end in ends:
         panel.plot(_MILLI * end.time, _MILLI * end.position, color=colour, lw=0.8)
@@ -182,12 +182,12 @@ def draw_space_time(
     panel.annotate(
         '', xy=(start, height), xytext=(start + period, height),
         arrowprops={'arrowstyle': '<->', 'color': colour, 'shrinkA': 0, 'shrinkB': 0},
-    )  # fmt: skip
+    )
     shown = Estimate(period, _MILLI * ringing.period.error)
     panel.annotate(
         f' $T_0$ = {shown} ms'.replace('+-', '±'), xy=(start + period, height), color=colour,
         va='center',
-    )  # fmt: skip
+    )
     panel.set(xlabel='time (ms)', ylabel='height along the line (mm)')
     _save(figure, path)
 

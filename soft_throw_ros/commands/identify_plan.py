@@ -71,11 +71,11 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
         add(
             f'--{name}', metavar=unit_of(parameter).upper(), nargs='+', type=number_or_text,
             help=f'those at hand (default: {parameter} of the rig)',
-        )  # fmt: skip
+        )
     add(
         '--goal', metavar='PERCENT', type=positive, default=1.0,
         help='error of the energy transfer that is enough (default %(default)g)',
-    )  # fmt: skip
+    )
 
 
 def plan_throws(

@@ -63,27 +63,27 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
     add(
         '--scale', metavar=('M', 'PIXELS'), type=positive, nargs=2,
         help='a length that is known, and how long it is in the pictures',
-    )  # fmt: skip
+    )
     add(
         '--spots', metavar='BODY,...',
         help=f'what each spot is on, from the lowest to the highest: {", ".join(BODIES)}',
-    )  # fmt: skip
+    )
     add('--light-spots', action='store_true', help='spots are lighter than what is around them')
     add(
         '--overlay', metavar='FILE', type=new_file(*PICTURES, *VIDEOS),
         help=f'picture ({", ".join(PICTURES)}) or video ({", ".join(VIDEOS)}) to draw, of what '
         'was followed',
-    )  # fmt: skip
+    )
     add('--tracks', metavar='FILE', type=new_file(), help='CSV file to write what was followed')
     add(
         '--line', metavar=('COLUMN', 'FIRST', 'LAST'), type=int, nargs=3,
         help='with the video of a free layer: follow its edges along a vertical line, in the '
         'pixels of that column from row to row, instead of spots',
-    )  # fmt: skip
+    )
     add(
         '--space-time', metavar='FILE', type=new_file(*PICTURES),
         help='picture of that line over time to draw',
-    )  # fmt: skip
+    )
 
 
 def check_video_options(arguments: argparse.Namespace) -> None:
@@ -98,7 +98,7 @@ def check_video_options(arguments: argparse.Namespace) -> None:
         (bool(arguments.video), ('line',), 'is for the video of a free layer'),
         (bool(arguments.line), ('overlay',), 'is for spots; --space-time draws a line'),
         (not arguments.line, ('space_time',), 'needs --line'),
-    ):  # fmt: skip
+    ):
         for name in names:
             if is_so and name in given:
                 raise ValueError(f'argument --{name.replace("_", "-")}: {reason}')

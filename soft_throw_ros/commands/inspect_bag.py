@@ -109,22 +109,22 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
     files.add_argument(
         '--save', metavar='FILE.rrd', type=new_file(),
         help='write a recording of Rerun, show nothing',
-    )  # fmt: skip
+    )
     files.add_argument(
         '--screenshot', metavar='FILE.png', type=new_file(),
         help='write a picture, open no window',
-    )  # fmt: skip
+    )
     add('--size', metavar='WxH', type=_size, default='1600x1000', help='of it (%(default)s)')
     add('--throw', metavar='N', type=int, help='show this throw (default the last whole one)')
     add(
         '--at', metavar='TIME', type=_time,
         help='show it at this time of the rig since the throw started, in seconds '
         '(default in the contact)',
-    )  # fmt: skip
+    )
     add(
         '--sink', choices=('viewer', 'serve'), default='viewer',
         help='show it in a viewer, or to viewers that connect (default viewer)',
-    )  # fmt: skip
+    )
     add('--port', type=_port, default=output.PORT, help='of either, here (default %(default)s)')
     arguments = parser.parse_args(args)
     for option in ('screenshot', 'throw', 'at'):

@@ -158,11 +158,11 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     who.add_argument(
         '--workers', metavar='N', type=count, default=1,
         help='share the work out among N processes (default 1: this one)',
-    )  # fmt: skip
+    )
     who.add_argument(
         '--dask', metavar='ADDRESS',
         help='have the workers of a Dask scheduler do it, such as tcp://10.0.0.1:8786',
-    )  # fmt: skip
+    )
 
 
 @contextlib.contextmanager

@@ -86,12 +86,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--model', metavar='NAME', action='append', choices=tuple(MODELS),
         help=f'only this model; may be repeated: {", ".join(MODELS)} (default all)',
-    )  # fmt: skip
+    )
     most = TWIN.by_name['max_strain']
     parser.add_argument(
         '--max-strain', metavar='NUMBER', type=number_or_text,
         help=f'{most.meaning}; {most.rule} (default {most.default:g})',
-    )  # fmt: skip
+    )
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         '--cases', metavar='FILE',
         help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
         'te_f and alpha are added to them, without gravity',
-    )  # fmt: skip
+    )
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
@@ -233,7 +233,7 @@ _OF_THROW = (
     'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'recontacts',
     'last_energy_transfer', 'peak_strain', 'peak_plate_strain', 'peak_contact_strain',
     'peak_acceleration', 'peak_plate_force',
-)  # fmt: skip
+)
 """What is called as in `Throw`."""
 
 

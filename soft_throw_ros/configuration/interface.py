@@ -124,7 +124,6 @@ class Service(NamedTuple):
     meaning: str
 
 
-# fmt: off
 class TwinTopics(NamedTuple):
     """Topics of the twin."""
 
@@ -257,7 +256,6 @@ class ReplayServices(NamedTuple):
     resume: Service = Service('~/resume', TRIGGER, 'Go on')
     step: Service = Service('~/step', TRIGGER, 'While paused, play the messages of the next time')
 
-# fmt: on
 
 
 TWIN_TOPICS = TwinTopics()

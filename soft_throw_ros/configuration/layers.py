@@ -44,7 +44,7 @@ BOUNDS: Mapping[str, tuple[str, float, float]] = MappingProxyType({
     'diameter': ('m', 1e-3, 0.2),
     'loss_tangent': ('', 0.0, 2.0),
     'youngs_modulus': ('Pa', 50.0, 2e8),
-})  # fmt: skip
+})
 """Units of what describes a layer, and what it may be at least and at most."""
 
 _MATERIAL = Table(
@@ -61,7 +61,7 @@ _MATERIAL = Table(
         row('thicknesses', (0.01,), '', unit='m', low=BOUNDS['thickness'][1],
             high=BOUNDS['thickness'][2]),
     ),
-)  # fmt: skip
+)
 _SHEET = Table(
     node='sheet',
     entries=tuple(

@@ -65,5 +65,5 @@ RECORDER = Table(
             'Python that has Rerun and this package; empty for the one that runs the recorder'),
     ),
     contradictions=contradictions,
-)  # fmt: skip
+)
 """The parameters of the recorder; all take effect when recording is started."""

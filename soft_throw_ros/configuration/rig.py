@@ -25,7 +25,7 @@ _LIKE_THE_TWIN = (
     'layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.diameter',
     'layer.loss_tangent', 'layer.elasticity', 'layer.loss', 'layer.stack', 'layer.library',
     'projectile.mass', 'gravity', 'throw.period',
-)  # fmt: skip
+)
 
 _CAUGHT = 1  # landing, after which all is put back, and rests until the next throw
 
@@ -73,13 +73,13 @@ RIG = Table(
         row('wear.wave_speed', 0.95, 'What is left of its wave speed then, as a part of it',
             low=0.1, high=2.0),
     ),
-)  # fmt: skip
+)
 """The parameters of the rig; those shared with the twin mean the same."""
 
 _OF_SENSORS = (
     'outlier_rate', 'outlier_size', 'missing_rate', 'stamp_error', 'rounding', 'drift',
     'projectile_scale', 'projectile_delay',
-)  # fmt: skip
+)
 _OF_RIG = ('ringing', 'second_mode', 'second_mode_frequency', 'stiffening', 'sticking')
 
 
@@ -109,7 +109,7 @@ CALIBRATOR = Table(
             'How many throws in a row have to be beyond `measured.band` of the twin; from those '
             'the rig is identified', low=1, high=100),
     ),
-)  # fmt: skip
+)
 """The parameters of the calibrator."""
 
 

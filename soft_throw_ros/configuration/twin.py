@@ -206,7 +206,7 @@ _ENTRIES = (
     row('recommended.peak_force', math.nan,
         'Largest force on the plate up to the first release', unit='N'),
     row('recommended.plate_work', math.nan, 'Work of the plate up to the first release', unit='J'),
-)  # fmt: skip
+)
 
 
 def imply(settings: Settings, changes: Settings) -> dict[str, Value]:

@@ -1082,7 +1082,7 @@ def _throw_all(
                     grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
                     strain / omega, grid['acceleration'] / omega**2,
                     grid['plate_force'] / omega, work,
-                )  # fmt: skip
+                )
 
     in_threads(run, count=rows.shape[0], per_thread=_THROWS_PER_THREAD, threads=threads)
     return found

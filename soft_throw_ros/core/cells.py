@@ -200,7 +200,7 @@ def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
     )
     values = np.array([
         (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent) for sheet in sheets
-    ]).T  # fmt: skip
+    ]).T
     parts = np.array([whole.thickness, whole.mass, whole.crossing_time, whole.loss_tangent or 1.0])
     thickness, mass, crossing, share = values / parts[:, None]
     stiffness, omega = mass / crossing**2, 2.0 * math.pi / kappa
@@ -216,7 +216,7 @@ def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[Floats, Floats]:
     for n, column in enumerate((
         thickness, mass, stiffness, np.where(is_constant > 0.0, 0.0, losses / omega),
         np.where(is_curved, bound, 0.0),
-    )):  # fmt: skip
+    )):
         bodies[..., 1 + n] = column
     bodies[..., 6] = 1.0
     for throw in np.flatnonzero(is_constant):

@@ -26,15 +26,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, CubicSpline, PPoly
-from scipy.optimize import minimize_scalar
-from scipy.sparse.linalg import spsolve
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
+
+if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a motion is sampled
+    from scipy.interpolate import BSpline, PPoly
 
 Floats = NDArray[np.float64]
 
@@ -202,6 +202,8 @@ class SampledMotion:
         require_series(times, states, 'states')
         object.__setattr__(self, 'times', times)
         object.__setattr__(self, 'states', states)
+        from scipy.interpolate import PPoly
+
         object.__setattr__(self, '_path', PPoly(_quintics(times, states), times))
 
     @classmethod
@@ -223,6 +225,8 @@ class SampledMotion:
 
         """
         times, positions = _as_samples(times, positions, 'positions')
+        from scipy.interpolate import CubicSpline
+
         spline = CubicSpline(times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot'))
         return cls(times, np.stack([spline(times, order) for order in range(3)], axis=1))
 
@@ -349,6 +353,8 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
     """Find where a function of a time is lowest: on a grid, then closely."""
+    from scipy.optimize import minimize_scalar
+
     trials = np.linspace(low, high, 41)
     best = int(np.argmin([function(trial) for trial in trials]))
     bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
@@ -398,6 +404,9 @@ def _fit_record(times: Floats, heights: Floats) -> BSpline:
 
 def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
     """Fit by least squares from rest at time 0, with a knot at every so many samples, or all."""
+    from scipy.interpolate import BSpline
+    from scipy.sparse.linalg import spsolve
+
     inner = times[:-2] if stride == 1 else times[:-1][stride - 1:: stride]
     knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
     basis = BSpline.design_matrix(times, knots, 3).tocsc()

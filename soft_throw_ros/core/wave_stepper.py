@@ -789,7 +789,7 @@ class WaveStepper(Stepper):
         _prepare(
             self._core, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity,
             rig.layer.impedance, rig.engine.speed_scale,
-        )  # fmt: skip
+        )
         self._waves = _make_waves(self.steps)
         self._work_unit = rig.layer.impedance * float(start['step'])
         self._bind()

@@ -331,7 +331,7 @@ class _Task(NamedTuple):
             throws = first_throws(
                 rig, changes, loads=self.limits.of_loads, cells=SEARCH_CELLS,
                 cancelled=self.cancelled,
-            )  # fmt: skip
+            )
             thrown = np.maximum(np.nan_to_num(throws.ejection_speed), 1e-300)
             needed = amplitude * speed / thrown
             allowed = np.full(amplitude.shape, self.max_amplitude)

@@ -163,7 +163,7 @@ def first_throws(
     units = (
         1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
         speed * omega, speed * impedance, values['mass'] * speed**2,
-    )  # fmt: skip
+    )
     for n, unit in enumerate(units if loads else units[:2]):
         rows[n] *= unit
     return Throws(*rows)
@@ -390,7 +390,7 @@ def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float,
     return (
         first.time, first.velocity, transfer, loads.strain, loads.acceleration, loads.plate_force,
         stepper.plate_work,
-    )  # fmt: skip
+    )
 
 
 class LastRelease(NamedTuple):

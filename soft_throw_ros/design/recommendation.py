@@ -268,7 +268,7 @@ def recommend(
                 easier = recommend(
                     rig, vary=vary, objective=objective, limits=free, materials=materials,
                     cancelled=cancelled,
-                )  # fmt: skip
+                )
         raise ThrowUnresolvedError(texts.why_nothing(rig, vary, search.limits, easier))
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
@@ -366,7 +366,7 @@ class _Search(NamedTuple):
         return LayerScore(
             space.rig, self.objective_for(space), self.limits, cells=cells,
             cancelled=self.cancelled,
-        )  # fmt: skip
+        )
 
     def draft(
         self,
@@ -414,6 +414,6 @@ def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | N
     nearby = LayerRange(*(
         (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
         for (low, high), value in zip(layers, best, strict=False)
-    ))  # fmt: skip
+    ))
     start = (best._replace(score=score),) if score > 0.0 else ()
     return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)

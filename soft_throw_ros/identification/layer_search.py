@@ -131,7 +131,7 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> 
             found = trial.fit(
                 trial.start_from(of_plates, plates), noise=noise, only=(*free, *OWN),
                 max_evaluations=_REFINING_STEPS,
-            )  # fmt: skip
+            )
             rig = trial.rig_of(trial.start_from(found, plates))
         except EffortError:
             raise

@@ -268,7 +268,7 @@ class Planner:
                 if isinstance(key, int) and number in throws
             ]
             known = np.array([1.0 / self._model.known[p].error if p in self._model.known else 0.0
-                              for p in own])  # fmt: skip
+                              for p in own])
             seen = jacobian[self._model.rows == number]
             of_shared = np.concatenate([seen[:, shared], np.zeros((len(own), len(shared)))])
             basis, _ = np.linalg.qr(np.concatenate([seen[:, own], np.diag(known)]))

@@ -155,5 +155,5 @@ def find_mode(
     found = optimize.minimize(
         left, best, method='Nelder-Mead',
         options={'initial_simplex': spread, 'maxfev': 80, 'xatol': 1e-3},
-    )  # fmt: skip
+    )
     return Mode(float(found.x[0]), min(max(float(found.x[1]), 1e-4), 0.5))

@@ -253,7 +253,7 @@ def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:
         names,
         lambda values: np.asarray(_modes(time, values[0], values[1], count) @ values[2:]),
         low, high, steps,
-    )  # fmt: skip
+    )
     return fit_best(model, values, ('length', length), max_evaluations=100)
 
 

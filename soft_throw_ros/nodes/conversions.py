@@ -162,7 +162,7 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
 _UNSAID = {
     'engine.motion': 'underdamped', 'layer.library': '', 'layer.stack': '',
     'layer.elasticity': 'linear', 'layer.loss': 'kelvin_voigt',
-}  # fmt: skip
+}
 """What a message says nothing about, or did not in version 0.1."""
 
 

@@ -266,7 +266,7 @@ class BagWriter:
         """How many messages are in the bag as of the last `flush`."""
         files = [file for file in list(self._files) if not file.is_deleted]
         return {channel: sum(file.kept.get(channel, 0) for file in files)
-                for channel in list(self._channels)}  # fmt: skip
+                for channel in list(self._channels)}
 
     @property
     def lost(self) -> Counter[Channel]:

@@ -75,7 +75,7 @@ def _ramp(anchors: str) -> Bytes:
 # For any eyes: PuOr of ColorBrewer where there are two signs, viridis of matplotlib for one.
 SIGNED = _ramp(
     '7f3b08 b35806 e08214 fdb863 fee0b6 f7f7f7 d8daeb b2abd2 8073ac 542788 2d004b'
-)  # fmt: skip
+)
 UNSIGNED = _ramp('440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725')
 
 
@@ -389,7 +389,7 @@ def draw_landscape(
 def draw_map(
     canvas: Canvas, stamp: int, axes: Sequence[MapAxis], panel: MapPanel, marks: Marks, *,
     root: str,
-) -> None:  # fmt: skip
+) -> None:
     """Draw a map, as an entity below a root, from some time on [ns]."""
     values, highest = panel.values, panel.highest
     if highest is None:

@@ -106,7 +106,7 @@ COLUMNS = (
         Panel('track', 'text', 'Measured track', 1.9, is_optional=True),
         Panel(LOG, 'log', 'Log', 2.25, is_optional=True),
     )),
-)  # fmt: skip
+)
 """The window of a twin: columns from left to right with their share of the width, top down."""
 
 _PLOTS_SIZE = 616.0, 650.0

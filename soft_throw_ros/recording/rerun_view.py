@@ -161,7 +161,7 @@ class Scene:
         """Draw messages of one node, or of all."""
         readers: Mapping[Topic, Callable[[Any], None]] = {
             _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
-        }  # fmt: skip
+        }
         if node:
             if node not in self._twins:
                 self._twins[node] = _TwinView(node, self._canvas, self._pool)

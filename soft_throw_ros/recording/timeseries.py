@@ -47,7 +47,7 @@ SECOND = 1_000_000_000  # [ns]
 
 DECODING_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
-)  # fmt: skip
+)
 """What comes of reading damaged bytes, or what somebody else means by the same name."""
 
 _KEPT_STATES = 100_000

@@ -303,7 +303,7 @@ def _march(
     plate: Floats, step: float, rise: Floats, spacing: float, mass: float, stiffness: float,
     stiffening: float, viscosity: float, thrown: float, gravity: float, sticking: float,
     every: int, path: Floats, changes: Floats,
-) -> tuple[int, float]:  # fmt: skip
+) -> tuple[int, float]:
     """Go through all steps; return the number of changes, and the largest compression."""
     cells = rise.size - 1
     velocity = np.zeros(cells + 1)  # half a step before

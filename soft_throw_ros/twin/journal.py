@@ -302,7 +302,7 @@ class JournalWriter:
         self.write(
             kind, step, settings=dict(settings), versions=dict(VERSIONS), **values,
             **_motions(settings, wanted),
-        )  # fmt: skip
+        )
 
     def write_change(self, step: int, values: Settings) -> None:
         """Write that parameters are changed."""

@@ -179,7 +179,7 @@ def draw_chances(random: np.random.Generator, samples: int) -> Chances:
         jitter, stamp, missing,
         plate_noise, plate_outlier, plate_size,
         projectile_noise, projectile_outlier, projectile_size,
-    )  # fmt: skip
+    )
 
 
 def chances_one_by_one(random: np.random.Generator) -> Iterator[Chances]:

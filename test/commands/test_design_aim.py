@@ -111,6 +111,6 @@ def test_layer_is_picked_from_a_library_of_one_s_own(command, write):
           '--max-amplitude', '1e-5', '--target-speed', '1'], 'nothing is thrown .* 1 m/s'),
         (['--target-height', '1', '--library', 'no.yaml'], 'argument --library: no.yaml'),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused_is_quoted(command, args, message):
     assert re.search(message, command.refused(*args))

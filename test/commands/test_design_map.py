@@ -62,7 +62,7 @@ def test_axes_and_options_reach_the_map(command, tmp_path):
     said = command.run(
         'mu=0.1:10:5:log', 'kappa', '--model', 'spring_mass', '--frequency', 31.1,
         '--output', path,
-    )  # fmt: skip
+    )
     assert 'left out by this model: engine.damping_ratio, gravity' in said
     with np.load(path) as file:
         np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
@@ -93,7 +93,7 @@ def test_map_without_a_release_says_so_and_can_be_drawn(command, tmp_path):
     said = command.run(
         'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
         '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
-    )  # fmt: skip
+    )
     assert 'the projectile leaves nowhere' in said
     assert 'finite_difference' in said  # which knows loss
     assert (tmp_path / 'map.png').exists()
@@ -115,11 +115,11 @@ def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch
     said = command.run(
         'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
         '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
-    )  # fmt: skip
+    )
     rig = Rig(
         engine=Engine(damping_ratio=0.0), layer=Layer(thickness=0.01),
         projectile=Projectile(mass=2e-3), gravity=0.0,
-    )  # fmt: skip
+    )
     landscape = compute_landscape(rig, AXES)
     thickness, mass = landscape.optimum.place
     alpha = f'{landscape.optimum.energy_transfer:.4f}'
@@ -160,7 +160,7 @@ def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
         stderr=subprocess.PIPE,
         start_new_session=True,
         text=True,
-    ) as process:  # fmt: skip
+    ) as process:
         watchdog = threading.Timer(100, os.killpg, (process.pid, signal.SIGKILL))
         watchdog.start()
         assert process.stdout.readline() == '32\n'

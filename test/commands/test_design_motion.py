@@ -41,7 +41,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert all(path.stat().st_size > 1000 for path in files)
     assert throw.main([
         '--motion', str(files[0]), '--gravity', '0', '--model', 'travelling_wave',
-    ]) == 0  # fmt: skip
+    ]) == 0
     assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-1]) == speed
     # read by somebody else
     types = get_typestore(Stores.ROS2_JAZZY).types
@@ -53,7 +53,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
             **{name: np.array(values) for name, values in point.items()}, effort=np.empty(0),
         )
         for point in message['points']
-    ]  # fmt: skip
+    ]
     assert message['joint_names'] == ['plate']
     motion = motions.read(files[0])
     times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]

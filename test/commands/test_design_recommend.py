@@ -97,7 +97,7 @@ def test_options_are_what_is_asked(command):
     options = {
         'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
         'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
-    }  # fmt: skip
+    }
     args = [text for name, value in options.items() for text in (f'--{name}', value)]
     best = recommend(
         Rig(),
@@ -137,7 +137,7 @@ def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(command, tmp
     settings = {
         **TWIN.defaults(), 'engine.frequency': 58.0, 'recommendation.vary': 'thickness',
         'recommendation.thickness_max': 0.03, 'recommendation.max_strain': 0.11,
-    }  # fmt: skip
+    }
     best = recommend(
         rig_of(settings),
         vary='thickness',
@@ -173,6 +173,6 @@ def test_file_that_aims_is_for_the_other_task(command, write):
         (['--max-strain', '0.001'], 'strain of at most 0.001 .* without these limits has 0.0359'),
         (['--gravity', '30', '--amplitude', '1e-5'], 'gravity .19 of the largest'),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused_is_quoted(command, args, message):
     assert re.search(message, command.refused(*args))

@@ -113,7 +113,7 @@ def test_large_strain_is_said_and_written(command, write, tmp_path):
     heights = np.stack([
         Underdamped.of(engine).position(time - 0.0153),
         ThrowSimulator().follow(rig, time - 0.0153).position,
-    ])  # fmt: skip
+    ])
     heights += 2e-5 * np.random.default_rng(2).normal(size=heights.shape)
     rows = [','.join(map(str, row)) for row in np.column_stack([time, *heights]).tolist()]
     path = write('\n'.join(['t,plate,projectile', *rows]))
@@ -289,7 +289,7 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     every = slice(None, None, 2)
     folder = Bag(tmp_path / 'bag').add(
         '/twin/joint_states', time[every], plate[every], projectile[every]
-    ).close()  # fmt: skip
+    ).close()
     printed = command.run(folder, '--thickness', 12e-3)
     assert command.err == ''
     assert 'no running averages: bag, throw 1: running averages need at least 20' in printed

@@ -108,7 +108,7 @@ def test_read_matches_names_as_ros_does(
         ('twin:\n  ros__parameters: {a: [\n', 3, 'expected the node content'),
         ('twin: &a\n  ros__parameters: *a\n', 2, r'ROS takes no alias, got \*a'),
     ],
-)  # fmt: skip
+)
 def test_read_names_file_and_line(write: Any, text: str, line: int, message: str) -> None:
     path = write(text)
     with pytest.raises(ParameterError, match=message) as refused:

@@ -160,7 +160,7 @@ def test_bad_stacks_are_refused_by_line(write: Any, line: str, complaint: str) -
 
 def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:
     text = FOAM.replace('wave_speed: {value: 20.0, range: [18.0, 23.0]}',
-                        'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')  # fmt: skip
+                        'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')
     speed = library(write(text)).materials['foam'].wave_speed
     expected = [math.sqrt(modulus / 120.0) for modulus in (1.2e4, 4.8e4, 1.2e5)]
     assert [speed.low, speed.value, speed.high] == pytest.approx(expected, rel=1e-15)
@@ -221,7 +221,7 @@ def test_file_is_read_again_when_it_has_changed(write: Any) -> None:
         ('foam:', 'custom:', 2, f"and not {CUSTOM!r}, got 'custom'"),
         ('foam:', 'my foam:', 2, "letters, digits, .* got 'my foam'"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_quoted_with_file_and_line(
     write: Any, old: str, new: str, line: int, message: str
 ) -> None:

@@ -28,7 +28,7 @@ anything = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.lists(st.floats()),
     st.lists(st.text()), st.lists(st.builds('/{}'.format, st.text())),
     st.sampled_from([choice for _, entry in SETTINGS for choice in entry.choices]),
-)  # fmt: skip
+)
 
 
 def test_defaults_obey_their_own_rules() -> None:

@@ -305,7 +305,7 @@ def test_layer_agrees_with_the_exact_history_to_second_order():
                 7.8 / scale * (strain[0] - exact),
                 (read[1] - history.velocity(depths, time)) / scale,
                 7.8 / scale * (read[2] / (layer.youngs_modulus * layer.section) + exact),
-            ])  # fmt: skip
+            ])
             worst = np.maximum(worst, np.abs(wrong[:, ~kink]).max(axis=1, initial=0.0))
             assert read[0][0] == stepper.state[PLATE_POSITION]
             assert read[0][-1] == pytest.approx(stepper.state[PROJECTILE_POSITION], rel=1e-12)
@@ -615,7 +615,7 @@ LIGHT = Projectile(mass=1e-5)
         (lambda x: Rig(layer=Layer(wave_speed=x, diameter=0.2), projectile=LIGHT), 200.0,
          'spring_mass', 'Hz'),
     ],
-)  # fmt: skip
+)
 def test_rigs_beyond_real_time_are_refused_with_what_would_do(make, value, model, number):
     with pytest.raises(ValueError, match=f'{number}.* the limit is') as refusal:
         cells_per_layer(make(value), model)

@@ -91,7 +91,7 @@ def solve(systems, nodes, step, joint, known, case):
     chosen = system.systems[case]
     system.known, system.first, system.end, system.middle = (
         chosen[0], chosen[1], chosen[2], chosen[3]
-    )  # fmt: skip
+    )
     cells.solve(system, nodes, 0, case)
 
 
@@ -131,7 +131,7 @@ def test_velocities_solve_the_equations_of_motion(layer, form, count, in_contact
 @pytest.mark.parametrize(
     'layer', [Layer(), STACK, GELS, Layer(loss_tangent=0.3, **GEL)],
     ids=['linear', 'stack', 'gels', 'gel'],
-)  # fmt: skip
+)
 @FORMS
 @pytest.mark.parametrize('count', [1, 7, 60])
 def test_step_is_stable(layer, form, count):

@@ -108,14 +108,14 @@ def releases_of(cases, **options):
     return first_releases(
         mass_ratio=mass_ratio, speed_ratio=speed_ratio,
         damping_ratio=damping_ratio, gravity_ratio=gravity_ratio, **options,
-    )  # fmt: skip
+    )
 
 
 def release_of(mass_ratio, speed_ratio, damping_ratio=0.0, gravity_ratio=0.0):
     return first_release(
         mass_ratio=mass_ratio, speed_ratio=speed_ratio,
         damping_ratio=damping_ratio, gravity_ratio=gravity_ratio,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize('case', EXACT)
@@ -239,7 +239,7 @@ def test_release_is_the_first_and_exact(case):
 
 @given(
     log_uniform(1e-12, 1e6), log_uniform(1e-6, 1e6), st.floats(0.0, 0.99), st.floats(0.0, 10.0)
-)  # fmt: skip
+)
 def test_release_is_finite_or_refused_at_extremes(
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio
 ):

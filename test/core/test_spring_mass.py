@@ -37,7 +37,7 @@ def release_by_integration(q):
     done = solve_ivp(
         motion, (start, 2.0), (height, 4.0 * height / start), 'DOP853', events=force,
         rtol=1e-11, atol=1e-13,
-    )  # fmt: skip
+    )
     return done.t_events[0][0], done.y_events[0][0][1] / omega
 
 

@@ -30,7 +30,7 @@ PAGE = Path(__file__).parents[2] / 'docs' / 'design.md'
 SHARED = (
     'thickness', 'wave_speed', 'density', 'diameter', 'loss_tangent', 'section', 'mass',
     'youngs_modulus', 'impedance', 'stiffness', 'crossing_time',
-)  # fmt: skip
+)
 
 
 def test_equal_sheets_are_the_layer_of_one_material():

@@ -78,7 +78,7 @@ def observe(model):
     numbers = [
         *model.state, *layer.ravel(), *model.loads, model.plate_work, model.work_so_far,
         model.heat, model.stored_energy(), model.surface_position,
-    ]  # fmt: skip
+    ]
     return np.array(numbers).tobytes(), model.events(), model.in_contact, model.event_count
 
 
@@ -291,7 +291,7 @@ def test_advancing_allocates_nothing(make):
 def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
     frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
     gravity, model,
-):  # fmt: skip
+):
     loss = 0.0 if model == 'travelling_wave' else loss
     rig = Rig(
         engine=Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio),

@@ -65,7 +65,7 @@ def test_first_release_agrees_with_the_closed_form(
         exact = first_release(
             mass_ratio=mass_ratio, speed_ratio=speed_ratio,
             damping_ratio=damping_ratio, gravity_ratio=gravity_ratio,
-        )  # fmt: skip
+        )
     except ThrowUnresolvedError:
         return
     rig = make_rig(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
@@ -119,7 +119,7 @@ def test_events_are_of_the_order_that_is_promised(ratios, promised):
         model = WaveStepper(rig, steps=int(count))
         model.advance_to(history.end_time + 1e-4)
         errors.append(abs(model.events()[len(history.events) - 1].velocity
-                          - history.events[-1].velocity))  # fmt: skip
+                          - history.events[-1].velocity))
     assert order(steps, errors) > promised
 
 

@@ -87,7 +87,7 @@ def test_layer_and_amplitude_together_take_the_least_amplitude(vary):
             less = rig_with(rig, {
                 'thickness': float(thickness), 'wave_speed': float(wave_speed),
                 'amplitude': 0.999 * found.amplitude,
-            })  # fmt: skip
+            })
             assert last_release(less).height < height
 
 
@@ -163,7 +163,7 @@ def test_layer_of_the_library_is_picked_by_the_least_amplitude():
         (lambda: aim(Rig(gravity=0.0), Target(height=1.0)), 'got gravity 0'),
         (lambda: aim(Rig(), Target(height=1.0), vary='library'), 'nothing is thrown .* 1 m high'),
     ],
-)  # fmt: skip
+)
 def test_bad_requests_are_refused_with_the_value(make, message):
     with pytest.raises(ValueError, match=message):
         make()

@@ -36,7 +36,7 @@ CHANGES = {
     'frequency': 50.0, 'amplitude': 1e-3, 'damping_ratio': 0.1, 'thickness': 0.01,
     'wave_speed': 12.0, 'density': 900.0, 'diameter': 0.015, 'loss_tangent': 0.2, 'mass': 3e-3,
     'gravity': 5.0,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(('gravity', 'error'), [(0.0, 1e-12), (0.05, 1e-9), (0.5, 1e-4)])
@@ -76,7 +76,7 @@ def test_release_and_loads_are_those_of_a_simulated_throw(rig):
     known = (
         throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
         throw.peak_acceleration, throw.peak_plate_force, throw.energies.plate_work,
-    )  # fmt: skip
+    )
     assert found == pytest.approx(known, rel=1e-3 if rig.layer.needs_cells else 1e-4)
     assert first_throws(rig)[:2] == found[:2]
 
@@ -109,7 +109,7 @@ def test_changes_are_those_of_another_rig(rig):
     there = rig_with(rig, CHANGES)
     for name, value in CHANGES.items():
         part = next(each for each in (there.engine, there.layer, there.projectile, there)
-                    if name in vars(each))  # fmt: skip
+                    if name in vars(each))
         assert getattr(part, name) == pytest.approx(value)
     assert there.layer.is_uniform is rig.layer.is_uniform
     model = 'finite_difference_elastic'

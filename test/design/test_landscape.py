@@ -246,7 +246,7 @@ def test_finite_differences_agree_with_the_exact_landscape():
         ({'mu': [1.0], 'layer.loss_tangent': [0.1]}, {}, 'loss_tangent is an axis'),
         ({'x': [0.5], 'C': [8.0]}, {'density_ratio': 0.0}, r'density_ratio .* got 0\.0'),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused_is_quoted(axes, options, message):
     with pytest.raises(ValueError, match=message):
         compute_landscape(Rig(), axes, **options)

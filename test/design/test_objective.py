@@ -83,7 +83,7 @@ def test_scores_do_not_depend_on_what_was_computed_before_or_with_them(objective
     thicknesses = np.linspace(2e-3, 40e-3, 60)
     together = score(thicknesses, 7.8)
     alone = [score_of(replace(Rig(), layer=Layer(thickness=each)), objective)
-             for each in thicknesses[::7]]  # fmt: skip
+             for each in thicknesses[::7]]
     assert together[::7] == pytest.approx(alone, rel=1e-12)
     least = np.median(together)
     some = score(thicknesses, 7.8, least=least)
@@ -130,7 +130,7 @@ def test_layer_that_may_be_off_by_all_of_itself_throws_nothing():
         (lambda: LayerScore(Rig(engine=Engine(frequency=0.1)), Robust()),
          r'uncertainty\.frequency .* 0\.1, got 0\.1'),
     ],
-)  # fmt: skip
+)
 def test_bad_requests_are_refused_with_the_value(make, message):
     with pytest.raises(ValueError, match=message):
         make()

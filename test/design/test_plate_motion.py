@@ -209,7 +209,7 @@ def test_answer_compares_what_it_says():
             ThrowUnresolvedError, 'no motion of the plate',
         ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused(call, error, message):
     with pytest.raises(error, match=message):
         call()

@@ -66,7 +66,7 @@ def random_request(kind, random, *, loss_tangent=0.0):
     limits = Limits(
         thickness_min=random.uniform(1e-3, 3e-3), thickness_max=random.uniform(0.01, 0.05),
         wave_speed_min=random.uniform(1.0, 4.0), wave_speed_max=random.uniform(15.0, 50.0),
-    )  # fmt: skip
+    )
     objective = Peak()
     if kind in ('robust', 'quantile'):
         objective = Robust(quantile=0.05 if kind == 'quantile' else 0.0)
@@ -223,7 +223,7 @@ def score_after(rig, name, values):
     base = {
         **layer, 'mass': rig.projectile.mass, 'frequency': rig.engine.frequency,
         'damping_ratio': rig.engine.damping_ratio,
-    }[name]  # fmt: skip
+    }[name]
     if name in layer:
         return LayerScore(rig, Peak())(**{**layer, name: values})
     return LayerScore(rig, Peak())(**layer, **{name: np.asarray(values) / base})
@@ -246,7 +246,7 @@ def test_intervals_end_where_the_energy_has_fallen_so_far():
     best = recommend(Rig(gravity=0.0), vary='both')
     assert {item.name for item in best.sensitivities} == {
         'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio',
-    }  # fmt: skip
+    }
     for item in best.sensitivities:
         inside = score_after(best.rig, item.name, np.linspace(item.low, item.high, 50))
         assert inside.min() > (1.0 - WITHIN) * best.score * (1.0 - 1e-9)
@@ -327,7 +327,7 @@ def test_remarks_have_the_best_ratios_and_warn_of_large_strain():
         (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)},
          r'strain of at most 0\.01 .* without these limits has 0\.125'),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_recommended_is_named(rig, options, message):
     with pytest.raises(ValueError, match=message):
         recommend(rig, **options)

@@ -52,7 +52,7 @@ def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
           'recommendation__frequencies': [50.0]},
          Versatile(masses=(1e-3, 3e-3), frequencies=(50.0,))),
     ],
-)  # fmt: skip
+)
 def test_every_objective_is_asked_for(changes, objective):
     settings = changed(**changes, recommendation__vary='thickness')
     assert objective_of(settings) == objective
@@ -71,7 +71,7 @@ def test_aim_is_asked_for(changes, target, vary):
     settings = changed(
         **changes, recommendation__objective='aim', recommendation__vary=vary,
         recommendation__max_amplitude=2.5e-3,
-    )  # fmt: skip
+    )
     assert answer(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
 
 
@@ -84,7 +84,7 @@ def test_layer_is_picked_from_the_library_that_is_set(tmp_path):
     settings = changed(
         layer__library=str(path), recommendation__vary='library',
         recommendation__max_loss_tangent=0.001,
-    )  # fmt: skip
+    )
     best = answer(settings)
     assert best.layer == best.candidates[0].layer == 'jelly'
     assert best == recommend(
@@ -124,7 +124,7 @@ def test_every_limit_counts():
     limits = {
         'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
         'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
-    }  # fmt: skip
+    }
     settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
     assert limits_of(settings) == Limits(**limits)
     assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf

@@ -56,7 +56,7 @@ def test_nothing_uncertain_leaves_the_prediction(loss_tangent, gravity, error):
     ('name', 'value'),
     [('wave_speed', 0.01), ('thickness', 1e-5), ('mass', 1e-3), ('frequency', 0.01),
      ('damping_ratio', 1e-3)],
-)  # fmt: skip
+)
 def test_small_uncertainty_of_one_value_is_what_a_derivative_says(name, value):
     rig = Rig(gravity=0.0)
     found = prediction_uncertainty(rig, replace(NONE, **{name: value}))

@@ -142,7 +142,7 @@ def foreign_bags(draw: Any) -> bytes:
         number = writer.register_channel(
             topic, draw(st.sampled_from(['cdr', 'cdr', 'cdr', 'json', ''])), schema,
             {'offered_qos_profiles': draw(texts('- {history: 1, depth: 3, reliability: 2}'))},
-        )  # fmt: skip
+        )
         for _ in range(draw(st.integers(0, 20))):
             time = draw(
                 st.sampled_from([0, BEGIN, 2**63 - 1, 2**63, 2**64 - 1]) | st.integers(0, 9)

@@ -54,7 +54,7 @@ def requests(draw: Any, table: Table) -> dict[str, Any]:
         entry = table.by_name[name]
         near = [entry.default, entry.low, entry.high, *entry.choices]
         near += [math.nextafter(x, draw(st.sampled_from([-math.inf, math.inf])))
-                 for x in (entry.low, entry.high)]  # fmt: skip
+                 for x in (entry.low, entry.high)]
         values = st.sampled_from(near) | VALUES
         if math.isfinite(entry.low) and math.isfinite(entry.high):
             values |= st.floats(entry.low, entry.high)
@@ -77,7 +77,7 @@ def test_parameters_are_valid_or_refused(tmp_path: Path, data: Any) -> None:
             assert any(repr(value)[:200] in str(error) or f'{name!r}' in str(error)
                        or (isinstance(value, str) and f'{value}: ' in str(error))  # a file
                        or (isinstance(value, (int, float)) and f'{value:g}' in str(error))
-                       for name, value in request.items()), str(error)  # fmt: skip
+                       for name, value in request.items()), str(error)
         else:
             assert_valid(table, settings)
 
@@ -89,7 +89,7 @@ def test_twin_with_any_valid_parameters_has_finite_outputs(tmp_path: Path, data:
     numbers = [name for name in names if math.isfinite(TWIN.by_name[name].high)]
     chosen = data.draw(st.lists(st.sampled_from(numbers), max_size=4, unique=True))
     request = {name: data.draw(st.floats(TWIN.by_name[name].low, TWIN.by_name[name].high))
-               for name in chosen}  # fmt: skip
+               for name in chosen}
     with bounded(tmp_path):
         settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), request)}
         try:
@@ -145,7 +145,7 @@ def test_ros_arguments_are_taken_or_refused(tmp_path: Path, words: list[str]) ->
 @given(text=texts('foam: {description: x, source: y, density: {value: 100, range: [90, 110]}, '
                   'youngs_modulus: 2e4, loss_tangent: 0.1, thicknesses: [0.01, 0.02]}\n',
                   'gel: {description: x, source: y, density: 1e3, wave_speed: 5, '
-                  'loss_tangent: 0, diameter: 0.01}\n'))  # fmt: skip
+                  'loss_tangent: 0, diameter: 0.01}\n'))
 def test_library_of_layers_is_read_or_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'layers.yaml'
     path.write_bytes(text.replace('name', 'mine').encode('utf-8', 'replace'))
@@ -165,7 +165,7 @@ def test_library_of_layers_is_read_or_refused(tmp_path: Path, text: str) -> None
 
 OPTIONS = ('--thickness', '--wave-speed', '--density', '--mass', '--frequency', '--amplitude',
            '--damping-ratio', '--gravity', '--loss-tangent', '--max-strain', '--layer',
-           '--motion', '--length', '--diameter', '--bogus')  # fmt: skip
+           '--motion', '--length', '--diameter', '--bogus')
 
 
 @fuzzed(0.04)

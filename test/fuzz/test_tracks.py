@@ -151,7 +151,7 @@ def videos() -> dict[str, bytes]:
             codec='mpeg4', fps=30),
         '.y4m': b'YUV4MPEG2 W32 H48 F30:1 Ip A1:1 Cmono\n'
         + b''.join(b'FRAME\n' + picture.tobytes() for picture in levels),
-    }  # fmt: skip
+    }
 
 
 # Pillow may leave a damaged file open until it is collected

@@ -58,7 +58,7 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
         (['sep=;', 't;plate;projectile', *(row.replace(',', ';') + ';' for row in rows())], 'm'),
     ],
     ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres', 'spreadsheet'],
-)  # fmt: skip
+)
 def test_csv_is_read_whatever_separates_it(lines, unit):
     tracks = read_csv(lines, 'file', BODIES, unit=unit)
     assert set(tracks) == set(BODIES)

@@ -66,7 +66,7 @@ def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alon
     twin = run(
         start, 'twin',
         engine__motion='measured', layer__name='gelatin_29.1mm', recommendation__vary='thickness',
-    )  # fmt: skip
+    )
     calibrator = run(start, 'calibrator', rig='/rig', throws=2)
     for process in (twin, calibrator):
         process.wait_for('ready')

@@ -107,7 +107,7 @@ def test_quality_of_service_comes_back_also_as_others_write_it() -> None:
     ('text', 'count'),
     [('', 0), ('[]', 0), ('[{depth: 3}]', 1), ('[{}, {depth: 1}]', 2), ('{', 0), ('depth', 0),
      ('[3]', 0), ('[{depth: many}]', 0), ('[{deadline: {sec: 1}}]', 0), ('[' * 1000, 0)],
-)  # fmt: skip
+)
 def test_text_that_tells_of_no_quality_of_service_gives_none(text, count) -> None:
     assert len(text_to_profiles(text)) == count
 

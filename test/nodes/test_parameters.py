@@ -192,7 +192,7 @@ def test_texts_lists_and_switches_are_parameters_too(ros) -> None:
     assert client.set(topics=['/a', 'b'], name='bag', start=True, split__size=0) == [''] * 4
     assert recorder.parameters.settings == {
         **RECORDER.defaults(), 'topics': ('/a', 'b'), 'name': 'bag', 'start': True,
-    }  # fmt: skip
+    }
     refusals = client.set(topics=['/a', 'b!'], start=1, name=2, split__size=7)
     for refusal, value in zip(refusals, ('b!', '1', '2', '7'), strict=True):
         assert value in refusal.partition('got ')[2]
@@ -207,10 +207,10 @@ def test_start_takes_arguments_over_a_file(start) -> None:
         '--params-file', path, '-p', 'gravity:=0', '-p', 'layer.thickness:=0.01',
         '-p', 'use_sim_time:=true', '-p', 'qos_overrides./twin/text.publisher.depth:=7',
         '-r', '__ns:=/rig1',
-    )  # fmt: skip
+    )
     assert twin.parameters.settings == {
         **TWIN.defaults(), 'gravity': 0.0, 'layer.thickness': 0.01, 'layer.name': 'custom',
-    }  # fmt: skip
+    }
     assert twin.get_parameter('gravity').value == 0.0
     assert twin.get_clock().ros_time_is_active
     assert not twin.changes
@@ -256,7 +256,7 @@ TEXTS = (
     '1', '-1', '+1', '1_000', '1.5', '.5', '5.', '2e-3', '1e5', '1E+5', 'yes', 'on', 'Off', 'true',
     'TRUE', 'tRUE', '~', 'null', 'soft', "'1.5'", '"yes"', "''", '1e', 'e5', '--1', '0b1', '0o7',
     '1 2', '[1, 2]', '[1.5]', '[a, b]', '1:2', '12:30:45', '2001-01-01', '1,5',
-)  # fmt: skip
+)
 
 
 def test_files_types_a_value_as_ros_does(ros, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ REFUSED = (
     ('rig', '-p layer.name:=gelatin_2.0mm', ['layer.name']),
     ('calibrator', '-p twin:=/twin/', ["got '/twin/'"]),
     ('recorder', '-p name:=../bag', ["'../bag'"]),
-)  # fmt: skip
+)
 
 
 def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:

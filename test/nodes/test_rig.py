@@ -84,7 +84,7 @@ def test_faulty_sensors_lose_samples_and_tell_outliers(start) -> None:
     rig = start(
         *QUIET, '-p', 'faults.missing_rate:=0.1', '-p', 'faults.outlier_rate:=0.02',
         '-p', 'faults.outlier_size:=1e-2', '-p', 'faults.projectile_scale:=1.01',
-    )  # fmt: skip
+    )
     rig.go(0.4)
     assert len(rig.stamps) == pytest.approx(0.9 * 0.4 * RATE, rel=0.05)
     plate, projectile = np.transpose(rig.positions)

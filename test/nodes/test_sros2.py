@@ -48,7 +48,7 @@ OF_THE_TWIN = {resolve(topic.name, '/twin') for topic in TWIN_TOPICS}
 ENDINGS = (
     '/describe_parameters', '/get_parameter_types', '/get_parameters', '/get_type_description',
     '/list_parameters', '/set_parameters', '/set_parameters_atomically',
-)  # fmt: skip
+)
 
 Rules = dict[str, set[str]]
 

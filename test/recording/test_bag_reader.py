@@ -119,7 +119,7 @@ def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
         ] == [(message.channel.topic, message.data, message.log_time) for message in messages]
         assert {channel.type for channel in ours.channels} == {
             'sensor_msgs/msg/JointState', 'std_msgs/msg/String',
-        }  # fmt: skip
+        }
         if not options:  # it has no checksums, so that these are not certain
             for channel in ours.channels:
                 assert parse_qos(channel.qos) == parse_qos(offered)

@@ -147,7 +147,7 @@ def test_metadata_that_change_are_kept_and_the_last_are_repeated(tmp_path):
     bag = read(tmp_path / 'bag')
     assert [record.metadata for record in bag.metadata] == [
         {'gravity': '0'}, {'gravity': '1'}, {'gravity': '2'}, {'/plain': '0'},
-    ]  # fmt: skip
+    ]
     part = read(tmp_path / 'bag/bag_1.mcap')
     assert [record.metadata for record in part.metadata] == [{'gravity': '2'}, {'/plain': '0'}]
 
@@ -305,7 +305,7 @@ def test_bag_without_messages_is_one(tmp_path):
 def test_channels_that_are_alike_are_one_when_read_and_others_are_not(tmp_path):
     def channel(**qos):
         return Channel(topic='/a', type='t/msg/T', schema='IDL: ä', schema_encoding='ros2idl',
-                       qos=profiles(qos))  # fmt: skip
+                       qos=profiles(qos))
 
     # As if publishers went, came back, and one of them were another
     given_channels = [channel(), channel(), channel(depth=1)]

@@ -219,7 +219,7 @@ def test_lost_states_leave_seconds_incomplete_and_nothing_different(plain, check
     result = check([
         item._replace(data=b'') if item is damaged else item
         for item in plain.messages if item is not lost
-    ])  # fmt: skip
+    ])
     assert result.exit_code == 0
     assert result.states.unchecked == 2
     assert result.states.same + 2 == result.checksums.same
@@ -234,7 +234,7 @@ def test_recorder_without_history_checks_from_the_next_throw_on(plain, check) ->
     checked = [
         entry for entry in plain.entries()
         if entry['kind'] == 'checksum' and entry['first'] >= begins[1]
-    ]  # fmt: skip
+    ]
     assert vars(result.states) == {'same': len(checked), 'different': 0, 'unchecked': 0}
 
 
@@ -371,7 +371,7 @@ def foreign(entry: dict[str, Any]) -> dict[str, Any]:
     (810, 1.0 + 1e-13, 0),
     (810, 1.0 + 1e-9, 1),  # before the projectile lands
     (1100, 1.0 + 1e-6, 0),  # and after it
-])  # fmt: skip
+])
 def test_other_versions_may_have_other_last_bits_until_the_landing(
     check, step, factor, code
 ) -> None:

@@ -183,7 +183,7 @@ def test_gap_says_where_it_is_and_channels_survive_it(recording, tmp_path):
     with BagReader(tmp_path / 'whole') as bag:
         assert [channel.schema for channel in bag.channels] == [
             recording.states.schema, recording.texts.schema,
-        ]  # fmt: skip
+        ]
 
 
 @pytest.mark.parametrize('size', [1, 9, 5000, 300_000])

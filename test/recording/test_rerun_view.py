@@ -220,7 +220,7 @@ def test_words_have_the_numbers_and_every_view_its_unit(recording) -> None:
         'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
         'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
         'Throw', 'Recommended layer', 'Log',
-    }  # fmt: skip
+    }
 
 
 def test_twins_have_trees_and_tabs_of_their_own_and_without_a_journal_less_is_known(

@@ -389,7 +389,7 @@ def deviations_of_a_trial(start, rigs, seed, *, rate, outliers) -> tuple[float, 
     samples = rigs['measured_throw'](
         rig, begin_ns=run.begin_ns, onset=onset, duration=onset + 0.02,
         rate=rate, noise=5e-6, jitter=0.3, seed=1000 + seed,
-    )  # fmt: skip
+    )
     far = np.where(
         random.uniform(size=(len(samples), 2)) < outliers,
         random.choice([-1e-3, 1e-3], (len(samples), 2)),

@@ -74,7 +74,7 @@ def test_samples_one_by_one_are_those_of_a_block():
     faults = SensorFaults(
         noise=1e-5, jitter=1e-5, stamp_error=1e-5, outlier_rate=0.3, outlier_size=1e-3,
         drift=1e-3, projectile_delay=1e-4, projectile_scale=1.1, missing_rate=0.3, rounding=1e-5,
-    )  # fmt: skip
+    )
     block = faults.measure(
         TIME, plate, projectile, draw_chances(np.random.default_rng(1), 4096 - 96)
     )

@@ -209,7 +209,7 @@ def test_result_tells_first_and_last_release_apart(start) -> None:
     run = start(
         engine__frequency=31.1, engine__damping_ratio=0.0, layer__thickness=2e-3, gravity=0,
         throw__period=0.3,
-    )  # fmt: skip
+    )
     run.go(700)
     result = run.results('final')[0]
     assert result.first.energy_transfer == pytest.approx(0.499, abs=2e-3)
