@@ -257,7 +257,6 @@ class ReplayServices(NamedTuple):
     step: Service = Service('~/step', TRIGGER, 'While paused, play the messages of the next time')
 
 
-
 TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
 RIG_TOPICS = RigTopics()

@@ -54,6 +54,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     Parameters
     ----------
     model : RigModel
+        Of all throws.
     fit : Fit
         Of the model.
     others : sequence of Rig

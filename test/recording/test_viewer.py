@@ -39,7 +39,7 @@ from soft_throw_ros.recording.viewer import (
 )
 
 pytest.importorskip('rerun')
-pytest.importorskip('rerun')
+
 
 @pytest.fixture
 def headless() -> Iterator[Viewer]:
