@@ -33,6 +33,9 @@ from soft_throw_ros.commands import identify
 from trials.bench import Trial
 from trials.rows import ROWS_BY_NAME
 
+AMBIGUOUS = ('may as well be', 'one echo of the wave earlier or later')
+"""In warnings of clean tracks, too: there is a second solution within the errors."""
+
 FAR_OFF = 5.0
 """Errors from which on a number is wrong."""
 
@@ -72,6 +75,13 @@ class Verdict:
     """Names are those of the twin; `ejection.*` is by the model, `averages.*` without one."""
     seconds: float
     """That it took."""
+
+    @property
+    def alarms(self) -> list[str]:
+        """List what blames something, and does not only name what explains the tracks as well."""
+        refusals = [self.refusal] if self.refusal else []
+        found = [each for each in self.warnings if not any(word in each for word in AMBIGUOUS)]
+        return refusals + found
 
     @property
     def wrong(self) -> list[str]:

@@ -70,13 +70,14 @@ def summary(verdicts: Sequence[Verdict], clean: Iterable[str]) -> list[str]:
     """Say how far the goals are reached."""
     silent = sum(verdict.is_silently_wrong for verdict in verdicts)
     of_clean = [verdict for verdict in verdicts if verdict.row in set(clean)]
-    alarms = sum(bool(verdict.warnings or verdict.refusal) for verdict in of_clean)
+    alarms = sum(bool(verdict.alarms) for verdict in of_clean)
+    ambiguous = sum(bool(verdict.warnings and not verdict.alarms) for verdict in of_clean)
     lines = [f'{silent} of {len(verdicts)} are silently wrong (goal: 0).']
     if of_clean:
         share = 100.0 * alarms / len(of_clean)
         lines.append(
             f'{alarms} false alarms in {len(of_clean)} clean trials, {share:.1f} % '
-            '(goal: at most 2 %).'
+            f'(goal: at most 2 %); {ambiguous} more have a second solution within the errors.'
         )
     return lines
 

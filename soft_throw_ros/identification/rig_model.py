@@ -506,13 +506,16 @@ def shift_of_release(model: RigModel, values: Floats, throw: int) -> ReleaseShif
     time = np.linspace(0.0, _RELEASED / rig.engine.frequency, _TRIED)
     follow = partial(model.simulator.follow, rig, time, by_cells=model.by_cells)
     path = follow(motion=motion)
-    plain, found = ejections(follow().events), ejections(path.events)
+    plain = ejections(follow().events)
+    # Waves of the plate may let go of the projectile for a moment, long before it is thrown
+    found = [event for event in path.events if event.kind == 'release']
     if not plain or not found:
         return ReleaseShift(0.0, 0.0, 0.0)
+    release = min(found, key=lambda event: abs(event.time - plain[0].time))
     return ReleaseShift(
-        found[0].time - plain[0].time,
-        found[0].velocity - plain[0].velocity,
-        _jerk(time, path.velocity, found[0], rig.gravity),
+        release.time - plain[0].time,
+        release.velocity - plain[0].velocity,
+        _jerk(time, path.velocity, release, rig.gravity),
     )
 
 

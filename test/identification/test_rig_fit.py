@@ -15,6 +15,7 @@
 
 from dataclasses import replace
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.rig_model import shift_of_release
 from soft_throw_ros.identification.throw_analysis import ejection_of
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.twin.imperfect_rig import Imperfections, throw
@@ -241,6 +243,25 @@ def test_second_mode_of_a_plate_is_seen_and_said(see):
     assert frequency.value == pytest.approx(310.0, abs=3.5 * frequency.error)
     assert found.fit.warnings() == []
     assert_true(found, Rig(), USUAL, errors=3.5)
+
+
+def test_release_of_a_plate_with_waves_is_the_one_that_throws():
+    rig = Rig(
+        engine=Engine(frequency=84.1, damping_ratio=0.14, amplitude=2.38e-3),
+        layer=Layer(thickness=9.77e-3, wave_speed=7.22, diameter=0.0122),
+        projectile=Projectile(mass=1.675e-3),
+    )
+    step = Underdamped.of(rig.engine)
+    plate = PlateWithModes(step, (0.0, 0.0, 0.0, -0.0091), Mode(764.0, 0.0106))
+    simulator = ThrowSimulator()
+    events = simulator.follow(rig, np.linspace(0.0, 0.03, 9), motion=plate).events
+    assert events[0].time < 1.5e-3  # it is let go when the first wave has come, and falls back
+    model = SimpleNamespace(
+        motion=lambda _values, _throw: (rig, plate), simulator=simulator, by_cells=False
+    )
+    shift = shift_of_release(model, np.empty(0), 0)
+    assert abs(shift.time) < 5e-4
+    assert abs(shift.speed) < 0.05
 
 
 def imperfect_throw(see, rig, imperfections):
