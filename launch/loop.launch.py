@@ -33,13 +33,16 @@ def generate_launch_description() -> LaunchDescription:
             executable=name,
             name=name,
             namespace=LaunchConfiguration('namespace'),
-            parameters=[PARAMETERS],
+            parameters=[LaunchConfiguration('params_file')],
             output='both',
         )
         for name in ('rig', 'calibrator')
     ]
     return LaunchDescription(
         [
+            DeclareLaunchArgument(
+                'params_file', default_value=PARAMETERS, description='Parameters of all nodes'
+            ),
             DeclareLaunchArgument('namespace', default_value='', description='Of all nodes'),
             DeclareLaunchArgument(
                 'rerun', default_value='viewer', description='rerun.sink of the recorder'
@@ -47,7 +50,7 @@ def generate_launch_description() -> LaunchDescription:
             IncludeLaunchDescription(
                 str(SHARE / 'launch/twin.launch.py'),
                 launch_arguments={
-                    'params_file': PARAMETERS,
+                    'params_file': LaunchConfiguration('params_file'),
                     'namespace': LaunchConfiguration('namespace'),
                     'record': 'true',
                     'folder': 'loop',

@@ -93,10 +93,13 @@ def nodes(**asked):
 @pytest.mark.parametrize('name', FILES)
 def test_files_and_executables_that_are_named_are_there(name):
     for action in actions(name):
+        if kind_of(action) == 'DeclareLaunchArgument' and action.name == 'params_file':
+            assert Path(action.kwargs['default_value']).is_file()
         if kind_of(action) == 'IncludeLaunchDescription':
             given = dict(action.kwargs['launch_arguments'])
             assert Path(action.name).is_file()
-            assert Path(given.get('params_file', __file__)).is_file()
+            named = given.get('params_file', __file__)
+            assert not isinstance(named, str) or Path(named).is_file()
             assert set(given) <= {
                 each.name
                 for each in actions(Path(action.name).name)
