@@ -281,6 +281,15 @@ class PlateMonitor:
             projectile_velocity=self._carried_speed,
         )
 
+    def is_blind(self) -> bool:
+        """Tell, once in a throw, whether samples come, and too few to see any motion by."""
+        if self.is_armed or 'rate' in self._told or self.estimator.rate() == 0.0:
+            return False
+        if not self.rate_warning(math.inf):
+            return False
+        self._told.add('rate')
+        return True
+
     def rate_warning(self, crossing_time: float) -> str:
         """Say it if there are too few samples for a throw to be followed; empty if not."""
         rate = self.estimator.rate()

@@ -373,6 +373,8 @@ class ThrowCycle:
         elif self._phase is Phase.RETURNING and monitor.is_armed:
             self._enter(Phase.REST)
             self._is_fast_enough(monitor)
+        elif self._throw is None and not motion.times.size and monitor.is_blind():
+            self._is_fast_enough(monitor)
         return motion
 
     def _is_fast_enough(self, monitor: PlateMonitor) -> bool:

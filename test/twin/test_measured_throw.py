@@ -345,6 +345,15 @@ def test_noise_that_hides_a_rest_is_told_with_its_size(start) -> None:
     assert told == pytest.approx(30.0, rel=0.25)
 
 
+def test_so_few_samples_that_no_rest_is_seen_are_told_with_their_rate(start) -> None:
+    run = start(**MEASURED)
+    run.measure(rate=1000.0, duration=0.3)
+    (notice,) = run.notices()
+    assert '1000 Hz' in notice
+    assert 'no throw is followed' in notice
+    assert run.results('release') == []
+
+
 def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
     run = start(**MEASURED)
     other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
