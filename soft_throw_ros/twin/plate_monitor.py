@@ -121,6 +121,7 @@ class PlateMonitor:
         self._last_quiet_time = -math.inf  # and was not,
         self._begun = math.inf  # and when it was fast enough to have started
         self._checked_time = math.nan  # when its noise was last
+        self._rate_checked_ns = -math.inf  # the newest sample, when the rate was
 
     def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
         """Take samples, or refuse and count them; return those taken."""
@@ -283,12 +284,13 @@ class PlateMonitor:
 
     def is_blind(self) -> bool:
         """Tell, once in a throw, whether samples come, and too few to see any motion by."""
-        if self.is_armed or 'rate' in self._told or self.estimator.rate() == 0.0:
-            return False
-        if not self.rate_warning(math.inf):
-            return False
-        self._told.add('rate')
-        return True
+        newest_ns = self.estimator.newest_ns
+        if self.is_armed or 'rate' in self._told or newest_ns == self._rate_checked_ns:
+            return False  # a sensor that is silent is not looked at in every tick
+        self._rate_checked_ns = newest_ns
+        if self.estimator.rate() > 0.0 and self.rate_warning(math.inf):
+            self._told.add('rate')
+        return 'rate' in self._told
 
     def rate_warning(self, crossing_time: float) -> str:
         """Say it if there are too few samples for a throw to be followed; empty if not."""
