@@ -163,10 +163,12 @@ class System:
         )
 
 
-def missing(numbers: np.ndarray) -> int:
-    """Count what is missing of numbers that begin at 1, and begin anew with the next twin."""
-    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) < 0) + 1)
-    return sum(int(part[-1]) for part in parts) - numbers.size
+def missing(states: processes.RecordedStates, twins: int = 1) -> int:
+    """Count what is missing of numbers that begin at 1, and begin anew after the longest pause."""
+    pauses = np.argsort(np.diff(states.stamps))[::-1][: twins - 1]
+    parts = np.split(states.numbers, np.sort(pauses) + 1)
+    assert all((np.diff(part) > 0).all() for part in parts)
+    return sum(int(part[-1]) for part in parts) - states.numbers.size
 
 
 def _size(path: Path) -> int:

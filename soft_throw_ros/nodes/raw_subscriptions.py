@@ -45,6 +45,7 @@ DEPTH = 10_000
 """How many messages of a topic may wait to be drained: a second of the fastest sensor."""
 
 _RATE_MESSAGES = 100  # by which we tell how often a publisher publishes
+_SILENCE = 1_000_000_000  # during which one publisher may go and another one come [ns]
 
 _UNKNOWN = 2**64 - 1
 """What stands for a number that the middleware does not know."""
@@ -68,11 +69,16 @@ class _Run:
         Of its first message. [ns] for the time
     began : int, optional
         Since when all its messages were wanted; otherwise since the first one. [ns]
+    after : int, optional
+        The number before, if it is not certain that this is another publisher.
 
     """
 
-    def __init__(self, number: int, when: int, began: int | None) -> None:
+    def __init__(
+        self, number: int, when: int, began: int | None, *, after: int | None = None
+    ) -> None:
         self.gaps = 0
+        self.after = after
         self.earlier = number - 1
         self.last, self.last_when = number, when
         self._waited = 0 if began is None else when - began
@@ -88,12 +94,20 @@ class _Run:
     @property
     def is_late(self) -> bool:
         """Whether the publisher began before we did, by how often it publishes."""
-        if not self._periods:
-            return True
+        return not self._periods or self.earlier * self._period > self._waited
+
+    def is_left_at(self, number: int, when: int) -> bool:
+        """Whether the publisher would have come further than to a number, had it gone on."""
+        silence, step = when - self.last_when, number - self.last
+        if step == 1 or silence < _SILENCE or not self._periods:
+            return False
+        return 2 * step * self._period < silence
+
+    @property
+    def _period(self) -> float:
         # One burst among them shortens the mean, and messages that always come in bursts have
         # a median of nearly nothing.
-        period = max(fmean(self._periods), median(self._periods))
-        return self.earlier * period > self._waited
+        return max(fmean(self._periods), median(self._periods))
 
 
 class RawSubscription:
@@ -130,10 +144,11 @@ class RawSubscription:
     the first one that came was before we began, if that is more than it would publish in the
     time that we waited, as often as at first; otherwise it is lost, too. If the middleware
     does not tell the publishers of a topic apart (before ROS 2 Kilted), a number that is not
-    above the last one is that of another publisher. That may be one which came after the
-    former, and then each has numbers of its own. Otherwise, and on topics of which it is usual
-    that several nodes publish at once, the numbers say nothing; then there is what the
-    middleware says of losses, which knows of less.
+    above the last one is that of another publisher, and so is one after a silence in which the
+    publisher would have come further, if there has been another one. That may be one which
+    came after the former, and then each has numbers of its own. Otherwise, and on topics of
+    which it is usual that several nodes publish at once, the numbers say nothing; then there is
+    what the middleware says of losses, which knows of less.
 
     """
 
@@ -178,14 +193,14 @@ class RawSubscription:
         """How many messages did not come, though they were published."""
         if not self._has_numbers:
             return self._lost_by_event
-        return sum(run.gaps + (0 if run.is_late else run.earlier) for run in self._all_runs)
+        return sum(run.gaps + self._before(run)[0] for run in self._all_runs)
 
     @property
     def earlier(self) -> int:
         """How many messages were published before we joined late."""
         if not self._has_numbers:
             return 0
-        return sum(run.earlier for run in self._all_runs if run.is_late)
+        return sum(self._before(run)[1] for run in self._all_runs)
 
     def drain(self) -> list[Message]:
         """Return what has come since the last call."""
@@ -225,18 +240,28 @@ class RawSubscription:
         """Whether the numbers of messages are those of one publisher each."""
         if None not in self._runs or not self.is_shared:
             return True
-        return self._is_of_one and len(self._runs[None]) <= len(self._publishers)
+        certain = sum(run.after is None for run in self._runs[None])
+        return self._is_of_one and certain <= len(self._publishers)
 
     @property
     def _all_runs(self) -> list[_Run]:
         return [run for runs in self._runs.values() for run in runs]
+
+    def _before(self, run: _Run) -> tuple[int, int]:
+        """Return how many messages before those of a run are lost, and how many too early."""
+        if run.after is not None and len(self._runs[None]) > len(self._publishers):
+            return run.earlier - run.after, 0  # there is nobody else: it went on
+        return (0, run.earlier) if run.is_late else (run.earlier, 0)
 
     def _count(self, number: int, when: int, publisher: Any) -> None:
         if publisher is not None:
             publisher = bytes(publisher['data'] if isinstance(publisher, dict) else publisher)
         runs = self._runs.setdefault(publisher, [])
         if runs and number > runs[-1].last:
-            runs[-1].add(number, when)
+            if publisher is None and runs[-1].is_left_at(number, when):
+                runs.append(_Run(number, when, self._began, after=runs[-1].last))
+            else:
+                runs[-1].add(number, when)
         elif not runs or when > runs[-1].last_when:  # otherwise it comes once more
             runs.append(_Run(number, when, self._began))
 

@@ -69,7 +69,7 @@ def test_states_of_another_host_are_all_there_or_counted(hosts, start, tmp_path)
         system.wait_for_states_of(mended + SECOND)
         outcome = system.end()
     (states,) = outcome.bags
-    assert missing(states.numbers) == outcome.missing
+    assert missing(states) == outcome.missing
     # What the twin keeps is sent once more after the cut; what is older is lost, and counted.
     assert 1000 < states.lost < 12_000
     # Hosts that are gone do not hold up the twin.

@@ -175,11 +175,15 @@ def test_numbers_of_several_publishers_are_not_taken_for_losses(
 
 
 @pytest.mark.parametrize(
-    ('topic', 'lost'),
-    [('/twin/phase', 7), ('/talk', 0)],  # where one publishes at a time, and where many may
+    ('topic', 'first', 'pause', 'lost'),
+    [
+        ('/twin/phase', 9, 0.0, 7),
+        ('/twin/phase', 3, 1.2, 7),  # the other one begins above its last number
+        ('/talk', 9, 0.0, 0),  # where many may publish at a time
+    ],
 )
 def test_publisher_that_comes_after_another_one_is_counted_by_itself(
-    ros, talker, listener, topic, lost
+    ros, talker, listener, topic, first, pause, lost
 ) -> None:
     # both are there all the time, as one that was killed is for a while
     publishers = [talker.create_publisher(String, topic, 100) for _ in range(2)]
@@ -190,17 +194,38 @@ def test_publisher_that_comes_after_another_one_is_counted_by_itself(
     subscription = RawSubscription(listener, channel, QoSProfile(depth=100), began_ns=began)
     ros.spin_until(lambda: all(p.get_subscription_count() > 0 for p in publishers), 'it')
     taken: list[Message] = []
-    for publisher in publishers:
-        for _ in range(9):
+    for publisher, number in zip(publishers, (first, 9), strict=True):
+        for _ in range(number):
             publisher.publish(String())
-        count = len(taken) + 9
+        count = len(taken) + number
         ros.spin_until(
             lambda count=count: taken.extend(subscription.drain()) or len(taken) == count
         )
+        time.sleep(pause)
     subscription.look_for_losses()
     is_told = None not in subscription._runs  # by publisher, from Kilted on
     assert subscription.lost == (7 if is_told else lost)
     assert subscription.earlier == 0
+    subscription.close()
+
+
+def test_loss_before_and_after_a_pause_is_that_of_one_publisher(ros, talker, listener) -> None:
+    publisher = talker.create_publisher(String, '/twin/phase', 100)
+    channel = Channel(topic='/twin/phase', type='std_msgs/msg/String', schema='string data')
+    began = time.time_ns()
+    subscription = RawSubscription(listener, channel, QoSProfile(depth=3), began_ns=began)
+    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
+    taken: list[Message] = []
+    for pause in (1.2, 0.0):
+        for _ in range(10):  # of which the last three are kept
+            publisher.publish(String())
+        count = len(taken) + 3
+        ros.spin_until(
+            lambda count=count: taken.extend(subscription.drain()) or len(taken) == count
+        )
+        time.sleep(pause)
+    subscription.look_for_losses()
+    assert subscription.lost + subscription.earlier == 14
     subscription.close()
 
 
