@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
 
 LARGEST_STRAIN = 0.5
-"""Up to where a neo-Hookean layer is one; it is followed beyond, along the tangent. [-]"""
+"""Up to where a neo-Hookean layer is one. [-]
+
+It is followed beyond, along the tangent; nothing is aimed so that a layer goes beyond.
+"""
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""

@@ -31,7 +31,7 @@ from scipy.optimize import brentq
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import LARGEST_STRAIN, Rig
 from soft_throw_ros.design.evaluate import (
     Cancelled,
     check_cancelled,
@@ -49,9 +49,6 @@ from soft_throw_ros.design.search_space import search_spaces, SearchSpace
 Floats = NDArray[np.float64]
 
 Vary: TypeAlias = Literal['amplitude', 'thickness', 'wave_speed', 'both', 'library']
-
-MAX_STRAIN = 1.0
-"""Beyond it a layer would be compressed by more than its thickness, so nothing is aimed so. [-]"""
 
 _STEP = 0.1  # of the logarithm of the amplitude, in looking for a bracket, ...
 _HIGHEST = 10.0  # and where that ends [m]
@@ -199,7 +196,7 @@ def aim(
     vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
         What may change of the layer besides the amplitude.
     limits, materials, cancelled : optional
-        As for `recommend`; a strain of `MAX_STRAIN` is never exceeded.
+        As for `recommend`; a strain of `core.rig.LARGEST_STRAIN` is never exceeded.
     max_amplitude : float
         That the plate can do. [m]
 
@@ -242,7 +239,7 @@ def aim(
         )
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
-    limits = replace(limits, max_strain=min(limits.max_strain, MAX_STRAIN))
+    limits = replace(limits, max_strain=min(limits.max_strain, LARGEST_STRAIN))
     task = _Task(rig, target, vary, limits, max_amplitude, cancelled)
     spaces = search_spaces(rig, vary, limits, materials or {})
     drafts = [(best, space) for space in spaces if (best := task.search(space)) is not None]
