@@ -20,12 +20,13 @@ What to read, and how, is said by the options of the command `identify`.
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import replace
 import math
 from pathlib import Path
+import sys
 
 import numpy as np
 from soft_throw_ros.commands.identify_video import read_layer_video, read_throw_video
@@ -130,6 +131,7 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
     """Read plate and projectile from the topic that was asked for, or the best of a bag."""
     heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
     readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
+    unreadable: Counter[str] = Counter()
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == _TYPE}
         for message in reader.messages(names):
@@ -137,11 +139,15 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
             try:
                 values = readers[name].read(message.data)
             except MessageError:
-                continue  # it is damaged, and so missing
+                unreadable[name] += 1
+                continue
             # some may be of other joints, as of the plate alone
             seen = dict(zip(values.names, values.position))  # noqa: B905  or without positions
             row = [seen.get(body, math.nan) for body in _BODIES]
             heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
+        damage = reader.damage
+    if damage:
+        print(f'identify: {path}: {damage}; what can be read is taken', file=sys.stderr)
     found = sorted(
         name
         for name, rows in heights.items()
@@ -155,6 +161,11 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
         raise TrackError(
             f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
             f'that have: {", ".join(found) or "none"}' + (' (choose with --topic)' * bool(found))
+        )
+    if count := unreadable[best[0]]:
+        print(
+            f'identify: {path}: {count} messages on {best[0]} are no {_TYPE}, and left out',
+            file=sys.stderr,
         )
     rows = sorted(heights[best[0]].items())
     time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])

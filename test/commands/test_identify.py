@@ -302,6 +302,26 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
         assert found == pytest.approx(expected, rel=1e-4, abs=slack)
 
 
+def test_what_cannot_be_read_of_a_bag_is_said(command, tmp_path):
+    time, (plate, projectile) = recorded(starts=(0.2,))
+    bag = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile)
+    channel = Channel(
+        topic='/rig/joint_states', type='sensor_msgs/msg/JointState', schema='float64 x'
+    )
+    for stamp in range(3):
+        bag.writer.write(Message(channel, b'\0\1\0\0' + bytes(range(40)), stamp, stamp))
+    (path,) = bag.close().glob('*.mcap')
+    found = command.json(path, '--thickness', 12e-3)
+    assert found['sources'] == ['bag_0.mcap']
+    assert command.err == (
+        f'identify: {path}: 3 messages on /rig/joint_states are no sensor_msgs/msg/JointState, '
+        'and left out\n'
+    )
+    path.write_bytes(path.read_bytes()[:-300])
+    assert command.json(path, '--thickness', 12e-3)['sources'] == ['bag_0.mcap']
+    assert 'what can be read is taken' in command.err
+
+
 def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
     plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
