@@ -35,6 +35,9 @@ from soft_throw_ros.twin.session import Session
 
 _NICE = 10  # of the process that compiles what can wait
 
+SWITCH_INTERVAL = 3e-5
+"""How long a tick that is due waits for another thread of Python; less wakes too many [s]."""
+
 STOP_TIMEOUT = 0.3
 """Longest wait for a thread to end [s]."""
 
@@ -144,7 +147,7 @@ class RealTimeNode(RunnableNode):
         """Load all kernels that are there, and let nothing hold up the ticks."""
         if not self.is_compiling:
             kernels.load_kernels(say=self.get_logger().info)
-        sys.setswitchinterval(1e-4)
+        sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()
 

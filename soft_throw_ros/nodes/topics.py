@@ -19,8 +19,21 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSPublisherEventType,
+    UnsupportedEventTypeError,
+)
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.publisher import Publisher
+from rclpy.qos import (
+    DurabilityPolicy,
+    qos_policy_name_from_kind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
@@ -28,6 +41,9 @@ from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
+EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
+
+_EVENT_PERIOD = 1.0  # in which it is looked whether somebody cannot be sent anything [s]
 _MANY = 8  # joints, from which on arrays are quicker than single values
 
 
@@ -75,12 +91,24 @@ def create_service(node: Node, service: Service, act: Callable[[], str]) -> None
 
 
 class Publishers:
-    """All that a node publishes, made from its rows of topics, and sent as plain values."""
+    """
+    All that a node publishes, made from its rows of topics, and sent as plain values.
+
+    Notes
+    -----
+    rclpy's executor would wait for events of each publisher, at two thirds of what it costs it to
+    wait at all, and a tick may be due meanwhile. So they are looked at once a second.
+
+    """
 
     def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
+        self._logger = node.get_logger()
+        self._publishers: list[Publisher] = []
         self._senders = {
-            topic.name: _make_sender(node, topic) for topic in topics if not topic.is_input
+            topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_EVENT_PERIOD, self._look_for_mismatches, clock=steady)
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """
@@ -97,17 +125,50 @@ class Publishers:
         """Publish once; see `sender` for what."""
         self._senders[topic.name](*values)
 
+    def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
+        """Return what turns values into a message, and publishes it."""
+        message_type = load_type(topic.type)
+        publisher = node.create_publisher(
+            message_type,
+            topic.name,
+            qos_profile(topic),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        )
+        self._publishers.append(publisher)
+        publish = publisher.publish
+        if topic.type == interface.JOINT_STATE:
+            encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
+            encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
+            return lambda stamp_ns, values: publish(encode(stamp_ns, values))
+        if topic.type == interface.MULTI_ARRAY:
+            return lambda array: publish(encode_array(topic.axes, array))
+        if topic.type == interface.ARRAY:
+            return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
+        return lambda value: publish(message_type(data=value))
 
-def _make_sender(node: Node, topic: Topic) -> Callable[..., None]:
-    """Return what turns values into a message, and publishes it."""
-    message_type = load_type(topic.type)
-    publish = node.create_publisher(message_type, topic.name, qos_profile(topic)).publish
-    if topic.type == interface.JOINT_STATE:
-        encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
-        encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
-        return lambda stamp_ns, values: publish(encode(stamp_ns, values))
-    if topic.type == interface.MULTI_ARRAY:
-        return lambda array: publish(encode_array(topic.axes, array))
-    if topic.type == interface.ARRAY:
-        return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
-    return lambda value: publish(message_type(data=value))
+    def _look_for_mismatches(self) -> None:
+        """Say it if a subscription asks for more than is offered."""
+        for publisher in self._publishers:
+            try:
+                event = _incompatible_qos_of(publisher)
+            except UnsupportedEventTypeError:
+                return
+            if event is not None and event.total_count_change:
+                policy = qos_policy_name_from_kind(event.last_policy_kind)
+                self._logger.warning(
+                    f'a subscription to {publisher.topic_name} gets nothing, since it asks for '
+                    f'another quality of service ({policy}) than is offered'
+                )
+
+
+def _incompatible_qos_of(publisher: Publisher) -> Any:
+    """Return what the middleware says of subscriptions that cannot be served, None if nothing."""
+    with publisher.handle:
+        handle = EventHandle(
+            publisher.handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS
+        )
+    try:
+        with handle:
+            return handle.take_event()
+    finally:
+        handle.destroy_when_not_in_use()  # it would keep the publisher

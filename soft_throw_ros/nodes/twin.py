@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+import threading
 import time
 from typing import Any
 
@@ -145,7 +146,10 @@ class Twin(RealTimeNode):
     def _run_in_executor(self, job: Callable[[], None]) -> None:
         """Have the executor's thread do something, in the order of the calls."""
         self._jobs.append(job)
-        self._wake.trigger()
+        if threading.current_thread() is threading.main_thread():
+            self._run_jobs()
+        else:
+            self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
         """Publish a line of the journal, soon."""

@@ -23,7 +23,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import FRAME, TWIN_SERVICES, TWIN_TOPICS
@@ -38,6 +39,7 @@ from soft_throw_ros.nodes.conversions import (
     values_to_rig,
 )
 from soft_throw_ros.nodes.recommendations import recommend_for
+from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
@@ -246,6 +248,18 @@ def test_refused_request_changes_nothing(ros, twin, listener) -> None:
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(50)
     assert len(twin.outputs) == steps + 50  # it runs on
+
+
+def test_subscription_that_cannot_be_sent_anything_is_told(ros, twin, listener) -> None:
+    log = listener.log()
+    topic = TWIN_TOPICS.joint_states.at(twin.get_fully_qualified_name())
+    late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+    kind = load_type(topic.type)
+    listener.create_subscription(kind, topic.name, print, late, event_callbacks=silent)
+    ros.spin_until(lambda: any(f'{topic.name} gets nothing' in line for line in log), 'it')
+    (line,) = (line for line in log if 'gets nothing' in line)
+    assert '(DURABILITY)' in line
 
 
 def test_storm_of_changes_is_logged_in_few_lines(ros, twin, capfd) -> None:
