@@ -25,6 +25,8 @@ from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
 
+_CORES = os.cpu_count() or 1
+
 _CHECKS = {
     'mass_ratio': checks.require_positive_array,
     'speed_ratio': checks.require_positive_array,
@@ -53,8 +55,12 @@ def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tupl
     """
     if unresolved not in ('raise', 'nan'):
         raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
-    arrays = np.broadcast_arrays(*(_CHECKS[name](name, ratios[name]) for name in ratios))
-    return np.stack([array.ravel() for array in arrays]), arrays[0].shape
+    arrays = [_CHECKS[name](name, ratio) for name, ratio in ratios.items()]
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    rows = np.empty((len(arrays), *shape))
+    for place, array in enumerate(arrays):
+        rows[place, ...] = array
+    return rows.reshape(len(arrays), -1), shape
 
 
 def describe_ratios(ratios: Iterable[float]) -> str:
@@ -85,7 +91,7 @@ def in_threads(
     """
     if threads is not None and not (type(threads) is int and threads > 0):
         raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
-    parts = max(1, min(threads or os.cpu_count() or 1, count // per_thread))
+    parts = max(1, min(threads or _CORES, count // per_thread))
     if parts == 1:
         run(0, 1)
         return

@@ -140,7 +140,7 @@ def first_throws(
             found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
         return Throws(*rows)
     ratios = _ratios(rig, values)
-    cases = {name: np.broadcast_to(each, shape).ravel() for name, each in ratios.items()}
+    cases = {name: _row(each, shape) for name, each in ratios.items()}
     for method, chosen in _methods(rig, cases, model).items():
         is_fast = method in ('closed_form', 'spring_mass') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
@@ -225,6 +225,13 @@ def _values(rig: Rig, changes: Mapping[str, Any]) -> dict[str, Any]:
     values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
     values = {name: value for name, value in values.items() if isinstance(value, float)}
     return {**values, 'mass': rig.projectile.mass, **changes}
+
+
+def _row(value: Floats | float, shape: tuple[int, ...]) -> Floats:
+    """Repeat what is the same for several throws."""
+    row = np.empty(shape)
+    row[...] = value
+    return row.ravel()
 
 
 def _section(values: Mapping[str, Any]) -> Any:

@@ -69,6 +69,7 @@ from soft_throw_ros.identification.model_choice import (
 from soft_throw_ros.identification.plate_fit import estimate_peak_velocity, fit_plate, PlateFit
 from soft_throw_ros.identification.rig_model import (
     cut_after,
+    ReleaseShift,
     RigModel,
     shift_of_release,
     START,
@@ -191,22 +192,36 @@ class RigFit:
         rng = np.random.default_rng(seed)
         powers, axes = np.linalg.eigh(self.fit.correlation)
         steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
-        rigs, stuck = [], []
+        rigs, stuck, drawn = [], [], []
         for step in (np.zeros(powers.size), *(steps @ axes.T)):
             values = self.fit.values + self.fit.errors * step
             with contextlib.suppress(ValueError):
                 rigs.append(self._model.rig_of(values))
                 stuck.append(self._model.value(values, STICKING, 0))
+                drawn.append(step)
         found = first_releases(rigs)
-        shift = shift_of_release(self._model, self.fit.values, 0)
+        shift, slopes = self._shift_of_release()
+        shifted = np.array(drawn) @ slopes
         # A time below 0 stands for as much less of what a layer that sticks does
         slowed = 0.5 * shift.jerk * np.array(stuck) * np.abs(stuck)
-        speed = found.speed + shift.speed + slowed
+        speed = found.speed + shift.speed + shifted[:, 1] + slowed
         return found._replace(
-            time=found.time + shift.time + stuck,
+            time=found.time + shift.time + shifted[:, 0] + stuck,
             speed=speed,
             energy_transfer=(speed / found.peak_plate_speed) ** 2,
         )
+
+    def _shift_of_release(self) -> tuple[ReleaseShift, Floats]:
+        """Return what waves of the plate do to the release, and time and speed per error."""
+        fit, model = self.fit, self._model
+        shift = shift_of_release(model, fit.values, 0)
+        slopes = np.zeros((fit.values.size, 2))
+        for place in model.wave_places(0):
+            values = fit.values.copy()
+            values[place] += fit.errors[place]
+            there = shift_of_release(model, values, 0)
+            slopes[place] = there.time - shift.time, there.speed - shift.speed
+        return shift, slopes
 
 
 def fit_rig(

@@ -325,6 +325,11 @@ class RigModel:
             found.append(Path(height, scale * velocity))
         return found
 
+    def wave_places(self, throw: int) -> list[int]:
+        """Tell where waves of the plate of a throw stand among the values."""
+        parts = [part for part in (*_TERM_OF, *MODE) if throw in self.places.get(part, ())]
+        return [self.places[part][throw] for part in parts]
+
     def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithModes]:
         """Make the rig of a throw, and how its plate moves."""
         rig = self.rig_of(values, throw)
