@@ -51,6 +51,8 @@ ROUNDS = 3
 SECONDS = 7.0  # of a round
 SETTLING = 2.0  # [s]
 TWINS = 16
+STORM_RATE = 50  # changes of a parameter in a second
+STORM_THICKNESS = 0.012  # [m]
 LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')
 
 
@@ -117,6 +119,34 @@ def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
         (usage(process.pid).processor - earlier) / passed
         for process, earlier in zip(processes, before, strict=True)
     ]
+
+
+def storm() -> Result:
+    """Compare the ticks of a twin that is left alone with those while it is set again and again."""
+    from rclpy.parameter import Parameter
+    from rclpy.parameter_client import AsyncParameterClient
+
+    title = f'ticks of the twin at 1 kHz, {STORM_RATE} changes of a parameter a second'
+    result = Result.under(title, 'ticks', 'later than 0.2 ms [%]', 'skipped', 'lateness p99 [us]')
+    with subscriber() as heard, running((*SOFT_THROW, 'twin')):
+        heard.wait(TIMEOUT, lambda: bool(heard.stamps))
+        heard.wait(SETTLING)
+        client = AsyncParameterClient(heard.node, '/twin')
+        for name, rate in (('left alone', 0), ('meanwhile', STORM_RATE)):
+            heard.clear()
+            begin, count = time.monotonic(), 0
+            while time.monotonic() < begin + 2.0 * SECONDS:
+                heard.wait(1.0 / STORM_RATE)
+                while rate and count < rate * (time.monotonic() - begin):
+                    thickness = STORM_THICKNESS * (1.0 + 1e-4 * (count % 500))
+                    asked = client.set_parameters([Parameter('layer.thickness', value=thickness)])
+                    heard.wait(TIMEOUT, asked.done)
+                    count += 1
+            numbers = heard.values('ticks', 'ticks_late', 'ticks_skipped')
+            ticks, late, skipped = (numbers[-1] - numbers[0]).tolist()
+            p99 = 1e6 * float(np.median(heard.values('lateness_p99')))
+            result.rows.append([name, ticks, 100.0 * late / ticks, skipped, p99])
+    return result
 
 
 def start() -> Result:
@@ -299,7 +329,8 @@ def _record_plainly(folder: str) -> None:
 
 
 PARTS: Mapping[str, Callable[[], Result]] = {
-    part.__name__: part for part in (twin, recorder, start, growth_with_subscribers, sixteen_twins)
+    part.__name__: part
+    for part in (twin, storm, recorder, start, growth_with_subscribers, sixteen_twins)
 }
 """Tables by their names."""
 

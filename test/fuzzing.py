@@ -277,7 +277,7 @@ def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tu
     assert code in {0, 1, 2}, said
     assert 'Traceback' not in said
     if code == 2:
-        lines = re.sub(r'^usage: .*\n( .*\n)*', '', said).splitlines()
+        lines = re.sub(r'^usage: .*\n( .*\n)*', '', said, flags=re.MULTILINE).splitlines()
         assert lines, 'refused without a word'
         assert all(re.match(r'[\w.-]+( [\w.-]+)?: ', line) for line in lines), said
         assert sum('error: ' in line for line in lines) <= 1, said

@@ -147,7 +147,7 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
             heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
         damage = reader.damage
     if damage:
-        print(f'identify: {path}: {damage}; what can be read is taken', file=sys.stderr)
+        print(f'identify: {damage}; what can be read is taken', file=sys.stderr)
     found = sorted(
         name
         for name, rows in heights.items()
