@@ -122,7 +122,7 @@ def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
 
 
 def storm() -> Result:
-    """Compare the ticks of a twin that is left alone with those while it is set again and again."""
+    """Compare ticks of a twin that is left alone with those while it is set again and again."""
     from rclpy.parameter import Parameter
     from rclpy.parameter_client import AsyncParameterClient
 
