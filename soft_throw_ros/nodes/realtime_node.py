@@ -137,6 +137,8 @@ class RealTimeNode(RunnableNode):
     def on_second(self) -> None:
         """Follow what is done to the time of day; in the executor's thread."""
         self._system_clock.adjust()
+        if self._compiling is not None:
+            self._compiling.poll()  # lest it stays a zombie when it has ended
 
     @property
     def exit_code(self) -> int | None:

@@ -35,6 +35,7 @@ from soft_throw_ros.twin.results import State
 MOST_NOISE = 1.5  # of the samples, in what it is said to be [-]
 _CHECKING = 0.5  # from one look at it to the next [s]
 _FEWEST_TO_CHECK = 30  # samples
+_RATE_ERROR = 0.03  # of the rate of a sensor whose stamps jitter
 _AT_REST = 15.0  # range of heights, in standard deviations, that is nothing but noise [-]
 MOST_RISE = 100.0  # of the plate, in amplitudes of the engine: more is another unit [-]
 _FALL = 0.5  # part of the plate's peak speed at which nobody lowers it [-]
@@ -296,7 +297,7 @@ class PlateMonitor:
         """Say it if there are too few samples for a throw to be followed; empty if not."""
         rate = self.estimator.rate()
         least, reason = least_rate(self.estimator.config, crossing_time)
-        if rate >= least:
+        if rate >= (1.0 - _RATE_ERROR) * least:
             return ''
         return (
             f'the plate is measured at {rate:.0f} Hz, which must be at least {least:.0f} Hz, '

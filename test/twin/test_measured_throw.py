@@ -233,6 +233,14 @@ def test_rate_that_is_too_low_is_told_with_the_number(start, rate, request_, rea
     assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
 
 
+def test_rate_that_is_a_little_below_the_least_will_do(start) -> None:
+    # as that of a sensor of 2 kHz whose stamps jitter
+    run = start(**MEASURED, layer__thickness=0.05, measured__window=2e-3)
+    run.measure(rate=1980.0, duration=0.3, onset=0.2)
+    assert run.session.throws == 1
+    assert not any(' Hz, which must be' in text for text in run.notices())
+
+
 def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
     run = start(**MEASURED)
     samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=2e-6)
