@@ -179,6 +179,7 @@ def subscriber(states: str = STATES) -> Iterator[Heard]:
     try:
         yield heard
     finally:
+        executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
 
