@@ -236,9 +236,10 @@ class Fit:
 
     @property
     def correlation(self) -> Floats:
-        """Correlations of the errors, shape (n, n)."""
-        errors = self.errors
-        return self.covariance / np.outer(errors, errors)
+        """Correlations of the errors, shape (n, n); 0 with what has no error."""
+        scale = np.outer(self.errors, self.errors)
+        zeros = np.zeros_like(scale)
+        return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
 
     def budget(self, name: str) -> dict[str, float]:
         """Split the error of a parameter: noise, and what is known with an error."""

@@ -122,12 +122,14 @@ def _profile(model: RigModel, fit: Fit) -> _Profile | None:
             excess = (chi2 - chi2.min()) / max(fit.variance_scale, 1e-300)
             weights = np.exp(-0.5 * excess) * np.gradient(times)
             weights /= weights.sum()
-            old, width = width, math.sqrt(float(weights @ (times - best) ** 2))
-            if _SAME < width / old < 1.0 / _SAME:
+            spread = math.sqrt(float(weights @ (times - best) ** 2))
+            if _SAME < spread / width < 1.0 / _SAME:
                 break
-            width = max(width, _NARROWER * old)
+            width = max(spread, _NARROWER * width)
     except FitError:
         return None
+    if spread == 0.0:
+        return None  # next to the fit, however close, chi squared jumps
     here, lowest = int(np.argmin(np.abs(times - best))), int(np.argmin(chi2))
     gain = float(chi2[here] - chi2[lowest]) / max(1.0, fit.reduced_chi2)
     return _Profile(values - fit.values, weights, gain, values[lowest])
