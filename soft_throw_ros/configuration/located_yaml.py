@@ -46,9 +46,12 @@ def read(path: Path) -> Located | None:
     """
     try:
         text = path.read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else 'is no UTF-8 text'
-        raise ParameterError(f'{path}: {reason}') from None
+    except OSError as error:
+        raise ParameterError(f'{path}: {error.strerror}') from None
+    except UnicodeDecodeError:
+        raise ParameterError(f'{path}: is no UTF-8 text') from None
+    except ValueError as error:
+        raise ParameterError(f'{path}: {error}') from None  # no name that a file can have
     return _parse(text, str(path), has_lines=True)
 
 

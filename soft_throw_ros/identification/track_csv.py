@@ -20,7 +20,14 @@ import math
 import re
 
 import numpy as np
-from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
+from soft_throw_ros.identification.tracks import (
+    FEWEST,
+    MAX_HEIGHT,
+    MAX_TIME,
+    MIN_STEP,
+    Track,
+    TrackError,
+)
 
 UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 """Units of height. [m]"""
@@ -81,6 +88,7 @@ def read_csv(
             f'got {first[0]!r} alone'
         )
     clock = list(columns).index('time')
+    most = dict.fromkeys(bodies, MAX_HEIGHT / UNITS[unit]) | {'time': MAX_TIME}
     values = np.empty((len(rows), len(columns)))
     for place, (number, cells) in enumerate(rows):
         where = f'{name}:{number}'
@@ -93,9 +101,9 @@ def read_csv(
                 f'got {len(cells)}{hint}'
             )
         for column, (body, cell) in enumerate(columns.items()):
-            values[place, column] = _read_number(cells[cell], body, where)
+            values[place, column] = _read_number(cells[cell], body, where, most[body])
         time, before = values[place, clock], values[place - 1, clock] if place else -math.inf
-        if not time > before:
+        if time - before < MIN_STEP:
             raise TrackError(f'{where}: time must increase, got {time:g} after {before:g}')
     heights = dict(zip(columns, values.T, strict=True))
     time = heights.pop('time')
@@ -146,12 +154,15 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_number(text: str, what: str, where: str) -> float:
-    """Read a finite number; heights may be missing."""
+def _read_number(text: str, what: str, where: str, most: float) -> float:
+    """Read a number that is not above `most`, or below as much; heights may be missing."""
     is_missing = text.lower() in _MISSING and what != 'time'
     if not is_missing and not (_is_number(text) and math.isfinite(float(text))):
         raise TrackError(f'{where}: {what} must be a finite number, got {text!r}')
-    return math.nan if is_missing else float(text)
+    value = math.nan if is_missing else float(text)
+    if abs(value) > most:
+        raise TrackError(f'{where}: {what} must be within +- {most:g}, got {text!r}')
+    return value
 
 
 def _named_columns(

@@ -33,6 +33,12 @@ Places = NDArray[np.intp]
 FEWEST = 12
 """Samples of a track at least."""
 
+MAX_TIME, MAX_HEIGHT = 1e12, 1e6
+"""What is beyond these was not meant as seconds or metres. [s], [m]"""
+
+MIN_STEP = 1e-12
+"""By how much time increases at least. [s]"""
+
 _STRAY_LIMIT = 5.0  # median deviations from the cubic beyond which it is a kink, not noise
 _ROUNDING_TOLERANCE = 0.1  # of a step, that heights may be off from multiples of it
 _MAX_ROUNDING_STEPS = 1e5  # that heights extend over; who rounds more finely adds no noise
@@ -80,7 +86,8 @@ class Track:
     Raises
     ------
     TrackError
-        If the series do not fit, are shorter than `FEWEST`, are not finite or do not increase.
+        If the series do not fit, are shorter than `FEWEST`, are not finite, beyond `MAX_TIME` or
+        `MAX_HEIGHT`, or do not increase.
     ValueError
         If the noise is not finite and positive.
 
@@ -101,11 +108,15 @@ class Track:
                 f'a track is two series of the same length, at least {FEWEST}, '
                 f'got shapes {time.shape} and {position.shape}'
             )
-        for name, values in (('time', time), ('position', position)):
+        for name, values, most in (('time', time, MAX_TIME), ('position', position, MAX_HEIGHT)):
             if not np.isfinite(values).all():
                 raise TrackError(f'{name} must be finite, got {values[~np.isfinite(values)][0]}')
-        if (np.diff(time) <= 0.0).any():
-            place = int(np.flatnonzero(np.diff(time) <= 0.0)[0])
+            if np.abs(values).max() > most:
+                far = values[np.abs(values).argmax()]
+                raise TrackError(f'{name} must be within +- {most:g}, got {far:g}')
+        is_bad = np.diff(time) < MIN_STEP
+        if is_bad.any():
+            place = int(np.flatnonzero(is_bad)[0])
             raise TrackError(f'time must increase, got {time[place + 1]} after {time[place]}')
         object.__setattr__(self, 'time', time)
         object.__setattr__(self, 'position', position)

@@ -117,6 +117,11 @@ def test_read_names_file_and_line(write: Any, text: str, line: int, message: str
     assert '\n' not in str(refused.value)
 
 
+def test_name_that_no_file_can_have_is_refused() -> None:
+    with pytest.raises(ParameterError, match='null'):
+        files.read(Path('a\0b'))
+
+
 @pytest.mark.parametrize('content', [None, b'\xff\xfe', b'\x00', b'', b'# nothing\n', b'[' * 9999])
 def test_read_refuses_a_file_with_nothing_to_read(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / 'twin.yaml'

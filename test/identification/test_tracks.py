@@ -90,6 +90,7 @@ def with_line(number, text):
         (with_line(5, '0.0006,x,0.01'), "file:5: plate must be a finite number, got 'x'"),
         (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),
         (with_line(5, 'nan,0,0'), "file:5: time must be a finite number, got 'nan'"),
+        (with_line(5, '0.0006,1e9,0'), "file:5: plate must be within +- 1e+06, got '1e9'"),
         (with_line(5, '0.0001,0,0'), 'file:5: time must increase, got 0.0001 after 0.0004'),
         (with_line(7, '0.0010,0'), 'file:7: must have 3 values as line 1 has, got 2'),
         (with_line(7, '0.0010;0;0'), 'line 1 has, got 1; the same sign must separate'),
@@ -114,6 +115,7 @@ def test_csv_that_is_wrong_is_refused_with_its_line(lines, value):
         (TIME, TIME[1:], 'two series of the same length'),
         (TIME[:5], TIME[:5], f'at least {FEWEST}'),
         (TIME, np.where(TIME > 0, TIME, np.nan), 'position must be finite, got nan'),
+        (TIME, np.where(TIME > 0, TIME, -1e9), 'position must be within .* got -1e'),
         (TIME[::-1], TIME, 'time must increase'),
     ],
 )
