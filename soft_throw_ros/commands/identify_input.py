@@ -164,7 +164,7 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
         )
     if count := unreadable[best[0]]:
         print(
-            f'identify: {path}: {count} messages on {best[0]} are no {_TYPE}, and left out',
+            f'identify: {path}: {count} messages on {best[0]!r} are no {_TYPE}, and left out',
             file=sys.stderr,
         )
     rows = sorted(heights[best[0]].items())

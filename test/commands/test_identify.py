@@ -313,7 +313,7 @@ def test_what_cannot_be_read_of_a_bag_is_said(command, tmp_path):
         bag.writer.write(Message(channel, b'\0\1\0\0' + bytes(range(40)), stamp, stamp))
     (path,) = bag.close().glob('*.mcap')
     left_out = (
-        f'identify: {path}: 3 messages on /rig/joint_states are no sensor_msgs/msg/JointState, '
+        f"identify: {path}: 3 messages on '/rig/joint_states' are no sensor_msgs/msg/JointState, "
         'and left out\n'
     )
     assert value(command.json(path), 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
