@@ -28,18 +28,15 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
 from soft_throw_ros.nodes.conversions import profile_to_dict
-from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.nodes.topics import EventHandle, load_type, qos_profile
 from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
-
-EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
 
 DEPTH = 10_000
 """How many messages of a topic may wait to be drained: a second of the fastest sensor."""

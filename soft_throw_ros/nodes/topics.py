@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
     PublisherEventCallbacks,
     QoSPublisherEventType,
@@ -37,11 +36,13 @@ from rclpy.qos import (
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
-EventHandle = rclpy_implementation.EventHandle  # rclpy has nothing else to ask for an event
+EventHandle = rclpy_implementation.EventHandle
+"""Of an event of the middleware: rclpy has nothing else to ask for one without its executor."""
 
 _EVENT_PERIOD = 1.0  # in which it is looked whether somebody cannot be sent anything [s]
 _MANY = 8  # joints, from which on arrays are quicker than single values
@@ -101,14 +102,13 @@ class Publishers:
 
     """
 
-    def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
+    def __init__(self, node: RunnableNode, topics: Iterable[Topic]) -> None:
         self._logger = node.get_logger()
         self._publishers: list[Publisher] = []
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_EVENT_PERIOD, self._look_for_mismatches, clock=steady)
+        node.call_every(_EVENT_PERIOD, self._look_for_mismatches)
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """

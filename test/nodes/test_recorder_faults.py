@@ -37,14 +37,14 @@ RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
 PUBLISHER = """
 import select, sys, time
 import rclpy
-from rclpy.node import Node
 from soft_throw_ros.configuration.interface import RIG_TOPICS, TWIN_TOPICS
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.nodes.transport import use_transport_profile
 
 use_transport_profile()
 rclpy.init()
-node = Node('twin')
+node = RunnableNode('twin')
 reliable = sys.argv[1] == 'reliable'
 topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_states
 publishers = Publishers(node, [topic])

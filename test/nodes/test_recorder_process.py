@@ -35,6 +35,7 @@ from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
 from soft_throw_ros.configuration.interface import RECORDER_TOPICS, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.recording.bag_reader import BagReader
 
@@ -58,7 +59,7 @@ def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
 def talk(ros: Any) -> Iterator[None]:
     """Publish 1000 states a second, and a latched journal, as a twin does, from this process."""
     publishers = Publishers(
-        ros.node(Node, 'twin'), [TWIN_TOPICS.joint_states, TWIN_TOPICS.journal]
+        ros.node(RunnableNode, 'twin'), [TWIN_TOPICS.joint_states, TWIN_TOPICS.journal]
     )
     publishers.send(TWIN_TOPICS.journal, '{"kind":"none","step":0}')
     is_over = threading.Event()
