@@ -75,6 +75,10 @@ class ThrowSimulator:
         """Let what is left to do be refused where it would take too long."""
         self._limit = max(self._usual, _MORE * self.cost)
 
+    def allow_more(self) -> None:
+        """Let as much be done again as one fit may take."""
+        self._limit = max(self._limit, self.cost + self._usual)
+
     def unbind(self) -> None:
         """Refuse nothing any more."""
         self._limit = math.inf

@@ -46,10 +46,11 @@ from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.linear_fit import LinearFit
 from soft_throw_ros.identification.minima import find_best_minimum
 from soft_throw_ros.identification.plate_fit import PlateFit
-from soft_throw_ros.identification.plate_modes import find_mode, Mode
+from soft_throw_ros.identification.plate_modes import find_modes, Mode
 from soft_throw_ros.identification.rig_model import (
     MODE,
     OWN,
+    PLATE_MODE,
     RigModel,
     START,
     START_OF_STICKING,
@@ -81,7 +82,7 @@ _TRIALS = {_LOSS: 0.01, STICKING: 2e-4}  # by which it is tried whether a term i
 _TRIAL = 1e-3  # of waves
 _EXPLANATIONS = {
     'plate.ringing': 'a plate that rings before the throw explains these throws',
-    'plate.mode': 'a plate with a second mode explains these throws',
+    PLATE_MODE: 'a plate with a second mode explains these throws',
 }
 
 
@@ -107,17 +108,17 @@ class _Candidate(NamedTuple):
 
 
 def add_terms(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit
+    model: RigModel, plates: Sequence[PlateFit], fit: Fit, *, but: str = ''
 ) -> tuple[RigModel, Fit, list[str]]:
     """
-    Add what the tracks show to be needed, one after the other, the best first.
+    Add what the tracks show to be needed, `but` for one, one after the other, the best first.
 
     Returns the model with it, its fit, and a sentence for each term.
     """
     remarks = []
     for _ in range(_MOST_TERMS):
         try:
-            best = _best_term(model, plates, fit)
+            best = _best_term(model, plates, fit, but)
             if best is None:
                 break
             start = best.model.start_from(fit, plates)
@@ -137,14 +138,32 @@ def add_terms(
     return model, fit, remarks
 
 
-def _best_term(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> _Candidate | None:
+def is_best_term(name: str, model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> bool:
+    """Tell whether this is what explains the tracks best, if anything is needed."""
+    try:
+        best = _best_term(model, plates, fit, '')
+    except FitError:
+        return False  # which is said where it is added
+    return best is not None and best.name == name
+
+
+def _best_term(
+    model: RigModel, plates: Sequence[PlateFit], fit: Fit, but: str
+) -> _Candidate | None:
     """Find the term that lowers the criterion most; None if none does so strongly."""
     best, most = None, _STRONG
     for name in model.description.if_seen:
+        if name == but:
+            continue
         each = _try_term(model, plates, fit, name, model.description.see(name))
         if each is not None and each.gain - _penalty(fit, each.size) > most:
             best, most = each, each.gain - _penalty(fit, each.size)
     return best
+
+
+def criterion(fit: Fit) -> float:
+    """Return the Bayesian information criterion of a fit."""
+    return fit.chi2 + _penalty(fit, fit.values.size)
 
 
 def _penalty(fit: Fit, parameters: int) -> float:
@@ -163,10 +182,20 @@ def _try_term(
     if not name.startswith('plate') and not model.projectiles:
         return None
     wider = replace(model, description=description)
-    if name == 'plate.mode':
-        wider = replace(wider, mode=_mode_of(model, fit))
-        if wider.mode is None:
-            return None
+    if name != PLATE_MODE:
+        return _try_model(model, plates, fit, name, wider)
+    tried = [replace(wider, mode=mode) for mode in likely_modes(model, fit)]
+    return max(
+        (_try_model(model, plates, fit, name, each) for each in tried),
+        key=attrgetter('gain'),
+        default=None,
+    )
+
+
+def _try_model(
+    model: RigModel, plates: Sequence[PlateFit], fit: Fit, name: str, wider: RigModel
+) -> _Candidate:
+    """Change a term of a wider model by a little."""
     start = wider.start_from(fit, plates)
     parts, trial = WAVES.get(name, (name,)), _TRIALS.get(name, _TRIAL)
     start[[place for part in parts for place in wider.places_of(part)]] = 0.0
@@ -184,18 +213,20 @@ def _try_term(
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)
-    return _Candidate(name, wider, gain, _MODE_SIZE if name == 'plate.mode' else len(columns))
+    return _Candidate(name, wider, gain, _MODE_SIZE if name == PLATE_MODE else len(columns))
 
 
-def _mode_of(model: RigModel, fit: Fit) -> Mode | None:
-    """Find the second mode that explains most of what is left of the plates."""
+def likely_modes(model: RigModel, fit: Fit) -> tuple[Mode, ...]:
+    """Find second modes of plates by what a fit leaves of them, if that was not done before."""
+    if model.likely_modes:
+        return model.likely_modes
     since, residuals = [], []
     for channel, residual in zip(model.channels, fit.residuals, strict=True):
         time = residual.track.time - model.value(fit.values, START, channel.throw)
         if channel.body == 'plate' and (time > 0.0).sum() >= FEWEST:
             since.append(time[time > 0.0])
             residuals.append((residual.values / residual.noise)[time > 0.0])
-    return find_mode(since, residuals, model.rig.engine.frequency) if since else None
+    return find_modes(since, residuals, model.rig.engine.frequency)
 
 
 def _start_layer(model: RigModel, values: Floats, noise: Floats) -> Floats:
@@ -220,7 +251,7 @@ def _start_layer(model: RigModel, values: Floats, noise: Floats) -> Floats:
 
 def _remark(name: str, before: Fit, fit: Fit) -> str:
     """Say what was added to a model, and how much better it is."""
-    parts = WAVES[name] + MODE * (name == 'plate.mode')
+    parts = WAVES[name] + MODE * (name == PLATE_MODE)
     size = ', '.join(str(fit[each]) for each in fit.names if each.partition('[')[0] in parts)
     return (
         f'{_EXPLANATIONS[name]} (chi squared {fit.reduced_chi2:.2f} per degree of freedom); '

@@ -32,6 +32,7 @@ _JUMP = 3e-5  # before and after the start, between which velocity and accelerat
 _LOWEST = 1.5  # frequency of a second mode, over that of the first
 _PER_CYCLE = 2.5  # samples at least, of a second mode
 _DAMPING_RATIOS = (0.005, 0.02, 0.06)
+_MOST_MODES = 8  # that are tried
 
 
 class Mode(NamedTuple):
@@ -117,11 +118,11 @@ def _mode_shapes(mode: Mode, since: Floats, order: int = 0) -> tuple[Floats, Flo
     return began * ((order == 0) - wave.real), began * wave.imag
 
 
-def find_mode(
+def find_modes(
     since: Sequence[Floats], residuals: Sequence[Floats], frequency: float
-) -> Mode | None:
+) -> tuple[Mode, ...]:
     """
-    Find the second mode that explains most of what a step leaves of plates.
+    Find second modes that may explain what a step leaves of plates, the likeliest first.
 
     Parameters
     ----------
@@ -133,14 +134,16 @@ def find_mode(
         Of the first mode. [Hz]
 
     """
+    if not since:
+        return ()
     interval = max(float(np.median(np.diff(time))) for time in since)
     duration = max(float(time[-1]) for time in since)
     highest = 1.0 / (_PER_CYCLE * interval)
     if highest <= _LOWEST * frequency or duration <= 0.0:
-        return None
+        return ()
 
     def left(values: Floats) -> float:
-        mode = Mode(float(values[0]), min(max(float(values[1]), 1e-4), 0.5))
+        mode = _mode(values)
         total = 0.0
         for time, residual in zip(since, residuals, strict=True):
             columns = np.stack([*_mode_shapes(mode, time), np.ones_like(time)], axis=1)
@@ -148,12 +151,29 @@ def find_mode(
             total += float(np.sum((residual - columns @ found) ** 2))
         return total
 
+    def refined(frequency: float, damping_ratio: float) -> optimize.OptimizeResult:
+        corners = [
+            (frequency, damping_ratio),
+            (frequency + 0.2 / duration, damping_ratio),
+            (frequency, 1.5 * damping_ratio),
+        ]
+        return optimize.minimize(
+            left, corners[0], method='Nelder-Mead',
+            options={'initial_simplex': np.array(corners), 'maxfev': 80, 'xatol': 1e-3},
+        )
+
     frequencies = np.arange(_LOWEST * frequency, highest, 0.4 / duration)
-    tried = [(f, damping) for f in frequencies.tolist() for damping in _DAMPING_RATIOS]
-    best = min(tried, key=lambda each: left(np.array(each)))
-    spread = np.array([best, (best[0] + 0.2 / duration, best[1]), (best[0], 1.5 * best[1])])
-    found = optimize.minimize(
-        left, best, method='Nelder-Mead',
-        options={'initial_simplex': spread, 'maxfev': 80, 'xatol': 1e-3},
-    )
-    return Mode(float(found.x[0]), min(max(float(found.x[1]), 1e-4), 0.5))
+    table = np.array([
+        [left(np.array([f, damping])) for damping in _DAMPING_RATIOS]
+        for f in frequencies.tolist()
+    ])
+    least = np.pad(table.min(axis=1), 1, constant_values=np.inf)
+    minima = np.flatnonzero((least[1:-1] <= least[:-2]) & (least[1:-1] <= least[2:]))
+    minima = minima[np.argsort(least[1:-1][minima])][:_MOST_MODES]
+    found = [refined(frequencies[n], _DAMPING_RATIOS[table[n].argmin()]) for n in minima.tolist()]
+    return tuple(_mode(each.x) for each in sorted(found, key=lambda each: float(each.fun)))
+
+
+def _mode(values: Floats) -> Mode:
+    """Make a mode of frequency and damping, which is kept within what can be."""
+    return Mode(float(values[0]), min(max(float(values[1]), 1e-4), 0.5))

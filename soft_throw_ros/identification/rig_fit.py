@@ -63,12 +63,16 @@ from soft_throw_ros.identification.minima import find_best_minimum
 from soft_throw_ros.identification.model_choice import (
     add_terms,
     compare_layers,
+    criterion,
     describe_layers,
+    is_best_term,
     LayerModel,
+    likely_modes,
 )
 from soft_throw_ros.identification.plate_fit import estimate_peak_velocity, fit_plate, PlateFit
 from soft_throw_ros.identification.rig_model import (
     cut_after,
+    PLATE_MODE,
     ReleaseShift,
     RigModel,
     shift_of_release,
@@ -303,24 +307,41 @@ def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, 
     """Fit the plates alone, and find what they do beside a step, which no layer changes."""
     alone = replace(model, throws=tuple(replace(throw, projectile=None) for throw in model.throws))
     alone, fit, remarks = add_terms(alone, plates, alone.fit(alone.start(plates)))
-    # What their own tracks do not show may later explain no projectile
-    unseen = [name for name in alone.description.if_seen if name.startswith('plate')]
+    # What their own tracks do not show may later explain no projectile; but for a mode, which may
+    # be too small to be seen until a layer amplifies it
+    plates_own = [name for name in alone.description.if_seen if name.startswith('plate')]
+    unseen = [name for name in plates_own if name != PLATE_MODE]
     description = alone.description.change(dict.fromkeys(unseen, 'held'))
-    return replace(model, description=description, mode=alone.mode), fit, remarks
+    modes = likely_modes(alone, fit) if PLATE_MODE in alone.description.if_seen else ()
+    model = replace(model, description=description, mode=alone.mode, likely_modes=modes)
+    return model, fit, remarks
 
 
 def _choose_layer(
     model: RigModel, plates: Sequence[PlateFit], fit: Fit
 ) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
     """Add what the tracks show to be needed, and take the kind of layer that explains them."""
+    is_mode = is_best_term(PLATE_MODE, model, plates, fit)
+    best = _choose_kind(model, plates, fit)
+    if is_mode:  # what that explains, a layer of another kind may explain better
+        model.simulator.allow_more()
+        other = _choose_kind(model, plates, fit, but=PLATE_MODE)
+        best = min(best, other, key=lambda option: criterion(option[1]))
+    return best
+
+
+def _choose_kind(
+    model: RigModel, plates: Sequence[PlateFit], fit: Fit, *, but: str = ''
+) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
+    """Add what is needed, `but` for one term, and take the kind of layer that is best with it."""
     simple = model
-    model, fit, remarks = add_terms(model, plates, fit)
+    model, fit, remarks = add_terms(model, plates, fit, but=but)
     layers, strained = compare_layers(model, plates, fit)
     if strained is not None:
         other = replace(simple, rig=strained[0])
         with contextlib.suppress(EffortError):
             fit = other.fit(other.start_from(strained[1], plates))
-            model, fit, remarks = add_terms(other, plates, fit)
+            model, fit, remarks = add_terms(other, plates, fit, but=but)
     return model, fit, layers, remarks
 
 

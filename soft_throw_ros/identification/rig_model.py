@@ -52,9 +52,12 @@ OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 STICKING = 'projectile.sticking'
 """For how long the layer holds the projectile when it would leave."""
 
+PLATE_MODE = 'plate.mode'
+"""A second mode of the plate."""
+
 WAVES = {
     'plate.ringing': ('plate.ringing_cosine', 'plate.ringing_sine'),
-    'plate.mode': ('plate.mode_cosine', 'plate.mode_sine'),
+    PLATE_MODE: ('plate.mode_cosine', 'plate.mode_sine'),
 }
 """Terms that are waves, and their amplitudes."""
 
@@ -148,6 +151,8 @@ class RigModel:
     """What was found before of the layers of some throws, to start from."""
     mode: Mode | None = None
     """Frequency and damping of a second mode of the plate."""
+    likely_modes: tuple[Mode, ...] = ()
+    """Second modes that the plate may have, by its own track."""
 
     @property
     def by_cells(self) -> bool:
@@ -199,7 +204,7 @@ class RigModel:
                     key = described.group(name, throw.name, number)
                     for part in WAVES.get(name, (name,)):
                         groups.setdefault((part, key), []).append(number)
-                    for part in MODE if name == 'plate.mode' else ():
+                    for part in MODE if name == PLATE_MODE else ():
                         groups.setdefault((part, None), []).append(number)
         own = [START]
         own += [] if heights == 'absolute' else [PLATE_ZERO]

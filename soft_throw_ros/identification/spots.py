@@ -292,7 +292,7 @@ def close_by_area(levels: NDArray[np.uint8], area: int) -> NDArray[np.uint8]:
     noisy picture's pixels: a minute for a million of them, and this takes a second.
 
     """
-    closed = levels.copy()
+    closed: NDArray[np.uint8] = levels.copy()
     is_open = np.ones(levels.shape, np.bool_)
     for level in np.unique(levels):
         parts, _ = ndimage.label(levels <= level)

@@ -245,6 +245,23 @@ def test_second_mode_of_a_plate_is_seen_and_said(see):
     assert_true(found, Rig(), USUAL, errors=3.5)
 
 
+def test_second_mode_that_the_plate_alone_does_not_show_is_seen_by_what_it_does(see):
+    rig = Rig(
+        engine=Engine(frequency=72.5, damping_ratio=0.1, amplitude=1.1e-3),
+        layer=Layer(thickness=12.8e-3, wave_speed=8.85),
+        projectile=Projectile(mass=0.34e-3),
+    )
+    step = Underdamped.of(rig.engine)
+    plate = PlateWithModes(step, (0.0, 0.0, 0.0, 0.01), Mode(310.0, 0.02))
+    tracks = followed(see, rig, plate=plate, duration=0.1)
+    description = FitDescription({'layer.wave_speed': 'held'})
+    alone = fit_rig([replace(tracks, projectile=None)], rig, description)
+    assert alone.remarks == ()
+    found = fit_rig([tracks], rig)
+    assert 'a plate with a second mode explains' in found.remarks[0]
+    assert_true(found, rig, USUAL, errors=3.5)
+
+
 def test_release_of_a_plate_with_waves_is_the_one_that_throws():
     rig = Rig(
         engine=Engine(frequency=84.1, damping_ratio=0.14, amplitude=2.38e-3),
