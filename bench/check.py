@@ -31,7 +31,8 @@ def store(ratios: Ratios, path: Path = STORED) -> None:
     """Store ratios by table and name in place of those that are there for these tables."""
     stored = json.loads(path.read_text('utf-8')) if path.exists() else {}
     for table, found in ratios.items():
-        stored[table] = {name: float(f'{ratio:.3g}') for name, ratio in found.items()}
+        if found:
+            stored[table] = {name: float(f'{ratio:.3g}') for name, ratio in found.items()}
     path.write_text(json.dumps(stored, indent=2, sort_keys=True) + '\n', 'utf-8')
 
 
@@ -42,6 +43,8 @@ def deviations(ratios: Ratios, path: Path = STORED) -> list[str]:
     stored = json.loads(path.read_text('utf-8'))
     said = []
     for table, found in ratios.items():
+        if found and table not in stored:
+            said.append(f'{table}: not stored yet; make bench ARGS="{table} --store" does it')
         for name, before in stored.get(table, {}).items():
             now = found.get(name)
             if now is None:

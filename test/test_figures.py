@@ -75,8 +75,12 @@ def release_at(x, c, damping_ratio=0.0, density_ratio=1.0):
 
 # How they look
 
+PAPERS = [name for name in DRAWINGS if name != 'throw']
+# Of a module: all tests of a figure run one after the other, most likely in one process
+of_each = functools.partial(pytest.mark.parametrize, 'name', scope='module')
 
-@pytest.mark.parametrize('name', DRAWINGS)
+
+@of_each([*PAPERS, 'throw'])
 def test_figure_in_docs_is_current_small_and_not_empty(name):
     path = path_of(name, DOCS)
     assert path.stat().st_size < 250_000
@@ -89,7 +93,7 @@ def test_figure_in_docs_is_current_small_and_not_empty(name):
     assert (np.ptp(picture, axis=2) > 0.2).mean() > 0.002
 
 
-@pytest.mark.parametrize('name', DRAWINGS)
+@of_each([*PAPERS, 'throw'])
 def test_nothing_is_cut_off_or_too_small_and_no_legend_hides_data(name):
     figure = drawn(name)
     shown = figure.get_window_extent()
@@ -108,7 +112,7 @@ def test_nothing_is_cut_off_or_too_small_and_no_legend_hides_data(name):
         assert not any(axes.get_window_extent().overlaps(box) for axes in figure.axes)
 
 
-@pytest.mark.parametrize('name', [name for name in DRAWINGS if name != 'throw'])
+@of_each(PAPERS)
 def test_figure_has_a_caption_and_symbols_or_units_at_its_axes(name):
     title, _, caption = drawn(name)._suptitle.get_text().partition('\n')
     number = re.match(r'fig(\d+)', name)

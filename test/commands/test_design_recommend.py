@@ -88,9 +88,9 @@ def test_json_has_everything_to_the_last_digit(command):
 
 
 def test_layer_that_throws_nothing_is_null_in_json(command):
-    found = command.json('--mass', 1.0)['recommendation']
+    found = command.json('--mass', 0.3)['recommendation']
     assert (found['now'], found['now_score']) == (None, 0.0)
-    assert command.row(command.run('--mass', 1.0), 'energy transfer alpha')[0] == '-'
+    assert command.row(command.run('--mass', 0.3), 'energy transfer alpha')[0] == '-'
 
 
 def test_options_are_what_is_asked(command):

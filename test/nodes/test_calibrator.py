@@ -58,6 +58,7 @@ def listen(ros: Any, topic: Topic) -> list[DiagnosticStatus]:
     return heard
 
 
+@pytest.mark.once
 def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alone(
     start, ros
 ) -> None:
