@@ -57,7 +57,7 @@ class LinearFit:
     """
 
     def __init__(self, model: RigModel, fit: Fit, fixed: Sequence[int] = ()) -> None:
-        self._model, self._fit = model, fit
+        self.model, self.fit = model, fit
         self._position = np.concatenate([track.position for _, track in model.tracks()])
         self._others = np.delete(np.arange(fit.values.size), fixed)
         self._known = [place for place in self._others.tolist() if place in model.known]
@@ -83,18 +83,18 @@ class LinearFit:
         unseen = np.zeros((len(self._known), extra.shape[1]))
         extra = self._project(np.concatenate([extra, unseen]))
         extra /= np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
-        left = self._project(self._left(self._fit.values))
+        left = self._project(self._left(self.fit.values))
         found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
         return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
 
     def _weigh(self, heights: Floats) -> Floats:
         """Divide heights of all samples by their noise, and leave out outliers."""
-        return np.asarray((heights / self._fit.noise)[..., self._fit.kept])
+        return np.asarray((heights / self.fit.noise)[..., self.fit.kept])
 
     def _left(self, values: Floats) -> Floats:
         """Weigh what a model with such values leaves."""
-        known = self._model.known
-        left = self._weigh(self._position - self._model.predict(values))
+        known = self.model.known
+        left = self._weigh(self._position - self.model.predict(values))
         priors = [(known[p].value - values[p]) / known[p].error for p in self._known]
         return np.append(left, priors)
 

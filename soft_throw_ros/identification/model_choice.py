@@ -151,11 +151,13 @@ def _best_term(
     model: RigModel, plates: Sequence[PlateFit], fit: Fit, but: str
 ) -> _Candidate | None:
     """Find the term that lowers the criterion most; None if none does so strongly."""
+    names = [name for name in model.description.if_seen if name != but]
+    if not names:
+        return None
     best, most = None, _STRONG
-    for name in model.description.if_seen:
-        if name == but:
-            continue
-        each = _try_term(model, plates, fit, name, model.description.see(name))
+    linear = LinearFit(model, fit)
+    for name in names:
+        each = _try_term(linear, plates, name, model.description.see(name))
         if each is not None and each.gain - _penalty(fit, each.size) > most:
             best, most = each, each.gain - _penalty(fit, each.size)
     return best
@@ -172,30 +174,24 @@ def _penalty(fit: Fit, parameters: int) -> float:
 
 
 def _try_term(
-    model: RigModel,
-    plates: Sequence[PlateFit],
-    fit: Fit,
-    name: str,
-    description: FitDescription,
+    linear: LinearFit, plates: Sequence[PlateFit], name: str, description: FitDescription
 ) -> _Candidate | None:
     """Add a term to a model, and change it by a little; None if there is nothing to see it by."""
-    if not name.startswith('plate') and not model.projectiles:
+    if not name.startswith('plate') and not linear.model.projectiles:
         return None
-    wider = replace(model, description=description)
+    wider = replace(linear.model, description=description)
     if name != PLATE_MODE:
-        return _try_model(model, plates, fit, name, wider)
-    tried = [replace(wider, mode=mode) for mode in likely_modes(model, fit)]
-    return max(
-        (_try_model(model, plates, fit, name, each) for each in tried),
-        key=attrgetter('gain'),
-        default=None,
-    )
+        return _try_model(linear, plates, name, wider)
+    modes = likely_modes(linear.model, linear.fit)
+    tried = [_try_model(linear, plates, name, replace(wider, mode=mode)) for mode in modes]
+    return max(tried, key=attrgetter('gain'), default=None)
 
 
 def _try_model(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit, name: str, wider: RigModel
+    linear: LinearFit, plates: Sequence[PlateFit], name: str, wider: RigModel
 ) -> _Candidate:
     """Change a term of a wider model by a little."""
+    fit = linear.fit
     start = wider.start_from(fit, plates)
     parts, trial = WAVES.get(name, (name,)), _TRIALS.get(name, _TRIAL)
     start[[place for part in parts for place in wider.places_of(part)]] = 0.0
@@ -208,7 +204,7 @@ def _try_model(
         for place in wider.places_of(part):
             throws = [throw for throw, at in wider.places[part].items() if at == place]
             columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
-    gain, found = LinearFit(model, fit).gain(np.stack(columns, axis=1))
+    gain, found = linear.gain(np.stack(columns, axis=1))
     if name in _OF_LAYERS and found.max() <= 0.0:
         gain = 0.0
     if fit.is_mismatch:
@@ -282,12 +278,13 @@ def compare_layers(
                 simple.start_from(fit, plates), noise=fit.noise, max_evaluations=_EVALUATIONS
             )
         found = [(_KINDS[()], plain.chi2, 0, True)]
+        linear = LinearFit(simple, plain)
         for terms, name in list(_KINDS.items())[1:]:
             if terms == seen:
                 found.append((name, fit.chi2, len(terms), True))
             elif len(terms) == 1:
                 wider = simple.description.change({terms[0]: _OF_LAYERS[terms[0]]})
-                each = _try_term(simple, plates, plain, terms[0], wider)
+                each = _try_term(linear, plates, terms[0], wider)
                 found.append((name, plain.chi2 - (each.gain if each else 0.0), 1, False))
         strained = _fit_large_strain(simple, plain, fit.noise)
     except FitError:
