@@ -27,7 +27,7 @@ from typing import get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+import scipy  # its parts are imported where they are first used, which takes 0.3 s
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
@@ -429,7 +429,7 @@ class _Task(NamedTuple):
             low, high = high, high + _STEP
             if high > math.log(_HIGHEST):
                 return None
-        logarithm = brentq(excess, low, high, xtol=_EXACT, rtol=_EXACT)
+        logarithm = scipy.optimize.brentq(excess, low, high, xtol=_EXACT, rtol=_EXACT)
         # a jump over the target is no solution
         return math.exp(logarithm) if abs(excess(logarithm)) < _JUMP else None
 

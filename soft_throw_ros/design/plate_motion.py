@@ -52,8 +52,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog, minimize
-from scipy.sparse import csr_matrix, diags, vstack
+import scipy  # its parts are imported where they are first used, which takes 0.3 s
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
@@ -293,7 +292,8 @@ def find_best_layer(
     spacing = np.array([axis[1] - axis[0] for axis in axes])
     simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
     options = {'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed}
-    found = minimize(slowness, best, method='Nelder-Mead', options={**options, 'maxfev': 60})
+    options['maxfev'] = 60
+    found = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
     return layer(found.x)
 
 
@@ -445,7 +445,8 @@ class _Programme:
             if limit < math.inf:
                 bound = np.ones(matrix.shape[0])
                 between.append((matrix * (limits.speed / (limit * step)), -bound, bound))
-        rows = vstack([sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]).tocsr()
+        both = [sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]
+        rows = scipy.sparse.vstack(both).tocsr()
         bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
         goal = np.zeros(size)
         goal[:felt] = -self._velocity[release - np.arange(felt)]
@@ -454,7 +455,7 @@ class _Programme:
         # The simplex method may take minutes where the jerk is limited, and the interior-point one
         # does not always get to an end.
         for method in ('highs-ipm', 'highs-ds'):
-            found = linprog(
+            found = scipy.optimize.linprog(
                 goal @ rise,
                 A_ub=rows[is_limit],
                 b_ub=bounds[is_limit],
@@ -473,7 +474,9 @@ class _Programme:
             pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
         return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
 
-    def _pushing(self, release: int, size: int, floor: float) -> tuple[csr_matrix, Floats]:
+    def _pushing(
+        self, release: int, size: int, floor: float
+    ) -> tuple[scipy.sparse.csr_matrix, Floats]:
         """Return the force on the projectile over time, and how small it may be, against rest."""
         rig, step = self._rig, self._step / _FINER
         scale = self._limits.speed * rig.layer.impedance
@@ -486,13 +489,14 @@ class _Programme:
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
         bound[inside] += floor * _PUSH
-        return csr_matrix(rows), bound
+        return scipy.sparse.csr_matrix(rows), bound
 
 
-def _differences(order: int, size: int) -> csr_matrix:
+def _differences(order: int, size: int) -> scipy.sparse.csr_matrix:
     """Return what takes differences of a row that does not change before and after it."""
-    matrix = csr_matrix(diags([-1.0, 1.0], [0, 1], shape=(size, size + 1)))
+    sparse = scipy.sparse
+    matrix = sparse.csr_matrix(sparse.diags([-1.0, 1.0], [0, 1], shape=(size, size + 1)))
     for n in range(1, order):
         shape = (size + n, size + n - 1)
-        matrix = csr_matrix(diags([1.0, -1.0], [0, -1], shape=shape)) @ matrix
+        matrix = sparse.csr_matrix(sparse.diags([1.0, -1.0], [0, -1], shape=shape)) @ matrix
     return matrix

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+import scipy  # its parts are imported where they are first used, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
@@ -238,7 +238,8 @@ def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
         return float(plate.position(time) - ratio * plate.velocity(time))
 
     # until it is fastest, the plate has come less far than it would have at its speed now
-    return float(brentq(excess, min(ratio, plate.peak_velocity_time), highest, xtol=1e-12))
+    low = min(ratio, plate.peak_velocity_time)
+    return float(scipy.optimize.brentq(excess, low, highest, xtol=1e-12))
 
 
 def find_start(
@@ -269,11 +270,12 @@ def find_start(
 
     def mismatch(later: float) -> float:
         shape = config.plate.position(since - later)
-        size = (shape * heights).sum() / (shape * shape).sum()
+        energy = (shape * shape).sum()  # 0 if all samples are from before
+        size = (shape * heights).sum() / energy if energy > 0.0 else 0.0
         return float(((heights - size * shape) ** 2).sum())
 
     reach = 0.25 * config.smoothing_window
-    best = minimize_scalar(
+    best = scipy.optimize.minimize_scalar(
         mismatch, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
     )
     return round(float(best.x) * SECOND)

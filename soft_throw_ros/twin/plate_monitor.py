@@ -90,6 +90,9 @@ class PlateMonitor:
     def __init__(
         self, config: MeasurementConfig, counts: SampleCounts, onset: Onset | None = None
     ) -> None:
+        # `find_start` needs it, and a throw cannot wait for that
+        import scipy.optimize  # noqa: F401
+
         self._counts = counts
         self.trusts_engine = onset is None or onset.trusts_engine
         self.estimator = PlateEstimator(

@@ -24,7 +24,13 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.onset import first_states, Onset, peak_speed, time_since_start
+from soft_throw_ros.twin.onset import (
+    find_start,
+    first_states,
+    Onset,
+    peak_speed,
+    time_since_start,
+)
 from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -122,6 +128,15 @@ def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -
     bound = 5e-6 * math.sqrt(np.linalg.inv(sensitivity.T @ sensitivity)[0, 0])
     assert np.mean(found) == pytest.approx(0.0, abs=4e-6)
     assert np.std(found) < 1.5 * bound
+
+
+def test_samples_of_before_alone_tell_no_other_start(make_samples, measurement) -> None:
+    samples = make_samples(20)
+    onset_ns = samples[-1].stamp_ns + SECOND // 100
+    later_ns = find_start(samples, onset_ns, 0.3, measurement)
+    assert abs(later_ns) <= 0.25 * measurement.smoothing_window_ns
+    _, states = first_states(samples, onset_ns + later_ns, 0.3, measurement)
+    assert np.isfinite(states).all()
 
 
 def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
