@@ -508,20 +508,27 @@ class _LeastSquares:
             slopes = self._jacobian(values)
             return sparse.csr_matrix(slopes) if is_sparse else slopes
 
-        solution = optimize.least_squares(
-            self._residuals,
-            np.clip(start, model.low, model.high),
-            jac=jacobian,
-            tr_solver='lsmr' if is_sparse else 'exact',
-            tr_options={'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {},
-            bounds=(model.low, model.high),
-            x_scale='jac',
-            xtol=_TOLERANCE,
-            ftol=_TOLERANCE,
-            gtol=_TOLERANCE,
-            loss=loss,
-            max_nfev=self._max_evaluations,
-        )
+        options = {'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {}
+        try:
+            with np.errstate(divide='raise', over='raise', invalid='raise'):
+                solution = optimize.least_squares(
+                    self._residuals,
+                    np.clip(start, model.low, model.high),
+                    jac=jacobian,
+                    tr_solver='lsmr' if is_sparse else 'exact',
+                    tr_options=options,
+                    bounds=(model.low, model.high),
+                    x_scale='jac',
+                    xtol=_TOLERANCE,
+                    ftol=_TOLERANCE,
+                    gtol=_TOLERANCE,
+                    loss=loss,
+                    max_nfev=self._max_evaluations,
+                )
+        except FloatingPointError:
+            raise FitError(
+                'the fit leads beyond what numbers can hold; look for heights that cannot be'
+            ) from None
         return np.asarray(solution.x)
 
     def begin(self, start: Floats) -> Floats:

@@ -26,7 +26,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.cell_stepper import cells_per_layer
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.stepper import EventLimitError, Stepper
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import steps_per_crossing
 from soft_throw_ros.twin.engine_forecast import EngineForecaster
@@ -184,6 +184,10 @@ def _ejection_time(stepper: Stepper) -> float:
     if rig.engine.motion:
         cycle += rig.engine.motion.end_time
     for eighth in range(1, 8 * _LONGEST_CONTACT + 1):
-        if stepper.advance_to(0.125 * eighth * cycle):
+        try:
+            has_left = stepper.advance_to(0.125 * eighth * cycle) > 0
+        except EventLimitError:  # it has, and bounced on a stiff layer countless times
+            has_left = True
+        if has_left:
             return stepper.events()[0].time
     return _LONGEST_CONTACT * cycle

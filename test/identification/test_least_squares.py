@@ -158,6 +158,11 @@ def test_other_minimum_is_named_and_spanned():
     assert any('rate may as well be 0.9' in warning for warning in found.warnings())
 
 
+def test_fit_that_leads_beyond_what_numbers_can_hold_is_refused():
+    with pytest.raises(FitError, match='beyond what numbers can hold'):
+        fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track(known=1e-160))])
+
+
 def test_fit_with_too_few_samples_is_refused():
     many = model_of(lambda time, *values: time, *'abcdefghijklmn')
     with pytest.raises(FitError, match='12 samples are too few for 14 parameters: a, b'):

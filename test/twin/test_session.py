@@ -122,6 +122,15 @@ def test_every_throw_ends(start, request_, reasons) -> None:
     assert (result.first is None) == ('engine__frequency' in request_)
 
 
+def test_projectile_that_chatters_on_a_stiff_layer_is_thrown_all_the_same(start) -> None:
+    run = start(throw__period=0, gravity=0, engine__frequency=1.0, layer__wave_speed=73.0)
+    run.session.request_throw()
+    run.go_until(Phase.RETURNING)
+    (result,) = run.results('final')
+    assert result.ended_by == 'max_events'
+    assert result.first.ejection_time == pytest.approx(1.31e-3, abs=1e-5)
+
+
 def test_recontact_is_contact_again_and_no_landing(start) -> None:
     # a thin stiff layer catches up with the projectile
     run = start(engine__frequency=31.1, layer__thickness=2e-3, throw__period=0)
