@@ -37,7 +37,13 @@ from soft_throw_ros.identification.fit_description import (
     values_of,
 )
 from soft_throw_ros.identification.forward import MAX_COST, ProjectilePath, ThrowSimulator
-from soft_throw_ros.identification.least_squares import Estimate, Fit, fit_tracks, FitModel
+from soft_throw_ros.identification.least_squares import (
+    Estimate,
+    Fit,
+    fit_tracks,
+    FitError,
+    FitModel,
+)
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
@@ -94,6 +100,7 @@ _MOVING = {*PARAMETERS, 'layer.stiffening', *_TERM_OF, *MODE}
 """What another value of makes another throw, which has to be followed."""
 
 _MODE_ERROR = 0.05  # of the frequency, relative, and the damping of a mode that is seen
+_UNSEEN = 1e30  # error in SI units of what is not seen at all
 _EVALUATIONS = 60  # of the model, in one run of the solver, unless ...
 _SHARE_OF_FIT = 0.3  # of all effort goes into it; but there are ...
 _FEWEST_EVALUATIONS = 8
@@ -462,7 +469,7 @@ class RigModel:
             known={k: self.known[place] for k, place in enumerate(free) if place in self.known},
             speed=lambda values: self.speed(whole(values)),
         )
-        return fit_tracks(
+        found = fit_tracks(
             model,
             start[free],
             self.tracks(),
@@ -472,6 +479,12 @@ class RigModel:
                 self._affordable(start, 1 + 2 * sum(names[place] in _MOVING for place in free)),
             ),
         )
+        unseen = np.flatnonzero(~(found.errors < _UNSEEN))
+        if unseen.size:
+            raise FitError(
+                f'these tracks say nothing of {", ".join(found.names[place] for place in unseen)}'
+            )
+        return found
 
     def _affordable(self, values: Floats, paths: int) -> int:
         """Tell how many evaluations of so many paths may be made."""

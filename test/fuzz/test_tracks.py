@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzing import assert_refusal, bounded, datas, fuzzed, NUMBERS, run, texts
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -68,6 +68,7 @@ OPTIONS = ('--from=0.01', '--to=0.02', '--noise=1e-5', '--hold=layer.wave_speed'
 
 @fuzzed(0.008)
 @given(text=texts(THROW), options=st.lists(st.sampled_from(OPTIONS), max_size=1))
+@example(text=THROW[:231] + THROW[2854:], options=[])  # which says nothing of the engine
 def test_identify_finds_a_rig_or_refuses(tmp_path: Path, text: str, options: list[str]) -> None:
     path = tmp_path / 'throw.csv'
     path.write_bytes(text.encode('utf-8', 'replace'))
