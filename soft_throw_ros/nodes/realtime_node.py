@@ -76,6 +76,7 @@ class RealTimeNode(RunnableNode):
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
         self._compiling: subprocess.Popen[bytes] | None = None
+        self._is_closed = False
 
     def load_kernels(self, settings: Settings) -> None:
         """
@@ -111,10 +112,18 @@ class RealTimeNode(RunnableNode):
         self.at_end(process.kill)  # what is on the disk is whole at any time
         return process
 
+    def close(self) -> None:
+        """End what compiles beside; what else there is to do may be cut short."""
+        self._is_closed = True
+        if self._compiling is not None:
+            self._compiling.kill()
+        super().close()
+
     @property
     def is_compiling(self) -> bool:
-        """Whether kernels that could wait are still being compiled."""
-        return self._compiling is not None and self._compiling.poll() is None
+        """Whether kernels that could wait are still being compiled, or were when all ended."""
+        compiling = self._compiling
+        return compiling is not None and (self._is_closed or compiling.poll() is None)
 
     def drive(self, session: Session) -> None:
         """Have steps of a session done as soon as the node starts."""

@@ -49,6 +49,7 @@ from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
+_JOBS_AT_ONCE = 100  # of the executor
 _COMPILING_POLL = 0.3  # looks whether kernels have been compiled [s]
 
 RECOMMENDATION_INTERVAL = 0.3
@@ -81,7 +82,7 @@ class Twin(RealTimeNode):
         super().__init__('twin', **kwargs)
         self.recommendation: RecommendationFor | None = None
         self._jobs: deque[Callable[[], None]] = deque()
-        self._wake = self.create_guard_condition(self._run_jobs)
+        self._wake = self.create_guard_condition(self._run_some_jobs)
         self._last_result: ThrowResult | None = None
         self._namesakes = 0
         self.parameters = NodeParameters(
@@ -147,7 +148,7 @@ class Twin(RealTimeNode):
         """Have the executor's thread do something, in the order of the calls."""
         self._jobs.append(job)
         if threading.current_thread() is threading.main_thread():
-            self._run_jobs()
+            self._run_some_jobs()
         else:
             self._wake.trigger()
 
@@ -167,6 +168,14 @@ class Twin(RealTimeNode):
         return recommend_for(settings, cancelled)
 
     # in the executor's thread
+
+    def _run_some_jobs(self) -> None:
+        """Run what waits, but no more than lets signals and services have their turn."""
+        for _ in range(_JOBS_AT_ONCE):
+            if not self._jobs:
+                return
+            self._jobs.popleft()()
+        self._wake.trigger()
 
     def _run_jobs(self) -> None:
         while self._jobs:
@@ -189,9 +198,11 @@ class Twin(RealTimeNode):
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
         settings = self.parameters.settings
-        beside = uncertainty_values(result.rig, settings)
-        if not (self.session.is_measured or self.is_compiling):
-            beside |= other_models_values(result.rig, settings)
+        beside = {}
+        if not self.is_compiling:  # whose kernels a process of its own compiles, and not this one
+            beside = uncertainty_values(result.rig, settings)
+            if not self.session.is_measured:
+                beside |= other_models_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, due, [status])
         if result.stage == 'release' and result.first is not None:
@@ -267,7 +278,7 @@ class Twin(RealTimeNode):
     def on_second(self) -> None:
         """Publish how well time is kept, and what is pending."""
         super().on_second()
-        self._run_jobs()  # in case that a wake-up went astray
+        self._run_some_jobs()  # in case that a wake-up went astray
         self._look_for_namesakes()
         statuses = self._diagnostics.statuses(self._last_result, namesakes=self._namesakes)
         now = self.get_clock().now().nanoseconds

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from test.nodes.conftest import DrivenTwin, Listener, MILLISECOND, Ros, SECOND
+import subprocess
+from test.nodes.conftest import DrivenTwin, Listener, MILLISECOND, Ros, SECOND, TIMEOUT
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -210,6 +211,24 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     again += [session.advance() for _ in range(twin.session.step - session.step)]
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05
+
+
+def test_while_kernels_are_compiled_results_come_without_what_needs_them(
+    twin, listener, monkeypatch
+) -> None:
+    # Else the thread that hears signals would compile them, too
+    compiling = subprocess.Popen(['sleep', '60'])
+    monkeypatch.setattr(twin, '_compiling', compiling)
+    listener.listen(TWIN_TOPICS.throw_result)
+    assert listener.trigger(TWIN_SERVICES.throw).success
+    twin.go(100)
+    assert twin.is_compiling
+    twin.close()
+    assert compiling.wait(TIMEOUT) != 0
+    assert twin.is_compiling  # nor does what is said at the end compile anything
+    values = msg_to_values(listener.hear(TWIN_TOPICS.throw_result)[0].status[0])
+    assert values['energy_transfer'] == pytest.approx(3.6366, abs=1e-4)
+    assert not [name for name in values if name.startswith(('uncertainty', 'spring_mass'))]
 
 
 # services and parameters
