@@ -33,7 +33,7 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
 from soft_throw_ros.nodes.process import POLL, RunnableNode
-from soft_throw_ros.nodes.realtime import set_realtime_priority
+from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, wake_on_time
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.message import BagError, Channel, Message
@@ -200,7 +200,8 @@ class Player(RunnableNode):
     # in the thread that plays
 
     def _run(self) -> None:
-        set_realtime_priority()
+        wake_on_time()
+        set_priority(PRIORITY)
         while not (self._is_stopping or self._has_failed or self._schedule.is_over):
             due = self._play_due()
             pause = POLL if due is None else (due - time.monotonic_ns()) / SECOND

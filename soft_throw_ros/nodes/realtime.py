@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 import ctypes
+import math
 import os
 import threading
 import time
@@ -37,6 +38,9 @@ POLL = 0.1
 
 PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
+
+CALM = 1.0
+"""After so long without a stall the thread goes before all others again [s]."""
 
 
 class SystemClock:
@@ -129,6 +133,7 @@ Clock: TypeAlias = SystemClock | NodeClock
 MOST_TIMES = 50_000
 """Of so many ticks is it known what they took: ten seconds of the fastest session."""
 
+_STALL = 0.2  # of what is caught up: so late are ticks only if something is wrong
 _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
 
@@ -156,6 +161,10 @@ class Ticker:
     -----
     If the clock is set, or changed for another one, the next step is due at once.
 
+    The thread goes before all others as long as that keeps it on time. While it waits for Python's
+    lock it asks for it again and again, and whoever has that lock may be waiting for a processor:
+    many nodes on few cores would do nothing but ask. So after a stall it is one among others.
+
     """
 
     def __init__(
@@ -169,6 +178,7 @@ class Ticker:
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
         self._schedule: TickSchedule | None = None
+        self._stalled = -math.inf  # when ticks were that late last [s]
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
@@ -216,6 +226,8 @@ class Ticker:
             counts['ticks_skipped'] += skipped
             session.set_tick_schedule(schedule)
         due = schedule.deadline(session.step)
+        if now - due > _STALL * clock.max_catch_up:
+            self._stalled = time.monotonic()
         done = 0
         while due <= now:
             begin = time.perf_counter_ns()
@@ -244,27 +256,35 @@ class Ticker:
         return self._schedule
 
     def _run(self) -> None:
-        self.scheduler = set_realtime_priority()
+        wake_on_time()
+        self.scheduler = best = set_priority(PRIORITY)
         while not self._is_stopping.is_set():
             due = self.run_due()
+            if best == 'fifo':
+                is_calm = time.monotonic() > self._stalled + CALM
+                if is_calm != (self.scheduler == 'fifo'):
+                    self.scheduler = set_priority(PRIORITY if is_calm else 0)
             self._clock().wait_until(due)
 
 
-def set_realtime_priority() -> str:
-    """
-    Have the operating system wake this thread on time; return its scheduler, 'fifo' or 'other'.
-
-    Sleeps end when they should, instead of up to 50 us later. And, where the user may (as root, or
-    with an `rtprio` in limits.conf), the thread goes before whatever else the machine does: it
-    sleeps most of the time.
-
-    """
+def wake_on_time() -> None:
+    """Have sleeps of this thread end when they should, instead of up to 50 us later."""
     prctl = getattr(ctypes.CDLL(None), 'prctl', None)
     if prctl is not None:  # elsewhere than on Linux sleeps are as they are
         pr_set_timerslack = 29
         prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
+
+
+def set_priority(priority: int) -> str:
+    """
+    Have this thread go before whatever else the machine does, or, with 0, like all others.
+
+    Returns by what it is scheduled then, 'fifo' or 'other': the former is for root, and for users
+    with an `rtprio` in limits.conf.
+    """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except (AttributeError, OSError):
         return 'other'
-    return 'fifo'
+    return 'fifo' if priority else 'other'

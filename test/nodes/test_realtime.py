@@ -15,17 +15,25 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from typing import Any
 
 import pytest
-from soft_throw_ros.nodes.realtime import MOST_TIMES, SystemClock, Ticker
+from soft_throw_ros.nodes.realtime import MOST_TIMES, PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
+
+
+def may_go_first() -> bool:
+    """Tell whether this user's threads may go before all others."""
+    may = set_priority(PRIORITY) == 'fifo'
+    set_priority(0)
+    return may
 
 
 class CountingSession:
@@ -129,6 +137,28 @@ def test_session_is_told_of_every_change_of_the_deadlines(bench) -> None:
         since, time_ns, rate, first = [item for item in bench.session.told if item[0] <= step][-1]
         assert due == time_ns + round((step - first) * SECOND / rate), since
     assert len(bench.session.told) == 4
+
+
+def test_thread_that_cannot_keep_up_is_one_among_others_until_it_can() -> None:
+    if not may_go_first():
+        pytest.skip('no thread of this user may go before others')
+    seen: list[str] = []
+
+    def on_tick(_due: int) -> None:
+        seen.append(ticker.scheduler)
+        session.step += 1
+        if session.step == 3:
+            time.sleep(0.05)  # a stall
+
+    session, clock = CountingSession(100.0), SystemClock()
+    ticker = Ticker(session, on_tick, lambda: clock)
+    ticker.start()
+    deadline = time.monotonic() + 60.0
+    while len(seen) < 150 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    ticker.stop(10.0)
+    changes = [name for name, _ in itertools.groupby(seen)]
+    assert changes[:3] == ['fifo', 'other', 'fifo'], changes
 
 
 def test_system_clock_knows_when_it_was_set(monkeypatch) -> None:
