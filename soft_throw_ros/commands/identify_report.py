@@ -19,10 +19,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
-from typing import Any
 
 from soft_throw_ros.commands.output import to_json
-from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN
+from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
@@ -76,7 +75,7 @@ class IdentificationReport:
     held: Mapping[str, float] = field(default_factory=dict)
     chosen: Mapping[str, str] = field(default_factory=dict)
     lines: tuple[str, ...]
-    data: Mapping[str, Any]
+    data: Mapping[str, object]
     warnings: tuple[str, ...]
 
     def table(self) -> str:
@@ -102,9 +101,9 @@ class IdentificationReport:
         for name, value in self.found.items():
             yield name, with_unit(value, unit_of(name))
 
-    def put_into(self, settings: Settings) -> dict[str, Any]:
+    def put_into(self, settings: Settings) -> Settings:
         """Put what was found into settings of the twin, or raise ParameterError."""
-        request: dict[str, Any] = {
+        request: dict[str, Value] = {
             name: float(f'{value.value:.8g}') for name, value in self.found.items()
         }
         request |= self.chosen
@@ -219,7 +218,7 @@ def fit_lines(fit: Fit) -> Iterator[str]:
             )
 
 
-def fit_data(fit: Fit) -> dict[str, Any]:
+def fit_data(fit: Fit) -> dict[str, object]:
     """Name what JSON tells of a fit."""
     return {
         'names': fit.names,

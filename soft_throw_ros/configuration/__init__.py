@@ -15,7 +15,14 @@
 
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.recorder import RECORDER
-from soft_throw_ros.configuration.table import Entry, ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.table import (
+    Entry,
+    ParameterError,
+    Scalar,
+    Settings,
+    Table,
+    Value,
+)
 from soft_throw_ros.configuration.twin import LAYERS, rig_of, rig_values, TWIN
 
 __all__ = [
@@ -25,6 +32,7 @@ __all__ = [
     'TWIN',
     'Entry',
     'ParameterError',
+    'Scalar',
     'Settings',
     'Table',
     'Value',

@@ -113,7 +113,7 @@ def start(values: Settings, given: dict[str, Given], table: Table = TWIN) -> dic
         Saying where, if a value is refused, or two contradict each other.
 
     """
-    requests: dict[int, dict[str, Any]] = {}
+    requests: dict[int, dict[str, Value]] = {}
     for name, value in values.items():
         place = given.get(name, Given(value, ''))
         entry = table.by_name.get(name)

@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from soft_throw_ros.configuration.table import NAME, row, Settings, Table
 from soft_throw_ros.configuration.twin import TWIN
 
@@ -113,7 +111,7 @@ CALIBRATOR = Table(
 """The parameters of the calibrator."""
 
 
-def to_twin(settings: Settings) -> dict[str, Any]:
+def to_twin(settings: Settings) -> Settings:
     """Return settings of a twin whose states are those of the rig."""
     return {
         **TWIN.defaults(),

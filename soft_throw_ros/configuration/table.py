@@ -33,7 +33,8 @@ import math
 import re
 from typing import Any, TypeAlias
 
-Value: TypeAlias = bool | float | int | str | tuple[str, ...] | tuple[float, ...]
+Scalar: TypeAlias = bool | float | int | str
+Value: TypeAlias = Scalar | tuple[str, ...] | tuple[float, ...]
 
 NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 """Names of nodes, topics and namespaces in ROS."""
@@ -136,7 +137,7 @@ class Entry:
         zero = ', or 0' if self.or_zero else ''
         return f'{kind} from {self.low:g} to {self.high:g}{unit}{zero}'
 
-    def convert(self, value: Any) -> Value | None:
+    def convert(self, value: object) -> Value | None:
         """
         Return `value` in the parameter's own type, or None if the rule does not allow it.
 
@@ -145,24 +146,26 @@ class Entry:
 
         """
         if isinstance(self.default, tuple):
-            is_list = isinstance(value, (array, list, tuple))
-            if not is_list or not 0 < len(value) <= self.max_length:
+            if not isinstance(value, (array, list, tuple)):
+                return None
+            if not 0 < len(value) <= self.max_length:
                 return None
             items = [self._convert_item(item, self.default[0]) for item in value]
             return None if None in items else tuple(items)  # type: ignore[return-value]
         return self._convert_item(value, self.default)
 
-    def allows(self, value: Any) -> bool:
+    def allows(self, value: object) -> bool:
         """Tell whether `value` obeys the rule."""
         return self.convert(value) is not None
 
-    def _convert_item(self, value: Any, default: float | str) -> float | str | None:
+    def _convert_item(self, value: object, default: float | str) -> float | str | None:
         """Convert a value, or one of a list, to the type of `default`."""
         if isinstance(default, bool):
             return value if isinstance(value, bool) else None
         if isinstance(default, str):
-            is_text = isinstance(value, str) and re.fullmatch(self.pattern, value, re.DOTALL)
-            return value if is_text and (not self.choices or value in self.choices) else None
+            if not isinstance(value, str) or not re.fullmatch(self.pattern, value, re.DOTALL):
+                return None
+            return value if not self.choices or value in self.choices else None
         if isinstance(value, str):
             value = number_of(value)
         numbers = int if isinstance(default, int) else (int, float)
@@ -210,7 +213,7 @@ class Table:
         """Return the settings to begin with."""
         return {entry.name: entry.default for entry in self.entries if not entry.is_result}
 
-    def check_value(self, name: str, value: Any) -> Value:
+    def check_value(self, name: str, value: object) -> Value:
         """
         Return `value` in the parameter's own type, see `Entry.convert`.
 
@@ -279,7 +282,7 @@ def number_of(text: str) -> float | None:
     return None
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Quote a value; of a very long one the beginning."""
     text = repr(value)
     return text if len(text) <= 200 else f'{text[:200]}... ({len(text)} characters)'

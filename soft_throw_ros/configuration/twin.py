@@ -23,7 +23,7 @@ from typing import Any
 
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library, STACKED, whole
-from soft_throw_ros.configuration.table import ParameterError, row, Settings, Table, Value
+from soft_throw_ros.configuration.table import ParameterError, row, Scalar, Settings, Table, Value
 from soft_throw_ros.core.models import ELASTICITIES, LOSSES, MODELS
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 
@@ -364,7 +364,7 @@ def rig_of(settings: Settings) -> Rig:
     )
 
 
-def rig_values(rig: Rig) -> dict[str, Any]:
+def rig_values(rig: Rig) -> dict[str, Scalar]:
     """
     Return the numbers of a rig, and what its layer is, by the names of their parameters.
 

@@ -36,11 +36,11 @@ operations that wait for each other, and two such chains go side by side.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import inlined, part
+from soft_throw_ros.core.kernels import inlined, part, Record
 from soft_throw_ros.core.material import relaxation, strain_bounds
 from soft_throw_ros.core.rig import Layer, Rig, Stack
 
@@ -348,7 +348,7 @@ def cut(nodes: Floats, bodies: Floats, bottom: int, cells: int, mass: float, ste
 
 
 @part
-def factorise(s: Any, nodes: Floats, step: float, joint: int, known: int, case: int) -> None:
+def factorise(s: Record, nodes: Floats, step: float, joint: int, known: int, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     rigid = joint if case == 1 else -1
     last = nodes.shape[1] - 1
@@ -458,7 +458,7 @@ def _substitute(nodes, x, case, first, middle, end):
 
 
 @inlined
-def solve(s: Any, nodes: Floats, now: int, case: int) -> None:
+def solve(s: Record, nodes: Floats, now: int, case: int) -> None:
     """
     Compute the mean velocities w of all nodes but those that are known.
 

@@ -14,13 +14,12 @@
 """Refuse bad numbers at the door with a ValueError that quotes them."""
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def require_finite(name: str, value: Any) -> float:
+def require_finite(name: str, value: object) -> float:
     """Return a finite number as a float."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ValueError(f'{name} must be a number, got {value!r}')
@@ -30,7 +29,7 @@ def require_finite(name: str, value: Any) -> float:
     return number
 
 
-def require_positive(name: str, value: Any) -> float:
+def require_positive(name: str, value: object) -> float:
     """Return a finite number above 0 as a float."""
     number = require_finite(name, value)
     if number <= 0.0:
@@ -38,7 +37,7 @@ def require_positive(name: str, value: Any) -> float:
     return number
 
 
-def require_not_negative(name: str, value: Any) -> float:
+def require_not_negative(name: str, value: object) -> float:
     """Return a finite number that is at least 0 as a float."""
     number = require_finite(name, value)
     if number < 0.0:
@@ -46,7 +45,7 @@ def require_not_negative(name: str, value: Any) -> float:
     return number
 
 
-def require_in_unit_interval(name: str, value: Any) -> float:
+def require_in_unit_interval(name: str, value: object) -> float:
     """Return a number in [0, 1) as a float."""
     number = require_finite(name, value)
     if not 0.0 <= number < 1.0:

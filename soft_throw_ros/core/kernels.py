@@ -17,9 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numba as nb
+
+Record: TypeAlias = Any
+"""A record of numpy, whose fields numba knows and type checkers do not."""
 
 # Without fused multiply-add: which ones LLVM would fuse depends on where a part is compiled, and a
 # kernel from numba's cache would then differ in the last bits from the same kernel just compiled.

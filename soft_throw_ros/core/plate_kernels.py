@@ -24,11 +24,11 @@ stepper runs overwrite those that it has passed.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import kernel, part
+from soft_throw_ros.core.kernels import kernel, part, Record
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine
 
@@ -106,7 +106,7 @@ def write_motion(
 
 @part
 def write_underdamped(
-    s: Any, path: Floats, speed: float, omega: float, zeta: float, step: float
+    s: Record, path: Floats, speed: float, omega: float, zeta: float, step: float
 ) -> None:
     """Write an underdamped plate, unchecked, whose speed scale A omega is `speed`."""
     root = math.sqrt(1.0 - zeta * zeta)
@@ -121,7 +121,7 @@ def write_underdamped(
 
 
 @part
-def start_block(s: Any, index: int) -> None:
+def start_block(s: Record, index: int) -> None:
     """Evaluate e^{lambda t} of an underdamped plate at the first step of a block."""
     time = index * s.step
     fading = s.growth * time
@@ -130,7 +130,7 @@ def start_block(s: Any, index: int) -> None:
 
 
 @part
-def piece_at(s: Any, path: Floats, time: float) -> int:
+def piece_at(s: Record, path: Floats, time: float) -> int:
     """Go to the piece at `time`, which never goes back, and return its column."""
     capacity = path.shape[1]
     while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
@@ -148,7 +148,7 @@ def velocity_of_piece(path: Floats, k: int, time: float) -> float:
 
 
 @part
-def motion_at(s: Any, path: Floats, time: float) -> tuple[float, float, float]:
+def motion_at(s: Record, path: Floats, time: float) -> tuple[float, float, float]:
     """Evaluate height, velocity and acceleration of the plate."""
     if s.plate_kind == DAMPED:
         half_sine, half_cosine = math.sin(0.5 * s.turn * time), math.cos(0.5 * s.turn * time)

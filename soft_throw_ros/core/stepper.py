@@ -23,12 +23,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 import math
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
-from soft_throw_ros.core.kernels import part
+from soft_throw_ros.core.kernels import part, Record
 from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
@@ -475,7 +475,7 @@ class Stepper(ABC):
 
 @part
 def note_event(
-    s: Any, events: Floats, kind: int, time: float, height: float, velocity: float
+    s: Record, events: Floats, kind: int, time: float, height: float, velocity: float
 ) -> None:
     """Write down an event, its height from rest; without room for it, the march ends."""
     s.events += 1

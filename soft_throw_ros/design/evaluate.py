@@ -220,7 +220,7 @@ def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
     )
 
 
-def _values(rig: Rig, changes: Mapping[str, Any]) -> dict[str, Any]:
+def _values(rig: Rig, changes: Changes) -> dict[str, Floats | float]:
     """Return the numbers of a rig that count, with changes."""
     values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
     values = {name: value for name, value in values.items() if isinstance(value, float)}
@@ -234,11 +234,11 @@ def _row(value: Floats | float, shape: tuple[int, ...]) -> Floats:
     return row.ravel()
 
 
-def _section(values: Mapping[str, Any]) -> Any:
+def _section(values: Changes) -> Floats | float:
     return 0.25 * math.pi * values['diameter'] ** 2
 
 
-def _ratios(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
+def _ratios(rig: Rig, values: Changes) -> dict[str, Floats | float]:
     """Return what decides throws with these values: arguments of `cell_stepper.first_throws`."""
     projectile, section = rig.projectile, _section(values)
     mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']

@@ -33,12 +33,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import itertools
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+_Number = TypeVar('_Number', np.float64, np.bool_)
 
 _FEWEST, _MOST = 9, 512  # points of the grid along an axis
 _STRIDES = (8, 4, 2, 1)  # of points computed in turn
@@ -177,7 +178,7 @@ def _climb(
     return heights
 
 
-def _largest_nearby(values: NDArray[Any], reach: int) -> NDArray[Any]:
+def _largest_nearby(values: NDArray[_Number], reach: int) -> NDArray[_Number]:
     """Return the largest value within so many steps of each point of a grid, both ways."""
     for axis in (0, 1):
         width = [(reach, reach) if each == axis else (0, 0) for each in (0, 1)]

@@ -125,7 +125,7 @@ def objective_of(settings: Settings) -> Objective:
     return Peak()
 
 
-def _group(settings: Settings, group: str) -> dict[str, Any]:
+def _group(settings: Settings, group: str) -> Settings:
     """Return the settings of a group by their last names."""
     return {
         name.partition('.')[2]: value

@@ -40,7 +40,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -504,7 +504,7 @@ class _LeastSquares:
         model = self._model
         is_sparse = start.size > _SPARSE_ABOVE
 
-        def jacobian(values: Floats) -> Any:  # an array, or a sparse one
+        def jacobian(values: Floats) -> object:  # an array, or a sparse one
             slopes = self._jacobian(values)
             return sparse.csr_matrix(slopes) if is_sparse else slopes
 

@@ -22,7 +22,7 @@ told. That takes seconds, and waits for the twin's answers, in a thread of its o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 import threading
 from typing import Any
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
     JOINTS,
@@ -207,7 +208,7 @@ class Calibrator(RunnableNode):
 
     def _say(self, message: str, found: RigFit | None = None, *, warn: bool = False) -> None:
         """Have diagnostics say what an identification came to: all that was fitted, and doubts."""
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         if found is not None:
             values = {name: str(value) for name, value in found.estimates().items()}
             values['outliers'] = sum(len(each.outliers) for each in found.fit.residuals)
@@ -217,7 +218,7 @@ class Calibrator(RunnableNode):
         name = self.get_fully_qualified_name()
         self._status = status_to_msg(name, 'identification', message, values, warn=warn)
 
-    def _layer(self) -> dict[str, Any]:
+    def _layer(self) -> Settings:
         """Return the twin's layer, as it is to be."""
         response = self._call(self._get, GetParameters.Request(names=_LAYER))
         values = map(parameter_value_to_python, response.values)
@@ -233,7 +234,7 @@ class Calibrator(RunnableNode):
                 break
         raise _Unanswered(f'{self._apply.srv_name}: {response.message}')
 
-    def _set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+    def _set_parameters(self, node: str, values: Settings) -> None:
         request = SetParametersAtomically.Request(
             parameters=[
                 Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
@@ -243,7 +244,7 @@ class Calibrator(RunnableNode):
         if not result.successful:
             raise _Unanswered(f'{node} refuses {values}: {result.reason}')
 
-    def _call(self, client: Client, request: Any) -> Any:
+    def _call(self, client: Client, request: object) -> Any:
         """Call a service, and wait for the answer, which the executor gets."""
         if not client.wait_for_service(_ANSWER_TIMEOUT):
             raise _Unanswered(f'{client.srv_name} is not there')

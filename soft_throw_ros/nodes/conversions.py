@@ -30,7 +30,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.time import Time
-from soft_throw_ros.configuration import rig_of, rig_values
+from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings
 from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.rig import Rig
@@ -62,7 +62,7 @@ def time_to_msg(time_ns: int) -> TimeMessage:
     return Time(nanoseconds=time_ns).to_msg()
 
 
-def profile_to_dict(profile: QoSProfile) -> dict[str, Any]:
+def profile_to_dict(profile: QoSProfile) -> dict[str, object]:
     """Return a profile as rosbag2 writes it into a bag."""
     return {
         'history': profile.history.name.lower(),
@@ -112,7 +112,7 @@ def status_to_msg(
     node_name: str,
     task: str,
     message: str,
-    values: Mapping[str, Any] = MappingProxyType({}),
+    values: Mapping[str, object] = MappingProxyType({}),
     *,
     warn: bool = False,
     level: bytes | None = None,
@@ -127,7 +127,7 @@ def status_to_msg(
     )
 
 
-def msg_to_values(msg: DiagnosticStatus) -> dict[str, Any]:
+def msg_to_values(msg: DiagnosticStatus) -> dict[str, Scalar]:
     """Return the values of a status, read back as what they were."""
     return {item.key: _value(item.value) for item in msg.values}
 
@@ -166,18 +166,18 @@ _UNSAID = {
 """What a message says nothing about, or did not in version 0.1."""
 
 
-def values_to_rig(values: Mapping[str, Any]) -> Rig:
+def values_to_rig(values: Settings) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
     named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
     return rig_of({**_UNSAID, **named})
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Write a value; numbers with all their digits, truth in small letters."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> Scalar:
     """Read what `_text` wrote."""
     if text in ('true', 'false'):
         return text == 'true'

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import math
-from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -26,7 +25,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.parameter import Parameter
-from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table
+from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
 from soft_throw_ros.nodes.process import RunnableNode
 
 LOG_PERIOD = 0.5
@@ -89,7 +88,7 @@ class NodeParameters:
         self,
         node: RunnableNode,
         table: Table,
-        on_changed: Callable[[dict[str, Any]], None] = lambda _changes: None,
+        on_changed: Callable[[Settings], None] = lambda _changes: None,
         *,
         describe: Callable[[str], str] = lambda _name: '',
         check: Callable[[Settings], None] = lambda _settings: None,
@@ -157,7 +156,7 @@ class NodeParameters:
     def _accepted(self, parameters: list[Parameter]) -> list[Parameter]:
         """Return the parameters to be set instead, or raise ParameterError."""
         passed: list[Parameter] = []
-        request: dict[str, Any] = {}
+        request: dict[str, Value] = {}
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             entry = self._table.by_name.get(name)
@@ -192,7 +191,7 @@ class NodeParameters:
             self._log.add(changes)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Write the value of a parameter for people, who need no 17 digits of 6.789000000000001."""
     return str(float(f'{value:.9g}') if isinstance(value, float) else value)
 
@@ -203,11 +202,11 @@ class _ChangeLog:
     def __init__(self, node: RunnableNode, describe: Callable[[str], str]) -> None:
         self._logger = node.get_logger()
         self._describe = describe
-        self._waiting: dict[str, Any] = {}
+        self._waiting: dict[str, Value] = {}
         self._timer = node.call_every(LOG_PERIOD, self._flush)
         self._timer.cancel()
 
-    def add(self, changes: Mapping[str, Any]) -> None:
+    def add(self, changes: Settings) -> None:
         """Take note of changes, later values in place of earlier ones."""
         self._waiting.update(changes)
         if self._timer.is_canceled():

@@ -65,7 +65,7 @@ class RunnableNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
 
-    def at_end(self, callback: Callable[..., object], *args: Any) -> None:
+    def at_end(self, callback: Callable[..., object], *args: object) -> None:
         """Have something called when the node is destroyed, before what was asked for earlier."""
         self._at_end.callback(callback, *args)
 
@@ -155,7 +155,7 @@ def run(
     return code
 
 
-def _on_signals(handler: Any) -> None:
+def _on_signals(handler: Callable[[int, object], object] | signal.Handlers) -> None:
     """
     Handle the signals that ask a process to end.
 

@@ -51,7 +51,7 @@ _UNKNOWN = 2**64 - 1
 class _NotExecuted(ReentrantCallbackGroup):
     """Keeps subscriptions away from executors."""
 
-    def can_execute(self, _entity: Any) -> bool:
+    def can_execute(self, _entity: object) -> bool:
         """Nothing of it."""
         return False
 
@@ -159,7 +159,7 @@ class RawSubscription:
         self._began = began_ns
         self._lost_by_event = 0
         self._publishers: set[bytes] = set()  # of which the middleware has told
-        self._runs: dict[Any, list[_Run]] = {}  # by publisher, None if that is not told
+        self._runs: dict[bytes | None, list[_Run]] = {}  # by publisher, None if that is not told
         known = find_topic(channel.topic, channel.type)
         self._is_of_one = known is not None and known.topic.name.startswith('~/')
         self._type = load_type(channel.type)
@@ -374,7 +374,7 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     )
 
 
-def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, Any]:
+def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, object]:
     """Return what a publisher offers; its history is not told to others, but may be ours."""
     profile = profile_to_dict(publisher.qos_profile)
     known = find_topic(topic, kind)

@@ -87,7 +87,7 @@ class Recording:
         self.live_stream: LiveStream | None = None
         self._settings = settings
         self._began = time.monotonic()
-        self._twins: dict[str, Any] = {}
+        self._twins: dict[str, object] = {}
         if settings['storage'] == 'mcap':
             self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
@@ -236,7 +236,7 @@ class Recording:
         writer.call(lambda bag: bag.attach(name, data, 'application/yaml', time=now))
 
     @staticmethod
-    def _note(writer: WriterThread, name: str, values: Mapping[str, Any]) -> None:
+    def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
         """Put named values into the bag."""
         texts = {key: str(value) for key, value in values.items()}
         writer.call(lambda bag: bag.add_metadata(name, texts))

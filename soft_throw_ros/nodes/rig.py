@@ -20,7 +20,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import imperfections_of, RIG, sensor_faults_of, to_twin
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -116,7 +116,7 @@ class SimulatedRig(RealTimeNode):
             worn = settings['layer.wave_speed'] * settings['wear.wave_speed']
             self.parameters.apply({'layer.wave_speed': worn})
 
-    def _on_changed(self, _changes: dict[str, Any]) -> None:
+    def _on_changed(self, _changes: Settings) -> None:
         settings = self.parameters.settings
         before, self._played = self._played, to_twin(settings)
         self._faults = SensorFaults(**sensor_faults_of(settings))

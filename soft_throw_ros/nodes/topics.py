@@ -72,7 +72,7 @@ def full_name(node: Node, name: str) -> str:
     return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
 
 
-def create_subscription(node: Node, topic: Topic, on_message: Callable[[Any], None]) -> None:
+def create_subscription(node: Node, topic: Topic, on_message: Callable[..., None]) -> None:
     """Subscribe a node to a topic."""
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
 
@@ -121,7 +121,7 @@ class Publishers:
         """
         return self._senders[topic.name]
 
-    def send(self, topic: Topic, *values: Any) -> None:
+    def send(self, topic: Topic, *values: object) -> None:
         """Publish once; see `sender` for what."""
         self._senders[topic.name](*values)
 

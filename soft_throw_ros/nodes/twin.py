@@ -245,7 +245,7 @@ class Twin(RealTimeNode):
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
 
-    def _on_changed(self, changes: dict[str, Any]) -> None:
+    def _on_changed(self, changes: Settings) -> None:
         self.session.change(changes)
         if any(matters(name) for name in changes):
             self.recommendation = None

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import functools
 from pathlib import Path
 from typing import Any
@@ -32,13 +33,13 @@ _KEY = 'rosbag2_bagfile_information'
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)  # faster where it is there
 
 
-def dump_yaml(data: Any) -> str:
+def dump_yaml(data: object) -> str:
     """Write YAML."""
     text: str = yaml.dump(data, Dumper=_DUMPER, sort_keys=False)
     return text
 
 
-def write_metadata(path: Path, information: dict[str, Any]) -> None:
+def write_metadata(path: Path, information: Mapping[str, object]) -> None:
     """Replace the file of a bag at once; OSError if that cannot be done."""
     with atomic_file(path) as unfinished:
         unfinished.write_text(dump_yaml({_KEY: information}), encoding='utf-8')

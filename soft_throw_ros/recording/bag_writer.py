@@ -29,7 +29,6 @@ import math
 import os
 from pathlib import Path
 import shutil
-from typing import Any
 import zlib
 
 from mcap.data_stream import RecordBuilder
@@ -317,7 +316,7 @@ class BagWriter:
         except OSError as error:
             raise BagError(f'{path}: {error.strerror}') from None
 
-    def _information(self) -> dict[str, Any]:
+    def _information(self) -> dict[str, object]:
         """Return what rosbag2 wants to know of the bag, to write it as YAML."""
         first = min(file.first for file in self._files)
         last = max((file.last for file in self._files if file.count), default=first)
@@ -433,7 +432,7 @@ class _File:
         self.first = min(self.first, log_time)
         self.last = max(self.last, log_time)
 
-    def finish(self, information: Mapping[str, Any]) -> None:
+    def finish(self, information: Mapping[str, object]) -> None:
         """Write the end."""
         self.writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(information)})
         self.writer.finish()
@@ -466,7 +465,7 @@ class _File:
                 os.close(self._descriptor)
         self._is_closed = True
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return what rosbag2 wants to know of it."""
         return {
             'path': self.path.name,

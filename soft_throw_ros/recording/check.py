@@ -30,7 +30,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import contextlib
 from dataclasses import dataclass, field
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -176,7 +176,7 @@ def _check_twin(reader: BagReader, node: str) -> CheckResult:
     return result
 
 
-def _entry(message: Message) -> dict[str, Any]:
+def _entry(message: Message) -> journal.Entry:
     """Read a line; what is none has no number."""
     try:
         text = str(decode(message.channel.type, message.channel.schema, message.data).data)
@@ -242,14 +242,14 @@ class _Repetition:
         self._session: Session | None = None
         self._line = -1  # the last that was taken
         self._throw = 0
-        self._recorded: deque[dict[str, Any]] = deque()  # by the journal, not compared yet
-        self._repeated: deque[dict[str, Any]] = deque()  # by the repeated session
+        self._recorded: deque[journal.Entry] = deque()  # by the journal, not compared yet
+        self._repeated: deque[journal.Entry] = deque()  # by the repeated session
         self._steps: list[_Step] = []  # since the last checksum
         self._repeated_throw = 0
         self._has_landed = False
         self._versions: dict[str, tuple[str, str]] = {}
 
-    def take(self, entry: dict[str, Any]) -> None:
+    def take(self, entry: journal.Entry) -> None:
         """Go on to an entry, or begin with it."""
         is_start = entry['kind'] == 'start'
         is_next = entry['line'] == self._line + 1
@@ -293,7 +293,7 @@ class _Repetition:
             self._give_up(f'the end of throw {self._throw} cannot be repeated: {error}')
         self._session = None
 
-    def _begin(self, entry: dict[str, Any]) -> None:
+    def _begin(self, entry: journal.Entry) -> None:
         self.has_begun = True
         self._recorded.clear()
         self._repeated.clear()
@@ -340,7 +340,7 @@ class _Repetition:
             elif recorded['kind'] == 'result':
                 self._compare_result(recorded, repeated)
 
-    def _compare_result(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
+    def _compare_result(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
         """Compare the numbers of a result, and the checksums of its throw."""
         there, here = recorded.get('result', {}), repeated['result']
         reason = _first_difference(there, here, is_exact=not self._versions)
@@ -348,7 +348,7 @@ class _Repetition:
             reason = _first_difference(*(_checksums(e) for e in (recorded, repeated)))
         self._count(self._result.results, f'throw {here["throw"]}, {here["stage"]}', reason)
 
-    def _compare_checksum(self, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
+    def _compare_checksum(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
         """Compare the checksums of some steps, and their states in the bag if all are there."""
         steps = [step for step in self._steps if step.number < repeated['step']]
         del self._steps[: len(steps)]
@@ -388,12 +388,12 @@ class _Repetition:
         self._session = None
 
 
-def _checksums(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _checksums(entry: journal.Entry) -> dict[str, object]:
     return {name: entry.get(name) for name in ('first', 'states', 'fields')}
 
 
 def _first_difference(
-    recorded: Mapping[str, Any], repeated: Mapping[str, Any], *, is_exact: bool = True
+    recorded: Mapping[str, object], repeated: Mapping[str, object], *, is_exact: bool = True
 ) -> str:
     """Say which value is the first that is not the same, if one is not."""
     for name in {**repeated, **recorded}:

@@ -159,7 +159,7 @@ class Scene:
 
     def _read(self, node: str, groups: Groups) -> None:
         """Draw messages of one node, or of all."""
-        readers: Mapping[Topic, Callable[[Any], None]] = {
+        readers: Mapping[Topic, Callable[..., None]] = {
             _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
         }
         if node:
@@ -173,7 +173,7 @@ class Scene:
             for data in at_once:
                 self._attempt(read, data)
 
-    def _attempt(self, read: Callable[[Any], None], data: Message | Sequence[Message]) -> None:
+    def _attempt(self, read: Callable[..., None], data: Message | Sequence[Message]) -> None:
         """Read a message, or several, one by one if one is damaged, or unlike the others."""
         try:
             read(data)
@@ -506,7 +506,7 @@ class _TwinView:
         )
 
 
-_READERS: Mapping[Topic, Callable[[_TwinView, Any], None]] = {
+_READERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.journal: _TwinView.read_journal,
     TWIN_TOPICS.joint_states: _TwinView.draw_states,
     **{topic: partial(_TwinView.draw_positions, topic=topic) for topic in layout.POSITIONS},

@@ -89,7 +89,7 @@ class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type f
     projectile_energy: Floats
 
     @classmethod
-    def join(cls, *parts: NDArray[Any]) -> RigStates:  # of records, as above
+    def join(cls, *parts: NDArray[np.void]) -> RigStates:
         """Put parts together, in the order of their stamps, of which each is there once."""
         joined = np.concatenate(parts)
         _, order = np.unique(joined['stamps'], return_index=True)
@@ -249,7 +249,7 @@ class TwinReader:
             case 'result':
                 self.note_result(entry['result'])
 
-    def note_result(self, values: Mapping[str, Any]) -> None:  # texts, truths and numbers
+    def note_result(self, values: Mapping[str, object]) -> None:
         """Keep when the projectile leaves in the throw under way."""
         time = values.get('ejection_time')
         if self.throw is None or values.get('throw') == self.throw.number:
@@ -526,7 +526,7 @@ def _complete(entry: journal.Entry) -> Settings:
     return {**TWIN.defaults(), **_known(entry['settings'])}
 
 
-def _known(settings: Mapping[str, Any]) -> dict[str, Any]:  # of parameters
+def _known(settings: Settings) -> Settings:
     """Return those settings that this twin has; raise ValueError for values that it refuses."""
     return {
         name: TWIN.check_value(name, value)

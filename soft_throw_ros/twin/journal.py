@@ -95,7 +95,7 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, separators=(',', ':'), allow_nan=False)
 
 
-def decode(line: str) -> dict[str, Any]:
+def decode(line: str) -> Entry:
     """
     Read one line.
 
@@ -175,7 +175,7 @@ def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
     }
 
 
-def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> dict[str, Any]:
+def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> Entry:
     """
     Write samples that were taken down for an entry, each batch before a step.
 
@@ -212,7 +212,7 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
     ]
 
 
-def encode_onset(onset: Onset) -> dict[str, Any]:
+def encode_onset(onset: Onset) -> Entry:
     """Write an onset down for an entry."""
     rest = onset.rest
     return {
@@ -226,7 +226,7 @@ def encode_onset(onset: Onset) -> dict[str, Any]:
     }
 
 
-def decode_onset(values: Any) -> Onset:  # of JSON
+def decode_onset(values: Entry) -> Onset:
     """Read what `encode_onset` wrote."""
     try:
         projectile = values['projectile_rest']
@@ -286,8 +286,8 @@ class JournalWriter:
         self._second = _Checksum(step)
         self._throw: _Checksum | None = None
 
-    def write(self, kind: str, step: int, **values: Any) -> None:
-        """Write an entry, whose values are of many types."""
+    def write(self, kind: str, step: int, **values: object) -> None:
+        """Write an entry."""
         if self._batches:
             self._flush(step)
         self._on_line(encode({'kind': kind, 'line': self._line, 'step': step, **values}))

@@ -16,11 +16,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any  # of a record, whose fields numba knows
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.kernels import Record
 
 Floats = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ def _is_doubtful(memory: NDArray[np.void], time: float, position: float) -> bool
 
 @_jit
 def _distance(
-    s: Any,
+    s: Record,
     time: float,
     position: float,
     one: Floats,

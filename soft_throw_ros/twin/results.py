@@ -23,6 +23,7 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.configuration import Scalar
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 
@@ -188,7 +189,7 @@ class ThrowResult:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
 
-    def values(self) -> dict[str, Any]:  # texts, truths and numbers
+    def values(self) -> dict[str, Scalar]:
         """
         Return what is known, each by the name under which it is published; the rig is left out.
 
@@ -202,7 +203,7 @@ class ThrowResult:
         return values
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any], rig: Rig) -> ThrowResult:
+    def from_values(cls, values: Mapping[str, Scalar], rig: Rig) -> ThrowResult:
         """Make the result of a rig whose `values` are known."""
         parts: dict[str, Any] = {}  # values of many types
         for part, (prefix, kind) in _PARTS.items():
@@ -242,7 +243,7 @@ class ThrowResult:
         return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
 
 
-def known_values(part: object) -> dict[str, Any]:  # texts, truths and numbers
+def known_values(part: object) -> dict[str, Scalar]:
     """Return what is known of a part of a result, by name; nothing if there is no such part."""
     return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
 

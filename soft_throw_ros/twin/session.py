@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from threading import Lock
-from typing import Any
 
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.twin import journal
@@ -137,8 +136,8 @@ class Session:
         return self._cycle.schedule.deadline(step)
 
     @property
-    def pending(self) -> dict[str, Any]:
-        """Return the changes that wait, by name; values are as various as the parameters."""
+    def pending(self) -> Settings:
+        """Return the changes that wait, by name."""
         return self._staged.pending
 
     @property

@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin.prepared_rig import PreparedRig
@@ -51,8 +49,8 @@ class StagedSettings:
             self.stage(pending, self.prepare(pending))
 
     @property
-    def pending(self) -> dict[str, Any]:
-        """Return the changes that wait, by name; values are as various as the parameters."""
+    def pending(self) -> Settings:
+        """Return the changes that wait, by name."""
         wanted = self.wanted.items()
         return {name: value for name, value in wanted if value != self.settings[name]}
 

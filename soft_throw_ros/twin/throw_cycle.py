@@ -125,7 +125,7 @@ class ThrowCycle:
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
         if self.monitor is not None:
-            self._onset = journal.decode_onset(entry.get('onset'))
+            self._onset = journal.decode_onset(entry.get('onset', {}))
 
     def request_throw(self, step: int) -> Callable[[], str] | None:
         """
