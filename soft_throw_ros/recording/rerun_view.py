@@ -263,6 +263,7 @@ class _TwinView:
         self._is_former = False  # whether the energy of its layer is not recorded
         self._track: dict[str, str] = {}  # what is said of it, by the task of the node
         self._residuals: Floats | None = None  # in the last contacts, or in that which is shown
+        self._period = self._residual_limit = 0.0  # of the layout [s], [um]
         self._extents: dict[str, tuple[float, float]] = {}  # of plots, in the throw that is shown
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
@@ -486,7 +487,7 @@ class _TwinView:
     # layout
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
-        """Return what the layout depends on."""
+        """Return what the layout depends on; what is much as it was stays as it was."""
         throw, residuals = self._canvas.throw, self._residuals
         limit = 0.0
         if residuals is not None:
@@ -494,11 +495,14 @@ class _TwinView:
             if residuals.size:
                 most = 1.5 * _MICRO * float(np.quantile(residuals, _RESIDUAL_QUANTILE))
             limit = drawing.round_up(max(most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
+            limit = self._residual_limit = layout.settled(limit, self._residual_limit, 0.3, 1.0)
         present = {'residual': residuals is not None, 'track': self._track, layout.LOG: has_log}
+        period = self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
+        self._period = layout.settled(period, self._period)
         return layout.TwinLayout(
             root=self._root,
             title=self._node or '/',
-            period=self._period_of_stamps * (1.0 if throw is None else throw.time_scale),
+            period=self._period,
             side=self._side.bounds,
             residual_limit=limit,
             present=frozenset(name for name, is_there in present.items() if is_there),

@@ -20,6 +20,7 @@ import rerun as rr
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import Text
+from soft_throw_ros.recording.rerun_layout import settled
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps
 
 _MILLI = 1e3
@@ -53,25 +54,26 @@ class RigPicture:
         self._canvas = canvas
         self._path = path
         self._rig: Rig | None = None
+        self._diameter, self._high = 12.0, 60.0  # that the view is made for [mm]
         pixels = rr.components.ImageFormat(
             width=1, height=_CELLS, color_model='RGB', channel_datatype='U8'
         )
         style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
         canvas.style(f'{path}/layer', style)
 
+
     @property
     def bounds(self) -> tuple[float, float, float]:
         """Half the width of the view, and its lowest and highest height [mm]."""
-        if self._rig is None:
-            return 15.0, -5.0, 60.0
-        diameter = _MILLI * self._rig.layer.diameter
-        content = _MILLI * (self._rig.layer.thickness + self._rig.projectile.length)
-        return 1.25 * diameter, -0.4 * diameter, 1.35 * content + 0.8 * diameter
+        return 1.25 * self._diameter, -0.4 * self._diameter, self._high
 
     def change_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig, and heights to the left of them."""
         self._rig = rig
         diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
+        high = 1.35 * (_MILLI * rig.layer.thickness + length) + 0.8 * diameter
+        self._diameter = settled(diameter, self._diameter)
+        self._high = settled(high, self._high)
         for name, colour, w, y, h in (
             ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
             ('projectile', drawing.BLUE, diameter, -length, length),

@@ -238,6 +238,20 @@ def test_twins_have_trees_and_tabs_of_their_own_and_without_a_journal_less_is_kn
     assert recording.views.count('Energy (mJ)') == 2
 
 
+def test_layout_is_not_sent_again_for_a_rig_that_is_corrected_a_little(tmp_path) -> None:
+    """Each one takes memory, and takes back what somebody has arranged by hand."""
+    sent = []
+    for thicknesses in ((), (0.0176, 0.0160, 0.0168), (0.03,)):
+        twin = TwinMessages(throw__period=0.1).go(150)
+        for number, thickness in enumerate(thicknesses):
+            twin.change(layer__thickness=thickness, engine__frequency=63.2 + number)
+            twin.go(150)
+        scene = Scene('test', is_live=True)
+        path = tmp_path / f'{len(sent)}.rrd'
+        sent.append(record(path, scene, twin.messages, batch=10).views.count('Energy (mJ)'))
+    assert sent[1] == sent[0] < sent[2]
+
+
 def test_late_viewer_gets_what_still_holds_and_nothing_else(twin, tmp_path) -> None:
     scene = Scene('test', is_live=True)
     before = record(tmp_path / 'first.rrd', scene, twin.messages, batch=100)
