@@ -122,14 +122,17 @@ def main(args: list[str] | None = None) -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         soak = _Soak(Path(folder), arguments.sink)
+        before = processes.machine()
         soak.run(60.0 * arguments.minutes)
+        stolen, passed = np.subtract(processes.machine(), before)
         promises = [*soak.judge(), *soak.judge_ticks()]
     used = {name: course.summary() for name, course in soak.courses.items()}
     columns = list(used['twin'])
     print(*head(f'{arguments.minutes:g} min at 1 kHz', *columns), sep='\n')
     for name, values in used.items():
         print(f'| {name} |', ' | '.join(f'{values[column]:g}' for column in columns), '|')
-    print('', *head('promise', 'found', 'kept'), sep='\n')
+    print(f'\nOf all processors other machines took {100.0 * stolen / passed:.1f} %.\n')
+    print(*head('promise', 'found', 'kept'), sep='\n')
     for row in promises:
         print(f'| {row.promise} | {row.found} | {"yes" if row.is_kept else "NO"} |')
     if arguments.json is not None:

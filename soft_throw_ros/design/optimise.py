@@ -47,7 +47,7 @@ _STEEPEST = 2.0  # slope, in logarithms, with which a score is expected to rise 
 _UNSURE = 0.2  # and by which part it may rise beside a cliff, however fine the grid
 _CANDIDATES = 4  # maxima of the grid that are looked at closely
 _CLOSE = 0.1  # part by which they may be lower than the highest, at first
-_SHRINK = 0.4
+_SHRINK, _GROW = 0.4, 2.0  # of a patch whose best point is inside, or at the edge
 _MAX_ROUNDS = 40
 _EQUAL = 1e-9  # scores so close are the same; the thinner layer is kept
 _PATCH = (-1.0, -0.65, -0.3, 0.0, 0.3, 0.65, 1.0)
@@ -204,7 +204,12 @@ def _zoom(
     box: tuple[Floats, Floats],
     tolerance: float,
 ) -> tuple[Floats, float]:
-    """Move patches to their best points and shrink them, until they are as small as asked."""
+    """
+    Move patches to their best points and shrink them, until they are as small as asked.
+
+    One that has its best point at its edge does not shrink, and grows unless it is the best of
+    all; one that has come to a better one is left.
+    """
     varies = spacing > 0.0
     axes = [_PATCH if free else (0.0,) for free in varies]
     offsets = np.array([offset for offset in itertools.product(*axes) if any(offset)])
@@ -224,9 +229,16 @@ def _zoom(
         is_better = found[rows, best] > values
         places = np.where(is_better[:, None], patches[rows, best], places)
         values = np.where(is_better, found[rows, best], values)
-        reach = np.where(is_better & is_edge[best], reach, _SHRINK * reach)
+        grow = np.where(values < values.max(), _GROW, 1.0)
+        reach *= np.where(is_better & is_edge[best], grow, _SHRINK)
+        order = np.lexsort((places[:, 0], -values))  # the best first, the thinner of equals
+        places, values, reach = places[order], values[order], reach[order]
         # The closer one looks, the less a candidate can still gain.
-        alive = values >= (1.0 - _CLOSE * reach) * values.max()
+        alive = values >= (1.0 - _CLOSE * np.minimum(reach, 1.0)) * values[0]
+        apart = places[:, None] - places
+        apart[..., 1] -= apart[..., 0] * varies.all()
+        is_near = (np.abs(apart) <= (reach[:, None] * spacing)[:, None]).all(axis=-1)
+        alive &= ~np.tril(is_near, -1).any(axis=1)
         places, values, reach = places[alive], values[alive], reach[alive]
     is_best = values >= (1.0 - _EQUAL) * values.max()
     thinnest = np.flatnonzero(is_best)[places[is_best, 0].argmin()]
