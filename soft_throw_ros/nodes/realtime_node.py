@@ -38,6 +38,10 @@ _NICE = 10  # of the process that compiles what can wait
 SWITCH_INTERVAL = 3e-5
 """How long a tick that is due waits for another thread of Python; less wakes too many [s]."""
 
+SWITCH_PART = 0.03
+"""The same in parts of the time between ticks; less is for nothing, and many nodes on few cores
+would do nothing but wake [-]."""
+
 STOP_TIMEOUT = 0.3
 """Longest wait for a thread to end [s]."""
 
@@ -146,6 +150,7 @@ class RealTimeNode(RunnableNode):
     def on_second(self) -> None:
         """Follow what is done to the time of day; in the executor's thread."""
         self._system_clock.adjust()
+        self._set_switch_interval()  # the rate may be another one
         if self._compiling is not None:
             self._compiling.poll()  # lest it stays a zombie when it has ended
 
@@ -158,7 +163,7 @@ class RealTimeNode(RunnableNode):
         """Load all kernels that are there, and let nothing hold up the ticks."""
         if not self.is_compiling:
             kernels.load_kernels(say=self.get_logger().info)
-        sys.setswitchinterval(SWITCH_INTERVAL)
+        self._set_switch_interval()
         gc.collect()
         gc.freeze()
 
@@ -166,6 +171,9 @@ class RealTimeNode(RunnableNode):
         """Tick."""
         self.ticker.start()
         self.get_logger().info('ready')
+
+    def _set_switch_interval(self) -> None:
+        sys.setswitchinterval(max(SWITCH_INTERVAL, SWITCH_PART / self.session.rate))
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock
