@@ -61,7 +61,6 @@ class RigPicture:
         style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
         canvas.style(f'{path}/layer', style)
 
-
     @property
     def bounds(self) -> tuple[float, float, float]:
         """Half the width of the view, and its lowest and highest height [mm]."""
