@@ -40,7 +40,7 @@ PRIORITY = 10
 """Of the thread that ticks, among those that go before all others."""
 
 CALM = 1.0
-"""After so long without a stall the thread goes before all others again [s]."""
+"""So long after a stall the thread goes before all others again [s]."""
 
 
 class SystemClock:
@@ -133,7 +133,7 @@ Clock: TypeAlias = SystemClock | NodeClock
 MOST_TIMES = 50_000
 """Of so many ticks is it known what they took: ten seconds of the fastest session."""
 
-_STALL = 0.2  # of what is caught up: so late are ticks only if something is wrong
+_STALL = 0.5  # of what is caught up: so late are ticks only if something is wrong
 _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
 
@@ -163,7 +163,8 @@ class Ticker:
 
     The thread goes before all others as long as that keeps it on time. While it waits for Python's
     lock it asks for it again and again, and whoever has that lock may be waiting for a processor:
-    many nodes on few cores would do nothing but ask. So after a stall it is one among others.
+    many nodes on few cores would do nothing but ask. So after a stall it is one among others for
+    a while.
 
     """
 
@@ -178,7 +179,7 @@ class Ticker:
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
         self._schedule: TickSchedule | None = None
-        self._stalled = -math.inf  # when ticks were that late last [s]
+        self._stalled = -math.inf  # when ticks were that late though they went first [s]
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
@@ -226,7 +227,7 @@ class Ticker:
             counts['ticks_skipped'] += skipped
             session.set_tick_schedule(schedule)
         due = schedule.deadline(session.step)
-        if now - due > _STALL * clock.max_catch_up:
+        if self.scheduler == 'fifo' and now - due > _STALL * clock.max_catch_up:
             self._stalled = time.monotonic()
         done = 0
         while due <= now:
