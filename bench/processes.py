@@ -94,7 +94,7 @@ def usage(pid: int) -> Usage:
     return Usage(processor, memory, sum(1 for _ in (folder / 'fd').iterdir()))
 
 
-def machine() -> tuple[float, float]:
+def steal() -> tuple[float, float]:
     """Return processor time that other machines of the same host took, and all there was [s]."""
     fields = Path('/proc/stat').read_text('utf-8').partition('\n')[0].split()[1:9]
     times = [int(field) / os.sysconf('SC_CLK_TCK') for field in fields]

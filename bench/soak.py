@@ -122,9 +122,9 @@ def main(args: list[str] | None = None) -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         soak = _Soak(Path(folder), arguments.sink)
-        before = processes.machine()
+        before = processes.steal()
         soak.run(60.0 * arguments.minutes)
-        stolen, passed = np.subtract(processes.machine(), before)
+        stolen, passed = np.subtract(processes.steal(), before)
         promises = [*soak.judge(), *soak.judge_ticks()]
     used = {name: course.summary() for name, course in soak.courses.items()}
     columns = list(used['twin'])

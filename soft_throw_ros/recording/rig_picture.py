@@ -54,7 +54,7 @@ class RigPicture:
         self._canvas = canvas
         self._path = path
         self._rig: Rig | None = None
-        self._diameter, self._high = 12.0, 60.0  # that the view is made for [mm]
+        self._diameter = self._high = 0.0  # that the view is made for [mm]
         pixels = rr.components.ImageFormat(
             width=1, height=_CELLS, color_model='RGB', channel_datatype='U8'
         )
@@ -64,6 +64,8 @@ class RigPicture:
     @property
     def bounds(self) -> tuple[float, float, float]:
         """Half the width of the view, and its lowest and highest height [mm]."""
+        if self._rig is None:
+            return 15.0, -5.0, 60.0
         return 1.25 * self._diameter, -0.4 * self._diameter, self._high
 
     def change_rig(self, stamp: int, rig: Rig) -> None:

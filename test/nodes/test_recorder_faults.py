@@ -172,9 +172,7 @@ def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_lat
     recorder = record(publisher)
     if not joins_late:
         publisher.begin(period=0.005)
-    while len(numbers(tmp_path / 'bag')) < 100:  # which tell how often it publishes
-        assert recorder.process.poll() is None
-        time.sleep(0.01)
+    wait_for(recorder, tmp_path / 'bag', 100)  # which tell how often it publishes
     publisher.publish(0)  # no more for now
     recorder.process.send_signal(signal.SIGSTOP)
     publisher.publish(10 * A_SECOND)  # more than there is room for
