@@ -2,22 +2,24 @@
 #
 #   make                  install
 #   make twin             run the twin;         ARGS='-p layer.thickness:=0.02' follow --ros-args
-#   make warm_up          compile all kernels, so that all else starts quickly
-#   make throw            predict one throw;    ARGS='--json' and the like
-#   make identify         find out what rig it is; ARGS='my_throw.csv --output my_rig.yaml'
+#   make warm_up          compile all kernels in advance
+#   make throw            predict one throw;    ARGS='--json'
+#   make identify         identify a rig from tracks; ARGS='my_throw.csv --output my_rig.yaml'
 #   make demo             run the twin in slow motion, record it, and show it in Rerun
-#   make loop             play a rig that the twin follows, and a calibrator that finds it out
+#   make loop             run a simulated rig, a twin that follows it, and a calibrator
 #   make inspect          show a bag in Rerun;  ARGS='BAG'
-#   make test             check everything, on Jazzy and Kilted
-#   make lint             check the form only, which takes seconds
-#   make fuzz             bad input, 100,000 cases by chance; CASES=1000, SEED=7
-#   make bench            measure it;           ARGS are handed on
-#   make bench-check      measure it, and compare its ratios with those in bench/ratios.json
+#   make test             run the linters and the tests on Jazzy, except slow ones
+#   make test-all         also run slow tests, and test on Kilted, with apt's versions, and without Vulkan
+#   make test-slow        run the slow tests on Jazzy
+#   make lint             run the linters only, which takes seconds
+#   make fuzz             test 100,000 random bad inputs; CASES=1000, SEED=7
+#   make bench            measure the speed;    ARGS='one_throw recorder'
+#   make bench-check      measure the speed and compare the ratios with bench/ratios.json
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
-#   make trials           identify rigs with faults whose truth is known; ARGS='--rigs 4 --rows drift'
+#   make trials           identify simulated rigs with faults; ARGS='--rigs 4 --rows drift'
 #   make figures          draw docs/: the paper's figures, its numbers, README, measured.md, design.md
-#   make lock             choose anew what versions make installs, with their checksums
-#   make clean            delete what make made
+#   make lock             update the locked versions and their checksums
+#   make clean            delete all files that make created
 #
 # ROS_DISTRO=jazzy or kilted, PYTHON=python3.12 and ARGS='...' may follow.
 
@@ -26,30 +28,34 @@ PYTHON ?= python3
 ARGS ?=
 CASES ?= 100000
 
-# Each process of tests has a ROS domain of its own, of which there are 101.
+# Each test process uses its own ROS domain, and there are 101 domains.
 PARALLEL := -n auto --maxprocesses 32 --dist worksteal
 
-# What becomes of a process does not depend on the version of numpy.
+# Tests of processes, which do not depend on the version of numpy.
 PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
 
-# Those that draw by Vulkan, or would.
-VIEWER_TESTS := $(addprefix test/,recording/test_viewer.py commands/test_inspect_bag.py \
+# Tests that draw with Vulkan if it is available.
+VIEWER_TESTS := $(addprefix test/,recording/test_rerun_viewer.py commands/test_inspect_bag.py \
 	recording/test_rerun_view.py::test_picture_shows_the_throw \
 	commands/test_design_map.py::test_map_is_sent_to_the_viewer_that_is_there)
 
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
-# Nothing is installed whose checksum is not in the lock file, nor fetched to build it.
+LINT := .venv/jazzy/bin/ruff check && .venv/jazzy/bin/flake8 && .venv/jazzy/bin/mypy
+WARM_UP := .venv/jazzy/bin/soft-throw warm_up
+# Install only packages with a checksum in the lock file, and fetch nothing else for builds.
 LOCKED := --quiet --require-hashes --no-deps --no-build-isolation
 
 INSTALLED := .venv/$(ROS_DISTRO)/.installed
 SHOWABLE := .venv/$(ROS_DISTRO)/.showable
 
-# Nothing leaves this machine unless asked to.
+# By default nodes are reachable from this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# The interpreter knows its distribution; the variable would be wrong for one of the two in a test.
+# Each interpreter knows its distribution; in test-all the variable would be wrong for one of them.
 unexport ROS_DISTRO
-# In a shell that has sourced another ROS, the two would mix.
+# Otherwise every process of a test compiles the package to bytecode again, in about a second.
+unexport PYTHONDONTWRITEBYTECODE
+# Keep the packages of a sourced ROS installation out.
 ifdef AMENT_PREFIX_PATH
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH
 endif
@@ -57,7 +63,7 @@ endif
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
 .PHONY: figures fuzz lock clean
-.PHONY: test test-jazzy test-kilted test-apt test-without-vulkan
+.PHONY: test test-all test-slow test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
 
@@ -73,20 +79,26 @@ throw: $(INSTALLED) $(KERNELS)
 identify: $(INSTALLED) $(KERNELS)
 	$(BIN)/soft-throw identify $(ARGS)
 
-# Ctrl-C reaches both; the shell waits until the bag is finished.
+# Run nodes together until one ends, or Ctrl-C. Job control gives each node a process group of its own, in which
+# SIGINT is not ignored; the trap signals all of them, then waits until the bag is finished.
+BEGIN_NODES = set -m; trap 'trap "" INT TERM HUP; kill -INT $$(jobs -p) 2>/dev/null; wait; exit 130' INT TERM HUP
+END_NODES = set +m; wait -n; code=$$?; kill -INT $$(jobs -p) 2>/dev/null; wait; exit $$code
+
+demo loop: SHELL := /bin/bash
+
 demo: $(SHOWABLE) $(KERNELS)
-	@trap : INT; \
+	@$(BEGIN_NODES); \
 	$(BIN)/soft-throw recorder --ros-args --params-file config/demo.yaml & \
-	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS); \
-	wait
+	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS) & \
+	$(END_NODES)
 
 loop: $(SHOWABLE) $(KERNELS)
-	@trap : INT; \
+	@$(BEGIN_NODES); \
 	for node in recorder calibrator rig; do \
 		$(BIN)/soft-throw $$node --ros-args --params-file config/loop.yaml & \
 	done; \
-	$(BIN)/soft-throw twin --ros-args --params-file config/loop.yaml $(ARGS); \
-	wait
+	$(BIN)/soft-throw twin --ros-args --params-file config/loop.yaml $(ARGS) & \
+	$(END_NODES)
 
 inspect: $(SHOWABLE) $(KERNELS)
 	$(BIN)/soft-throw inspect $(ARGS)
@@ -108,43 +120,53 @@ figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/measured/draw.py
 	$(BIN)/python docs/layers/draw.py
 
-test: test-jazzy test-kilted test-apt test-without-vulkan
+# Compile the kernels beside the linters, or each process of pytest would compile all of them.
+# The two commands share the work: each waits for the parts that the other one compiles.
+test: .venv/jazzy/.testable $(KERNELS)
+	@$(WARM_UP) cells >/dev/null & cells=$$!; $(WARM_UP) >/dev/null & all=$$!; \
+	{ $(LINT) && wait $$cells && wait $$all; } || { kill $$cells $$all 2>/dev/null; exit 1; }
+	.venv/jazzy/bin/python -m pytest $(PARALLEL) -m 'not slow'
+
+test-slow: .venv/jazzy/.testable $(KERNELS)
+	$(WARM_UP)
+	.venv/jazzy/bin/python -m pytest $(PARALLEL) -m slow
+
+test-all: test test-slow test-kilted test-apt test-without-vulkan
 
 lint: .venv/jazzy/.testable
-	.venv/jazzy/bin/ruff check
-	.venv/jazzy/bin/flake8
-	.venv/jazzy/bin/mypy
-
-test-jazzy: lint $(KERNELS)
-	.venv/jazzy/bin/python -m pytest $(PARALLEL)
+	$(LINT)
 
 test-kilted: .venv/kilted/.testable $(KERNELS)
+	.venv/kilted/bin/soft-throw warm_up
 	.venv/kilted/bin/python -m pytest $(PARALLEL) -m 'not once' test/nodes test/test_package.py
 
-# hypothesis prints its seed; SEED repeats a run, with as many CASES.
+# SEED and CASES repeat a run; the recipe prints both.
 fuzz: SEED := $(or $(SEED),$(shell date +%s))
 fuzz: .venv/jazzy/.testable $(KERNELS)
-	@echo 'to repeat it: make fuzz CASES=$(CASES) SEED=$(SEED)'
-	FUZZ_CASES=$(CASES) .venv/jazzy/bin/python -m pytest $(PARALLEL) test/fuzz --timeout 0 \
+	$(WARM_UP)
+	@echo 'to repeat this run: make fuzz CASES=$(CASES) SEED=$(SEED)'
+	FUZZ_CASES=$(CASES) .venv/jazzy/bin/python -m pytest $(PARALLEL) test/fuzz/fuzz_*.py --timeout 0 \
 		--hypothesis-profile=random --hypothesis-seed=$(SEED)
 
-# With what apt has on Ubuntu 24.04, whose numba knows no Python after 3.12.
+# With the versions of apt on Ubuntu 24.04, whose numba supports Python up to 3.12.
 test-apt:
 	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
 		$(MAKE) .venv/apt/.tested; \
 	else \
-		echo 'test-apt is left out: $(PYTHON) is newer than what apt has'; \
+		echo 'test-apt is skipped: $(PYTHON) is newer than the Python of apt'; \
 	fi
 
 .PHONY: .venv/apt/.tested
 .venv/apt/.tested: .venv/apt/.installed
 	.venv/apt/bin/pip install --quiet -r requirements/apt.txt -e '.[test]'
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv/apt/kernels .venv/apt/bin/soft-throw warm_up
 	NUMBA_CACHE_DIR=$(CURDIR)/.venv/apt/kernels \
 		.venv/apt/bin/python -m pytest $(PARALLEL) -m 'not once' $(PROCESS_TESTS) \
 		test/core test/nodes
 
-# As on a machine with nothing to draw with: what takes pictures is skipped, and nothing fails.
+# As on a machine without Vulkan: tests that take pictures are skipped, and no test fails.
 test-without-vulkan: .venv/jazzy/.testable $(KERNELS)
+	$(WARM_UP)
 	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
 		.venv/jazzy/bin/python -m pytest $(PARALLEL) $(VIEWER_TESTS)
 
@@ -164,7 +186,7 @@ clean:
 .venv/%/.showable: .venv/%/.installed requirements/rerun.lock
 	.venv/$*/bin/pip install $(LOCKED) -r requirements/rerun.lock
 	@.venv/$*/bin/python -c 'import sys; sys.version_info < (3, 11) and \
-		print("nothing is shown: Rerun needs Python 3.11")'
+		print("the viewer is not available: Rerun needs Python 3.11")'
 	touch $@
 
 .venv/%/.testable: .venv/%/.showable requirements/test.lock
@@ -177,8 +199,8 @@ clean:
 	.venv/apt/bin/pip install --quiet -r $< -e '.[plot]'
 	touch $@
 
-# First what builds, then what a distribution needs, then, to go with both, what shows and what tests;
-# each without what is there before.
+# Lock the build tools first, then each distribution, then viewer and tests for both distributions,
+# each without the packages of the previous files.
 lock:
 	$(PYTHON) -m venv .venv/lock
 	.venv/lock/bin/pip install --quiet --upgrade uv
@@ -197,10 +219,10 @@ lock:
 	lock rerun "$$both" "$$@" --extra rerun; \
 	lock test "$$both" "$$@" --constraint rerun.lock --all-extras
 
-# numba compiles a kernel anew when its own file changes, not when one it calls does. The lock and the
-# second look keep one make from deleting what another, started at the same time, has compiled.
+# numba recompiles a kernel when its own file changes, but not when a called kernel in another file does.
+# The lock and the second check keep a make from deleting kernels that a concurrent make has compiled.
 $(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py \
-	soft_throw_ros/twin/imperfect_rig.py bench/*.py)
+	soft_throw_ros/simulated_rig/*.py bench/*.py)
 	@mkdir -p $(@D)
 	@flock $@.lock sh -c 'test -e $@ && test -z "$$(find $? -newer $@)" || \
 		{ find soft_throw_ros bench -name "*.nb[ic]" -delete; touch $@; }'

@@ -59,7 +59,8 @@ setup(
     python_requires='>=3.10',
     # ROS is not named: a ROS machine brings its own, and requirements/ has it from PyPI.
     install_requires=[
-        'mcap>=1.5',
+        'lz4',
+        'mcap>=1.6',
         'mcap-ros2-support>=0.5',
         'numba',
         'numpy',
@@ -71,7 +72,7 @@ setup(
     extras_require={
         'dask': ['distributed'],
         # Its interface changes with every minor version; this one has no wheel for Python 3.10.
-        'rerun': ['rerun-sdk>=0.41,<0.42; python_version >= "3.11"'],
+        'rerun': ['matplotlib', 'rerun-sdk>=0.41,<0.42; python_version >= "3.11"'],
         'plot': ['matplotlib'],
         'video': ['av', 'imageio', 'scikit-image>=0.20'],
         'test': [

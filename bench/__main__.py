@@ -12,16 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Compare with other ways to get the same numbers, in Markdown tables.
+Measure the package against simpler methods and plain ROS nodes, and print Markdown tables.
 
-Trust the ratios: all that stands in one table ran in turns on one machine. Errors are measured,
-too. It takes a few minutes. What requirements/bench.txt names is compared with if it is installed.
+The cases of one table run in turns on one machine, so their ratios can be compared between
+machines. Errors are measured as well. A run of all parts takes a few minutes.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 import importlib.util
 import json
 import os
@@ -36,49 +35,45 @@ import scipy
 
 
 def main() -> int:
-    """Run the parts that are asked for, all by default; return 1 if ratios have changed."""
-    of_sums = {make.__name__: make for make in sums.TABLES}
-    parts = [*of_sums, *nodes.PARTS]
+    """Run the requested parts, by default all; return 1 if ratios have changed."""
+    tables = {make.__name__: make for make in sums.TABLES}
+    parts = [*tables, *nodes.PARTS]
     parser = argparse.ArgumentParser(prog='python -m bench', description=__doc__)
     parser.add_argument('parts', nargs='*', metavar='PART', help=f'one of {", ".join(parts)}')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='and write it there as JSON')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the tables as JSON')
     parser.add_argument('--check', action='store_true', help='compare with bench/ratios.json')
-    parser.add_argument('--store', action='store_true', help='write bench/ratios.json anew')
+    parser.add_argument('--store', action='store_true', help='update bench/ratios.json')
     arguments = parser.parse_args()
-    chosen = arguments.parts or parts
-    for name in chosen:
+    names = arguments.parts or parts
+    for name in names:
         if name not in parts:
-            parser.error(f'there is no part {name!r}; there are: {", ".join(parts)}')
+            parser.error(f'unknown part {name!r}; choose from {", ".join(parts)}')
     print(_machine())
     results: dict[str, race.Result] = {}
-    for name in chosen:
-        before = os.getloadavg()[0]
+    for name in names:
         if name in nodes.PARTS and importlib.util.find_spec('rclpy') is None:
-            print(f'\n{name}: left out, rclpy is not installed.')
+            print(f'\n{name}: skipped, because rclpy is not installed.')
             continue
-        results[name] = _run(nodes.PARTS[name] if name in nodes.PARTS else of_sums[name])
+        load = os.getloadavg()[0]
+        results[name] = race.measure(tables[name]()) if name in tables else nodes.PARTS[name]()
         print('', *results[name].lines(), sep='\n')
-        print(f'Load before and after: {before:.1f}, {os.getloadavg()[0]:.1f}.', flush=True)
+        print(f'Load before and after: {load:.1f}, {os.getloadavg()[0]:.1f}.', flush=True)
     if arguments.json is not None:
-        tables = {name: result._asdict() for name, result in results.items()}
-        text = json.dumps({'machine': _machine(), 'tables': tables}, indent=2)
-        arguments.json.write_text(text + '\n', 'utf-8')
+        document = {
+            'machine': _machine(),
+            'tables': {name: result._asdict() for name, result in results.items()},
+        }
+        arguments.json.write_text(json.dumps(document, indent=2) + '\n', 'utf-8')
     ratios = {name: result.ratios for name, result in results.items()}
     if arguments.store:
         check.store(ratios)
-    said = check.deviations(ratios) if arguments.check else []
-    print(*said, sep='\n', file=sys.stderr)
-    return 1 if said else 0
-
-
-def _run(make: Callable[[], race.Table | race.Result]) -> race.Result:
-    """Measure a part."""
-    made = make()
-    return race.measure(made) if isinstance(made, race.Table) else made
+    changed = check.deviations(ratios) if arguments.check else []
+    print(*changed, sep='\n', file=sys.stderr)
+    return 1 if changed else 0
 
 
 def _machine() -> str:
-    """Say where this runs."""
+    """Return the processor and the versions of the numerical libraries."""
     lines = Path('/proc/cpuinfo').read_text('utf-8').splitlines()
     names = [line.partition(': ')[2] for line in lines if line.startswith('model name')]
     return (

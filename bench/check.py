@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Hold the ratios of a run against those that were stored."""
+"""Comparison of measured ratios with the stored ones."""
 
 from __future__ import annotations
 
@@ -21,35 +21,37 @@ import math
 from pathlib import Path
 
 STORED = Path(__file__).with_name('ratios.json')
-ALLOWED = 1.3
-"""By this factor a ratio may be larger or smaller. [-]"""
+"""File of the stored ratios."""
+
+TOLERANCE = 1.3
+"""Largest factor between a measured and a stored ratio. [-]"""
 
 Ratios = Mapping[str, Mapping[str, float]]
 
 
 def store(ratios: Ratios, path: Path = STORED) -> None:
-    """Store ratios by table and name in place of those that are there for these tables."""
+    """Replace the stored ratios of the measured tables, and keep those of other tables."""
     stored = json.loads(path.read_text('utf-8')) if path.exists() else {}
-    for table, found in ratios.items():
-        if found:
-            stored[table] = {name: float(f'{ratio:.3g}') for name, ratio in found.items()}
+    for table, measured in ratios.items():
+        if measured:
+            stored[table] = {name: float(f'{ratio:.3g}') for name, ratio in measured.items()}
     path.write_text(json.dumps(stored, indent=2, sort_keys=True) + '\n', 'utf-8')
 
 
 def deviations(ratios: Ratios, path: Path = STORED) -> list[str]:
-    """Say which ratios are too far from those stored, and which are stored and not measured."""
+    """Return a line for every ratio that has changed too much, was not stored or not measured."""
     if not path.exists():
-        return [f'{path} is not there yet; make bench ARGS=--store writes it']
+        return [f'{path} does not exist; create it by make bench ARGS=--store']
     stored = json.loads(path.read_text('utf-8'))
-    said = []
-    for table, found in ratios.items():
-        if found and table not in stored:
-            said.append(f'{table}: not stored yet; make bench ARGS="{table} --store" does it')
+    lines = []
+    for table, measured in ratios.items():
+        if measured and table not in stored:
+            lines.append(f'{table}: not stored; store it by make bench ARGS="{table} --store"')
         for name, before in stored.get(table, {}).items():
-            now = found.get(name)
+            now = measured.get(name)
             if now is None:
-                said.append(f'{table}, {name}: not measured, was {before:.3g}')
-            elif not abs(math.log(now / before)) <= math.log(ALLOWED):
+                lines.append(f'{table}, {name}: not measured, was {before:.3g}')
+            elif not abs(math.log(now / before)) <= math.log(TOLERANCE):
                 change = 100.0 * (now / before - 1.0)
-                said.append(f'{table}, {name}: {now:.3g}, was {before:.3g} ({change:+.0f} %)')
-    return said
+                lines.append(f'{table}, {name}: {now:.3g}, was {before:.3g} ({change:+.0f} %)')
+    return lines

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Twin and recorder against plain nodes that do what anybody would, and many of them at once.
+Cost and lateness of twin and recorder beside plain rclpy nodes, and of many twins at once.
 
-All run as a user runs them, in processes of their own, and are seen from outside: by their topics,
-by what the twin says of itself in `/diagnostics`, by bags, and by the kernel's accounts. Twin and
-timer run in turns; the recorders record the same messages at the same time.
+All nodes run in their own processes. The measurements use only topics, the twin's statistics in
+`/diagnostics`, bags, and the process accounting of the kernel. Twin and timer run in turns; both
+recorders record the same messages at the same time.
 """
 
 from __future__ import annotations
@@ -48,16 +48,29 @@ from bench.race import Result
 import numpy as np
 
 ROUNDS = 3
-SECONDS = 7.0  # of a round
-SETTLING = 2.0  # [s]
+"""Number of turns of twin and timer."""
+
+SECONDS = 7.0
+"""Duration of a measurement. [s]"""
+
+SETTLING = 2.0
+"""Time between the first message and the measurement. [s]"""
+
 TWINS = 16
-STORM_RATE = 50  # changes of a parameter in a second
-STORM_THICKNESS = 0.012  # [m]
+"""Number of twins that run at once."""
+
+STORM_RATE = 50
+"""Number of parameter changes per second."""
+
+STORM_THICKNESS = 0.012
+"""Layer thickness around which the parameter changes. [m]"""
+
 LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')
+"""Keys of the lateness of ticks in `/diagnostics`."""
 
 
 class Measured(NamedTuple):
-    """How a publisher did: lateness of ticks [s], what was lost, and the part of one core."""
+    """Lateness of ticks [s], fraction of lost messages, and fraction of one core."""
 
     p50: float
     p99: float
@@ -68,33 +81,34 @@ class Measured(NamedTuple):
 
 def twin() -> Result:
     """Compare the ticks of the twin with those of a plain timer."""
-    timer = (sys.executable, __file__, 'timer')
-    found: dict[str, list[Measured]] = {'twin': [], 'timer': []}
+    commands = {'twin': (*SOFT_THROW, 'twin'), 'timer': (sys.executable, __file__, 'timer')}
+    measured: dict[str, list[Measured]] = {name: [] for name in commands}
     for _ in range(ROUNDS):
-        for name, command in (('twin', (*SOFT_THROW, 'twin')), ('timer', timer)):
-            found[name].append(_measure(command))
+        for name, command in commands.items():
+            measured[name].append(_measure(command))
     ours, plain = (
         Measured(*(statistics.median(values) for values in zip(*rounds, strict=True)))
-        for rounds in found.values()
+        for rounds in measured.values()
     )
     result = Result.under(
         'at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal'
     )
-    for title, place, scale, goal in (
-        ('lateness p50 [us]', 0, 1e6, None),
-        ('lateness p99 [us]', 1, 1e6, 100.0),
-        ('lateness max [us]', 2, 1e6, None),
-        ('messages lost [%]', 3, 100.0, 0.0),
-        ('of one core [%]', 4, 100.0, 12.0),
-    ):
-        ratio = plain[place] / ours[place] if ours[place] else None
-        result.rows.append([title, scale * ours[place], scale * plain[place], ratio, goal])
+    rows = (
+        ('lateness p50 [us]', 1e6, None),
+        ('lateness p99 [us]', 1e6, 100.0),
+        ('lateness max [us]', 1e6, None),
+        ('messages lost [%]', 100.0, 0.0),
+        ('of one core [%]', 100.0, 12.0),
+    )
+    for (title, scale, goal), value, reference in zip(rows, ours, plain, strict=True):
+        ratio = reference / value if value else None
+        result.rows.append([title, scale * value, scale * reference, ratio, goal])
     result.ratios['of one core'] = plain.processor / ours.processor
     return result
 
 
 def _measure(command: tuple[str, ...]) -> Measured:
-    """Run a publisher, and see what comes and what it says of its lateness."""
+    """Run a publisher; measure its messages, its reported lateness and its processor time."""
     with subscriber() as heard, running(command) as (child,):
         heard.wait(TIMEOUT, lambda: bool(heard.stamps))
         heard.wait(SETTLING)
@@ -110,19 +124,19 @@ def _measure(command: tuple[str, ...]) -> Measured:
 
 
 def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
-    """Return the part of one core that each process takes during a wait."""
+    """Return the fraction of one core that each process uses during a wait."""
     before = [usage(process.pid).processor for process in processes]
     begin = time.monotonic()
     wait()
-    passed = time.monotonic() - begin
+    duration = time.monotonic() - begin
     return [
-        (usage(process.pid).processor - earlier) / passed
-        for process, earlier in zip(processes, before, strict=True)
+        (usage(process.pid).processor - used) / duration
+        for process, used in zip(processes, before, strict=True)
     ]
 
 
 def storm() -> Result:
-    """Compare ticks of a twin that is left alone with those while it is set again and again."""
+    """Compare the ticks of a twin with and without frequent changes of a parameter."""
     from rclpy.parameter import Parameter
     from rclpy.parameter_client import AsyncParameterClient
 
@@ -132,15 +146,15 @@ def storm() -> Result:
         heard.wait(TIMEOUT, lambda: bool(heard.stamps))
         heard.wait(SETTLING)
         client = AsyncParameterClient(heard.node, '/twin')
-        for name, rate in (('left alone', 0), ('meanwhile', STORM_RATE)):
+        for name, rate in (('without changes', 0), ('with changes', STORM_RATE)):
             heard.clear()
             begin, count = time.monotonic(), 0
             while time.monotonic() < begin + 2.0 * SECONDS:
                 heard.wait(1.0 / STORM_RATE)
                 while rate and count < rate * (time.monotonic() - begin):
                     thickness = STORM_THICKNESS * (1.0 + 1e-4 * (count % 500))
-                    asked = client.set_parameters([Parameter('layer.thickness', value=thickness)])
-                    heard.wait(TIMEOUT, asked.done)
+                    future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
+                    heard.wait(TIMEOUT, future.done)
                     count += 1
             numbers = heard.values('ticks', 'ticks_late', 'ticks_skipped')
             ticks, late, skipped = (numbers[-1] - numbers[0]).tolist()
@@ -150,10 +164,10 @@ def storm() -> Result:
 
 
 def start() -> Result:
-    """Measure how long it takes until the twin's first state, kernels compiled or not."""
+    """Measure the time to the twin's first state, with and without compiled kernels."""
     result = Result.under('first start of the twin', 's', 'goal')
     with tempfile.TemporaryDirectory() as folder:
-        for title, goal in (('no kernel compiled', 15.0), ('the next', 1.5)):
+        for title, goal in (('no kernel compiled', 15.0), ('all kernels compiled', 1.5)):
             with subscriber() as heard:
                 begin = time.monotonic()
                 with running((*SOFT_THROW, 'twin'), NUMBA_CACHE_DIR=folder):
@@ -174,7 +188,7 @@ def recorder() -> Result:
 
 
 def _record(rate: int) -> list[tuple[float, float]]:
-    """Return the part of the states lost, and the part of one core used, of both recorders."""
+    """Return the fractions of lost states and of one core for both recorders."""
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / name for name in ('ours', 'plain')]
         commands = (
@@ -201,25 +215,8 @@ def _recorder_into(folder: str, name: str, *rules: str) -> tuple[str, ...]:
     return 'recorder', '--ros-args', *(word for rule in words for word in ('-p', rule))
 
 
-def growth_with_subscribers() -> Result:
-    """Measure what the twin costs with more and more subscribers in processes of their own."""
-    result = Result.under('growth with subscribers', 'of one core, the twin [%]', 'over the first')
-    with tempfile.TemporaryDirectory() as folder:
-        for count in (1, 2, 4, 8):
-            python = (sys.executable, '-m', 'bench.soak', '--subscribe')
-            others = [(*python, f'{folder}/{number}') for number in range(1, count)]
-            with subscriber() as heard, running((*SOFT_THROW, 'twin'), *others) as processes:
-                heard.wait(TIMEOUT, lambda heard=heard: bool(heard.stamps))
-                heard.wait(2.0 * SETTLING)
-                (share,) = _shares(processes[:1], lambda heard=heard: heard.wait(SECONDS))
-            first = result.rows[0][1] if result.rows else 100.0 * share
-            result.rows.append([f'{count} subscribers', 100.0 * share, 100.0 * share / first])
-            result.ratios[f'{count} subscribers'] = 100.0 * share / first
-    return result
-
-
 def sixteen_twins() -> Result:
-    """Run many twins at 100 Hz each, and one recorder of them all."""
+    """Run many twins at 100 Hz each, and one recorder of all their topics."""
     names = [f'/rig{number}/twin' for number in range(1, TWINS + 1)]
     twins = [
         (*SOFT_THROW, 'twin', '--ros-args', '-r', f'__ns:={name.removesuffix("/twin")}',
@@ -227,8 +224,8 @@ def sixteen_twins() -> Result:
         for name in names
     ]
     with tempfile.TemporaryDirectory() as folder:
-        everything = (*SOFT_THROW, *_recorder_into(folder, 'bag', "topics:=['/']"))
-        with subscriber() as heard, running(everything, *twins) as processes:
+        command = (*SOFT_THROW, *_recorder_into(folder, 'bag', "topics:=['/']"))
+        with subscriber() as heard, running(command, *twins) as processes:
             reporting: set[str] = set()
 
             def all_report() -> bool:
@@ -238,29 +235,24 @@ def sixteen_twins() -> Result:
             heard.wait(TIMEOUT, all_report)
             heard.clear()
             shares = _shares(processes, lambda: heard.wait(SECONDS))
-        late = heard.values(*LATENESS)
+        p99 = heard.values(*LATENESS)[:, 1]
         recorded = [
             recorded_states(Path(folder) / 'bag', f'{name}/joint_states') for name in names
         ]
-    lost = sum(states.lost for states in recorded)
-    count = sum(states.stamps.size for states in recorded)
-    result = Result.under(f'{TWINS} twins at 100 Hz, one recorder', 'found', 'goal')
+    result = Result.under(f'{TWINS} twins at 100 Hz, one recorder', 'measured', 'goal')
     result.rows.extend([
-        ['states recorded', count, None],
-        ['states lost', lost, 0.0],
+        ['states recorded', sum(states.stamps.size for states in recorded), None],
+        ['states lost', sum(states.lost for states in recorded), 0.0],
         ['of one core, a twin, median [%]', 100.0 * statistics.median(shares[1:]), None],
         ['of one core, all twins [%]', 100.0 * sum(shares[1:]), None],
         ['of one core, the recorder [%]', 100.0 * shares[0], None],
-        ['lateness p99, median [us]', 1e6 * float(np.median(late[:, 1])), None],
+        ['lateness p99, median [us]', 1e6 * float(np.median(p99)), None],
     ])
     return result
 
 
-# What anybody would write; each runs in a process of its own until Ctrl-C.
-
-
 def _publish_by_timer() -> None:
-    """Fill in a message and publish it in a timer, and say how late it was as the twin does."""
+    """Publish states from an rclpy timer, and report lateness as the twin does, until Ctrl-C."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     import rclpy
     from rclpy.qos import QoSProfile
@@ -284,8 +276,8 @@ def _publish_by_timer() -> None:
         states.publish(message)
 
     def on_second() -> None:
-        values = zip(('p50', 'p99', 'max'), np.percentile(late, (50, 99, 100)), strict=True)
-        pairs = [KeyValue(key=f'lateness_{name}', value=str(v / SECOND)) for name, v in values]
+        values = np.percentile(late, (50, 99, 100)) / SECOND
+        pairs = [KeyValue(key=k, value=str(v)) for k, v in zip(LATENESS, values, strict=True)]
         diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=pairs)]))
         late.clear()
 
@@ -295,10 +287,10 @@ def _publish_by_timer() -> None:
 
 
 def _record_plainly(folder: str) -> None:
-    """Write every message of the twin where it is received."""
+    """Write every message of the twin in the callback that receives it, until Ctrl-C."""
     from mcap.writer import Writer
     import rclpy
-    from soft_throw_ros.configuration.interface import TWIN_TOPICS
+    from soft_throw_ros.configuration.interface import ALL_TWIN_TOPICS
 
     rclpy.init(args=[])
     node = rclpy.create_node('plain')
@@ -319,7 +311,7 @@ def _record_plainly(folder: str) -> None:
             kind = getattr(importlib.import_module(f'{package}.msg'), name)
             node.create_subscription(kind, topic.name, on_message, topic.depth, raw=True)
 
-        for topic in TWIN_TOPICS:
+        for topic in ALL_TWIN_TOPICS:
             if not topic.is_input:
                 record(topic.at('/twin'))
         try:
@@ -329,10 +321,9 @@ def _record_plainly(folder: str) -> None:
 
 
 PARTS: Mapping[str, Callable[[], Result]] = {
-    part.__name__: part
-    for part in (twin, storm, recorder, start, growth_with_subscribers, sixteen_twins)
+    function.__name__: function for function in (twin, storm, recorder, start, sixteen_twins)
 }
-"""Tables by their names."""
+"""Functions that measure the tables, by their names."""
 
 
 if __name__ == '__main__':

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nodes in processes of their own, as a user runs them, and what the kernel says of each."""
+"""Nodes in separate processes, their resource usage, and readers of their messages and bags."""
 
 from __future__ import annotations
 
@@ -30,13 +30,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 STATES = '/twin/joint_states'
-RATE = 1000  # of ticks [Hz]
-SECOND = 1_000_000_000  # [ns]
+"""Topic of the twin's states."""
+
+RATE = 1000
+"""Default rate of the twin's ticks. [Hz]"""
+
+SECOND = 1_000_000_000
+"""One second. [ns]"""
+
 TIMEOUT = 300.0
 """Longest wait for the first message, since kernels may have to be compiled. [s]"""
 
 EXIT_TIMEOUT = 20.0
-"""How long a process may take to end. [s]"""
+"""Longest wait for the end of a process after SIGINT. [s]"""
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 ROOT = Path(__file__).parents[1]
@@ -45,7 +51,7 @@ Process = subprocess.Popen[bytes]
 
 
 class Usage(NamedTuple):
-    """What a process has used so far: processor time [s], resident memory [bytes], handles."""
+    """Resources of a process: processor time [s], resident memory [bytes], open files."""
 
     processor: float
     memory: int
@@ -54,18 +60,18 @@ class Usage(NamedTuple):
 
 class Heard(NamedTuple):
     """
-    What a subscriber has heard so far.
+    The messages that a subscriber has received.
 
     Attributes
     ----------
     node : rclpy.node.Node
-        Which listens.
+        The subscribed node.
     wait : callable
-        Takes messages for some seconds, or until a condition holds.
+        Receives messages for some seconds, or until a condition holds.
     stamps : list of int
-        Of the states that came. [ns]
+        Stamps of the received states. [ns]
     statuses : list of tuple
-        Name of a status in `/diagnostics`, and its values as text.
+        Name and values (as text) of every received status in `/diagnostics`.
 
     """
 
@@ -75,18 +81,18 @@ class Heard(NamedTuple):
     statuses: list[tuple[str, dict[str, str]]]
 
     def clear(self) -> None:
-        """Forget what came so far."""
+        """Discard the received messages."""
         self.stamps.clear()
         self.statuses.clear()
 
     def values(self, *names: str) -> NDArray[np.float64]:
-        """Return the numbers of these names of every status that has them all, in rows."""
-        found = [values for _, values in self.statuses if values.keys() >= set(names)]
-        return np.array([[float(values[name]) for name in names] for values in found])
+        """Return the named numbers, one row for every status that has all of them."""
+        complete = [values for _, values in self.statuses if values.keys() >= set(names)]
+        return np.array([[float(values[name]) for name in names] for values in complete])
 
 
 def usage(pid: int) -> Usage:
-    """Ask the kernel what a process has used."""
+    """Read the resources of a process from /proc."""
     folder = Path(f'/proc/{pid}')
     fields = (folder / 'stat').read_text('utf-8').rpartition(')')[2].split()
     processor = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
@@ -95,24 +101,24 @@ def usage(pid: int) -> Usage:
 
 
 def steal() -> tuple[float, float]:
-    """Return processor time that other machines of the same host took, and all there was [s]."""
+    """Return the processor time taken by other virtual machines, and the total [s]."""
     fields = Path('/proc/stat').read_text('utf-8').partition('\n')[0].split()[1:9]
     times = [int(field) / os.sysconf('SC_CLK_TCK') for field in fields]
     return times[7], sum(times)
 
 
 def children_of(pid: int) -> list[int]:
-    """Return the processes that a process has started."""
-    found = []
+    """Return the numbers of all child processes."""
+    children = []
     for path in Path('/proc').glob('[0-9]*/stat'):
         with contextlib.suppress(OSError):
             if int(path.read_text('utf-8').rpartition(')')[2].split()[1]) == pid:
-                found.append(int(path.parent.name))
-    return found
+                children.append(int(path.parent.name))
+    return children
 
 
 def stamp_of(data: bytes) -> int:
-    """Read the stamp of a message that begins with a header [ns]."""
+    """Read the stamp of a serialized message that starts with a header [ns]."""
     seconds, nanoseconds = struct.unpack_from('<iI', data, 4)
     return int(seconds * SECOND + nanoseconds)
 
@@ -120,7 +126,7 @@ def stamp_of(data: bytes) -> int:
 def start(
     command: tuple[str, ...], *, output: Any = subprocess.DEVNULL, **environment: str
 ) -> Process:
-    """Start a process that finds this package, and hears nobody on other machines."""
+    """Start a process that imports this package and communicates on this machine only."""
     variables = {
         **os.environ,
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
@@ -131,14 +137,14 @@ def start(
 
 
 def end(process: Process) -> int:
-    """End a process as Ctrl-C does, and return its exit code."""
+    """Interrupt a process as Ctrl-C does, and return its exit code."""
     process.send_signal(signal.SIGINT)
     return process.wait(EXIT_TIMEOUT)
 
 
 @contextlib.contextmanager
 def running(*commands: tuple[str, ...], **environment: str) -> Iterator[list[Process]]:
-    """Run processes, and end them, the last one first."""
+    """Run processes, and interrupt them in reverse order at the end."""
     processes = [start(command, **environment) for command in commands]
     try:
         yield processes
@@ -152,7 +158,7 @@ def running(*commands: tuple[str, ...], **environment: str) -> Iterator[list[Pro
 
 @contextlib.contextmanager
 def subscriber(states: str = STATES) -> Iterator[Heard]:
-    """Subscribe as a recorder would, in this process."""
+    """Subscribe to states and diagnostics in this process."""
     from diagnostic_msgs.msg import DiagnosticArray
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -170,7 +176,7 @@ def subscriber(states: str = STATES) -> Iterator[Heard]:
         while time.monotonic() < deadline and not done():
             executor.spin_once(timeout_sec=0.1)
         if seconds >= TIMEOUT and not done():
-            raise TimeoutError(f'nothing on {states} after {seconds:g} s')
+            raise TimeoutError(f'no message on {states} within {seconds:g} s')
 
     heard = Heard(node, wait, [], [])
 
@@ -192,7 +198,7 @@ def subscriber(states: str = STATES) -> Iterator[Heard]:
 
 
 class RecordedStates(NamedTuple):
-    """Of a topic in a bag: stamps, times of publication [ns], and publishers' numbers."""
+    """Stamps, publication times [ns] and sequence numbers of the messages of a recorded topic."""
 
     stamps: NDArray[np.int64]
     published: NDArray[np.int64]
@@ -200,36 +206,36 @@ class RecordedStates(NamedTuple):
 
     @property
     def lost(self) -> int:
-        """How many are missing, by the publisher's numbers."""
+        """Number of messages missing in the sequence numbers of the publisher."""
         return int((np.diff(self.numbers) - 1).sum())
 
 
 def recorded_states(bag: Path, topic: str = STATES) -> RecordedStates:
-    """Read a topic whose messages have stamps, by somebody else's reader."""
+    """Read a topic of stamped messages with the reader of the mcap library."""
     from mcap.reader import make_reader
 
-    found = []
+    rows = []
     for path in sorted(bag.glob('*.mcap')):
         with path.open('rb') as stream:
-            found += [
+            rows += [
                 (stamp_of(message.data), message.publish_time, message.sequence)
                 for _, _, message in make_reader(stream).iter_messages(topics=[topic])
             ]
-    return RecordedStates(*np.array(found, dtype=np.int64).reshape(-1, 3).T)
+    return RecordedStates(*np.array(rows, dtype=np.int64).reshape(-1, 3).T)
 
 
 def recorded_statuses(bag: Path) -> list[tuple[int, str, dict[str, str]]]:
-    """Read when it was published [ns], name and values of every status in `/diagnostics`."""
+    """Return publication time [ns], name and values of every status in `/diagnostics`."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    found = []
+    statuses = []
     for path in sorted(bag.glob('*.mcap')):
         with path.open('rb') as stream:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             for decoded in reader.iter_decoded_messages(topics=['/diagnostics']):
-                when = decoded.message.publish_time
+                published = decoded.message.publish_time
                 for status in decoded.decoded_message.status:
                     values = {pair.key: pair.value for pair in status.values}
-                    found.append((when, status.name, values))
-    return found
+                    statuses.append((published, status.name, values))
+    return statuses

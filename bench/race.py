@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Let cases run in turns, so that what else the machine does strikes all alike, and list them."""
+"""Timing of alternatives in turns, so that other load on the machine affects all equally."""
 
 from __future__ import annotations
 
@@ -21,89 +21,90 @@ import time
 from typing import Any, NamedTuple
 
 REPETITIONS = 9
-SHORTEST = 2e-3  # a turn lasts at least as long: calls are repeated within it [s]
-BUDGET = 3.0  # after this a case sits out the turns that are left [s]
+"""Number of turns."""
+
+MIN_TURN = 2e-3
+"""Shortest duration of a turn: faster calls are repeated within one turn. [s]"""
+
+BUDGET = 3.0
+"""Total time of one case; a case that has used it skips the remaining turns. [s]"""
 
 
 class Case(NamedTuple):
-    """One way to get some numbers; one call does so many units (throws, seconds) of the table."""
+    """One way to compute a result; a call processes `units` units (throws, seconds) at once."""
 
     name: str
     call: Callable[[], Any]
     units: float = 1.0
-    error: Callable[[Any], float] | None = None  # of what `call` returns
-    goal: float | None = None  # that it is to reach, in the table's measure
+    error: Callable[[Any], float] | None = None  # error of the returned result
+    goal: float | None = None  # required performance, in the unit of the table
 
 
 class Table(NamedTuple):
-    """Cases that are compared; the first is what the others are measured by."""
+    """Cases to compare; ratios are costs relative to the first case."""
 
     title: str
     unit: str
-    error: str  # what the errors are of
+    error: str  # head of the column of errors
     cases: list[Case]
-    is_factor: bool = False  # units per second, a real-time factor, not microseconds per unit
-    left_out: tuple[str, ...] = ()
-    close: Callable[[], None] = lambda: None  # when it has been measured
+    is_factor: bool = False  # real-time factors (units per second) instead of us per unit
+    close: Callable[[], None] = lambda: None  # called after the measurement
 
 
 class Result(NamedTuple):
     """
-    A table that was measured.
+    A measured table.
 
     Attributes
     ----------
     heads : list of str
-        Of the columns.
+        Heads of the columns.
     rows : list of list
-        A title, and numbers; None where there is none.
+        A title and its numbers; None marks an empty cell.
     ratios : dict of str to float
-        Of costs within this run, which are to stay as they are.
-    left_out : tuple of str
-        What is not compared with, and why.
+        Costs relative to the first case, which should be the same on all machines.
 
     """
 
     heads: list[str]
     rows: list[list[str | float | None]]
     ratios: dict[str, float]
-    left_out: tuple[str, ...] = ()
 
     @classmethod
     def under(cls, *heads: str) -> Result:
-        """Begin a table with these heads."""
+        """Return an empty table with these heads."""
         return cls(list(heads), [], {})
 
     def lines(self) -> list[str]:
-        """Write it in Markdown."""
+        """Return the table in Markdown."""
         lines = head(*self.heads)
         for title, *cells in self.rows:
             texts = ['-' if cell is None else f'{cell:.4g}' for cell in cells]
             lines.append(f'| {title} | {" | ".join(texts)} |')
-        return [*lines, '', *(f'Left out: {reason}.' for reason in self.left_out)]
+        return [*lines, '']
 
 
 class Times(NamedTuple):
-    """Of one call: by the clock, and of processor time, which a busy machine hardly raises [s]."""
+    """Duration and processor time of a call; load on the machine hardly changes the latter [s]."""
 
-    least: float
+    shortest: float
     median: float
     processor: float
 
 
 def race(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
-    """Time calls, in turns; each is made once before it counts, and so is compiled."""
+    """Time calls in turns, after a first call that compiles."""
     counts: dict[str, int] = {}
     for name, call in calls.items():
         call()
-        counts[name] = max(1, round(SHORTEST / _time(call, 1)[1]))
-    seen: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+        counts[name] = max(1, round(MIN_TURN / _time(call, 1)[1]))
+    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
     for _ in range(REPETITIONS):
         for name, call in calls.items():
-            if sum(wall for wall, _ in seen[name]) * counts[name] < BUDGET:
-                seen[name].append(_time(call, counts[name]))
+            if sum(wall for wall, _ in measured[name]) * counts[name] < BUDGET:
+                measured[name].append(_time(call, counts[name]))
     times = {}
-    for name, pairs in seen.items():
+    for name, pairs in measured.items():
         walls, processors = zip(*pairs, strict=True)
         times[name] = Times(min(walls), statistics.median(walls), min(processors))
     return times
@@ -117,15 +118,13 @@ def measure(table: Table) -> Result:
     kind = 'real-time factor' if table.is_factor else f'us per {table.unit}'
     result = Result.under(
         table.title, table.error, f'{kind}, best', 'median', 'processor time over first', 'goal'
-    )._replace(left_out=table.left_out)
+    )
     for case in table.cases:
-        shown = [
-            1e6 * part / case.units if not table.is_factor else case.units / part
-            for part in times[case.name][:2]
-        ]
+        costs = [seconds / case.units for seconds in times[case.name][:2]]
+        numbers = [1.0 / cost if table.is_factor else 1e6 * cost for cost in costs]
         error = None if case.error is None else case.error(case.call())
         ratio = times[case.name].processor / case.units / base
-        result.rows.append([case.name, error, *shown, ratio, case.goal])
+        result.rows.append([case.name, error, *numbers, ratio, case.goal])
         if case is not first:
             result.ratios[case.name] = ratio
     table.close()
@@ -138,7 +137,7 @@ def head(*cells: str) -> list[str]:
 
 
 def _time(call: Callable[[], Any], count: int) -> tuple[float, float]:
-    """Return what one call takes by the clock, and of processor time [s]."""
+    """Return the mean duration and processor time of one call [s]."""
     start, used = time.perf_counter(), time.process_time()
     for _ in range(count):
         call()

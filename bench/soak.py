@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Run everything together for long, and see whether what is promised is kept.
+Run twin, recorder and subscribers together for a long time, and check the promises.
 
-A twin at 1 kHz, a recorder with a sink for viewers, four subscribers in processes of their own,
-and somebody who sets a parameter every ten seconds. Nobody's own word is taken for it: what was
-published and when is read from the bag by another reader, and compared with what the subscribers
-got and with what the twin said of itself; processor time, memory and handles come from the kernel.
-It prints Markdown, and ends with 1 if a promise was broken.
+The system is a twin at 1 kHz, a recorder with a sink for viewers, four subscribers in separate
+processes, and a client that sets a parameter every ten seconds. The check is independent of the
+nodes: publication times come from the bag, read by the mcap library, and are compared with the
+stamps that the subscribers received and with the twin's reports; processor time, memory and open
+files come from the kernel. The output is Markdown; the exit code is 1 if a promise was broken.
 """
 
 from __future__ import annotations
@@ -42,61 +42,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 SUBSCRIBERS = 4
-CHANGE_PERIOD = 10.0  # [s]
-SAMPLE_PERIOD = 1.0  # of memory and handles [s]
-LATE = 10_000_000  # what is later than this must have been reported [ns]
-REPORTED_LATE = 0.009  # by this: publishing takes a moment after lateness is taken [s]
-WARM_UP = 60.0  # at most a quarter of the time is left to fill buffers [s]
-GROWTH = 4e6
-"""
-What the memory of a process may grow by after warm-up: histories of topics fill. [bytes]
+"""Number of subscribers."""
 
-Less than twice the time to warm up says nothing about memory.
-"""
+CHANGE_PERIOD = 10.0
+"""Time between changes of the parameter. [s]"""
+
+SAMPLE_PERIOD = 1.0
+"""Time between samples of memory and open files. [s]"""
+
+MAX_UNREPORTED_LATENESS = 10_000_000
+"""A tick that is published later than this must be in the twin's report. [ns]"""
+
+MIN_REPORTED_LATENESS = 0.009
+"""Reported lateness of such a tick: lateness is measured shortly before publishing. [s]"""
+
+WARM_UP = 60.0
+"""Time in which buffers fill, at most a quarter of the run. [s]"""
+
+MAX_GROWTH = 4e6
+"""Largest growth of a process after warm-up, in runs of at least twice the warm-up. [bytes]"""
 
 INDEX_GROWTH = 2500.0
-"""
-What the recorder's may, beside that: MCAP has the index of a file at its end. [bytes/s]
+"""Additional growth of the recorder: the index of two chunks per second, 14 topics. [bytes/s]"""
 
-Two chunks in a second, each with the places of 14 topics.
-"""
+DRAIN_PERIOD = 0.01
+"""Time between two reads of a subscriber. [s]"""
 
-DRAIN_PERIOD = 0.01  # [s]
-QUIET = 0.3  # when nothing came for so long, there is no more [s]
+QUIET_PERIOD = 0.3
+"""A subscriber that ends stops when it receives nothing for this time. [s]"""
 
-FIELD = '/twin/layer/joint_states'
-TOPICS = (STATES, FIELD)
-THICKNESSES = (0.0150, 0.0168)  # that are set in turns [m]
+TOPICS = (STATES, '/twin/layer/joint_states')
+"""Topics whose losses are counted."""
+
+THICKNESSES = (0.0150, 0.0168)
+"""Alternating values of the parameter `layer.thickness`. [m]"""
+
 MB = 1e6
+"""One megabyte. [bytes]"""
 
 
 class Promise(NamedTuple):
-    """What was promised, what was found, and whether that is kept."""
+    """A promise, the measured result, and whether the promise is kept."""
 
     promise: str
-    found: str
+    result: str
     is_kept: bool
 
 
 class Course(NamedTuple):
-    """What a process used, from sample to sample."""
+    """Resource usage of a process over time."""
 
     times: list[float]
     usages: list[Usage]
 
     def after_warm_up(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] and usages (columns) after warm-up."""
+        """Return times [s] and usages (one row per time) after warm-up."""
         times, used = np.array(self.times), np.array(self.usages, dtype=float)
         is_warm = times >= times[0] + min(WARM_UP, 0.25 * (times[-1] - times[0]))
         return times[is_warm], used[is_warm]
 
     def summary(self) -> dict[str, float]:
-        """Sum up: part of one core, memory and handles at the end, and their growth."""
+        """Return the fraction of one core, final memory and open files, and their growth."""
         times, used = self.after_warm_up()
-        part = max(
-            len(times) // 5, 1
-        )  # the medians of a fifth: what is freed later does not count
-        first, last = np.median(used[:part], axis=0), np.median(used[-part:], axis=0)
+        fifth = max(len(times) // 5, 1)  # medians ignore memory that is soon freed again
+        first, last = np.median(used[:fifth], axis=0), np.median(used[-fifth:], axis=0)
         share = (used[-1, 0] - used[0, 0]) / max(times[-1] - times[0], 1e-9)
         return {
             'of one core [%]': round(100.0 * share, 2),
@@ -108,13 +117,13 @@ class Course(NamedTuple):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Soak, print what was found, and return 1 if a promise was broken."""
+    """Run the system, print the results, and return 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog='python -m bench.soak', description=__doc__)
-    parser.add_argument('--minutes', type=float, default=30.0, help='how long (default 30)')
+    parser.add_argument('--minutes', type=float, default=30.0, help='duration (default 30)')
     sinks = ('viewer', 'serve', 'file', 'none')
-    usual = 'where it is shown (default serve, which needs no screen)'
-    parser.add_argument('--sink', default='serve', choices=sinks, help=usual)
-    parser.add_argument('--json', type=Path, metavar='FILE', help='and write it there as JSON')
+    parser.add_argument('--sink', default='serve', choices=sinks,
+                        help='sink of the recorder (default serve, which needs no screen)')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the results as JSON')
     parser.add_argument('--subscribe', type=Path, metavar='FILE', help=argparse.SUPPRESS)
     arguments = parser.parse_args(args)
     if arguments.subscribe is not None:
@@ -131,25 +140,25 @@ def main(args: list[str] | None = None) -> int:
     print(*head(f'{arguments.minutes:g} min at 1 kHz', *columns), sep='\n')
     for name, values in used.items():
         print(f'| {name} |', ' | '.join(f'{values[column]:g}' for column in columns), '|')
-    print(f'\nOf all processors other machines took {100.0 * stolen / passed:.1f} %.\n')
-    print(*head('promise', 'found', 'kept'), sep='\n')
+    print(f'\nOther virtual machines took {100.0 * stolen / passed:.1f} % of the processors.\n')
+    print(*head('promise', 'result', 'kept'), sep='\n')
     for row in promises:
-        print(f'| {row.promise} | {row.found} | {"yes" if row.is_kept else "NO"} |')
+        print(f'| {row.promise} | {row.result} | {"yes" if row.is_kept else "NO"} |')
     if arguments.json is not None:
-        kept = [row._replace(is_kept=bool(row.is_kept))._asdict() for row in promises]
-        found = {'minutes': arguments.minutes, 'processes': used, 'promises': kept}
-        arguments.json.write_text(json.dumps(found, indent=2) + '\n', 'utf-8')
+        rows = [row._replace(is_kept=bool(row.is_kept))._asdict() for row in promises]
+        report = {'minutes': arguments.minutes, 'processes': used, 'promises': rows}
+        arguments.json.write_text(json.dumps(report, indent=2) + '\n', 'utf-8')
     return 0 if all(row.is_kept for row in promises) else 1
 
 
 class _Soak:
-    """The processes, what each used, and what became of them."""
+    """The processes of a run, their resource usage and exit codes."""
 
     def __init__(self, folder: Path, sink: str) -> None:
         self.courses: dict[str, Course] = {}
         self._folder = folder
         self._is_long = False
-        self._changes: list[str] = []  # reasons for refusal, empty if accepted
+        self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
         recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', f'rerun.sink:={sink}')
         self._commands = {
@@ -163,7 +172,7 @@ class _Soak:
         }
 
     def run(self, seconds: float) -> None:
-        """Run all for so long after the first state, and end them in order."""
+        """Run all processes for a time after the first report, and end them in order."""
         self._is_long = seconds >= 2.0 * WARM_UP
         with contextlib.ExitStack() as stack:
             running = {}
@@ -174,12 +183,12 @@ class _Soak:
             heard = stack.enter_context(processes.subscriber('/nothing'))
             heard.wait(processes.TIMEOUT, lambda: bool(heard.values('lateness_max').size))
             self._watch({name: child.pid for name, child in running.items()}, heard, seconds)
-            # The twin first, so that nobody misses a state for having left before it.
+            # The twin ends first, so that all others receive its last states.
             for name in reversed(running):
                 self._codes[name] = processes.end(running[name])
 
     def _watch(self, pids: dict[str, int], heard: processes.Heard, seconds: float) -> None:
-        """Take samples of all processes, and change a parameter now and then."""
+        """Sample the usage of all processes, and change a parameter periodically."""
         from rclpy.parameter import Parameter
         from rclpy.parameter_client import AsyncParameterClient
 
@@ -187,99 +196,100 @@ class _Soak:
         begin = time.monotonic()
         next_change = begin
         while (now := time.monotonic()) < begin + seconds:
-            shown = processes.children_of(pids['recorder'])
-            for name, pid in [*pids.items(), *((f'viewer sink {pid}', pid) for pid in shown)]:
-                with contextlib.suppress(OSError):  # it ends with an exit code that is judged
+            sinks = processes.children_of(pids['recorder'])
+            for name, pid in [*pids.items(), *((f'viewer sink {pid}', pid) for pid in sinks)]:
+                with contextlib.suppress(OSError):  # has ended; judge() checks its exit code
                     course = self.courses.setdefault(name, Course([], []))
                     course.usages.append(processes.usage(pid))
                     course.times.append(now)
             if now >= next_change:
                 thickness = THICKNESSES[len(self._changes) % 2]
-                asked = client.set_parameters([Parameter('layer.thickness', value=thickness)])
-                heard.wait(processes.EXIT_TIMEOUT, asked.done)
-                reasons = [result.reason for result in asked.result().results]
-                self._changes.append(' '.join(reasons) if asked.done() else 'no answer')
+                future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
+                heard.wait(processes.EXIT_TIMEOUT, future.done)
+                reasons = [result.reason for result in future.result().results]
+                self._changes.append(' '.join(reasons) if future.done() else 'no answer')
                 next_change += CHANGE_PERIOD
             heard.wait(SAMPLE_PERIOD)
             heard.clear()
 
     def judge(self) -> Iterator[Promise]:
-        """Compare what was published with what came, and the first samples with the last."""
+        """Yield the promises on losses, parameter changes, exit codes and resources."""
         states, layers = (processes.recorded_states(self._folder / 'bag', t) for t in TOPICS)
         count = states.stamps.size
         text = f'{states.lost} of {count + states.lost}'
         yield Promise('the recorder loses no states', text, states.lost == 0 < count)
-        said = (self._folder / 'recorder.log').read_text('utf-8').strip().splitlines()[-1]
-        counted = [sum(map(int, re.findall(rf'(\d+) of {topic}', said))) for topic in TOPICS]
-        missing = [found.lost + int(found.numbers[0]) - 1 for found in (states, layers)]
-        text = said.partition(']: ')[2].rpartition(', in ')[0]
-        yield Promise('it counts what it has not got', text, counted == missing)
+        line = (self._folder / 'recorder.log').read_text('utf-8').strip().splitlines()[-1]
+        counted = [sum(map(int, re.findall(rf'(\d+) of {topic}', line))) for topic in TOPICS]
+        missing = [topic.lost + int(topic.numbers[0]) - 1 for topic in (states, layers)]
+        text = line.partition(']: ')[2].rpartition(', in ')[0]
+        yield Promise('the recorder counts missing messages', text, counted == missing)
         for number in range(1, SUBSCRIBERS + 1):
             heard = np.fromfile(self._folder / str(number), dtype='<i8')
             published = states.stamps[states.stamps >= heard[0]]
             lost = int((~np.isin(published, heard)).sum())
             is_kept = lost == 0 and bool(heard.size > 0.9 * count)
-            yield Promise(
-                f'subscriber {number} loses none', f'{lost} of {published.size}', is_kept
-            )
+            text = f'{lost} of {published.size}'
+            yield Promise(f'subscriber {number} loses no states', text, is_kept)
         refused = [reason for reason in self._changes if reason]
-        text = f'{len(self._changes) - len(refused)} of {len(self._changes)}'
-        yield Promise('changes of a parameter are taken', ' '.join([text, *refused]), not refused)
+        accepted = f'{len(self._changes) - len(refused)} of {len(self._changes)}'
+        text = ' '.join([accepted, *refused])
+        yield Promise('changes of a parameter are accepted', text, not refused)
         bad = {name: code for name, code in self._codes.items() if code != 0}
-        yield Promise('all end in order', str(bad or 'all by 0'), not bad)
+        yield Promise('all processes end with 0', str(bad or 'yes'), not bad)
         for name, course in self.courses.items():
             if name.startswith('viewer sink'):
-                continue  # it keeps what a late viewer may ask for, up to a limit of its own
-            found = course.summary()
-            memory, handles = found['growth [MB]'], found['growth of handles']
+                continue  # buffers messages for viewers that connect later, up to its own limit
+            used = course.summary()
+            memory, handles = used['growth [MB]'], used['growth of handles']
             text = f'{memory:g} MB, {handles:+g} handles'
             seconds = course.times[-1] - course.times[0]
-            most = GROWTH + INDEX_GROWTH * seconds * (name == 'recorder')
-            is_flat = (memory * MB < most or not self._is_long) and handles <= 0
-            yield Promise(f'{name} takes no more memory and handles', text, is_flat)
+            limit = MAX_GROWTH + INDEX_GROWTH * seconds * (name == 'recorder')
+            is_flat = (memory * MB < limit or not self._is_long) and handles <= 0
+            yield Promise(f'memory and handles of {name} do not grow', text, is_flat)
 
     def judge_ticks(self) -> Iterator[Promise]:
-        """Compare when states were published with what the twin said of its ticks."""
+        """Yield the promises on late and skipped ticks, from publication times and reports."""
         states = processes.recorded_states(self._folder / 'bag', STATES)
-        said = _reports(self._folder / 'bag')
-        # What comes after the last report is reported by nobody.
-        is_reported = states.published < said[-1, 0]
+        reports = _reports(self._folder / 'bag')
+        end = reports[-1, 0]  # no report covers later states
         late = states.published - states.stamps
-        times = states.published[is_reported & (late > LATE)]
-        # The first report after a tick is about it, unless both came at the same moment.
-        first = np.searchsorted(said[:, 0], times)
-        told = np.maximum(said[first, 1], said[np.minimum(first + 1, len(said) - 1), 1])
-        unreported = int((told < REPORTED_LATE).sum())
-        text = f'{times.size} of {states.stamps.size} later, {unreported} of them not reported'
-        yield Promise('no tick later than 10 ms without a report', text, unreported == 0)
-        stamps = states.stamps[states.stamps < said[-1, 0]]
+        is_late = (states.published < end) & (late > MAX_UNREPORTED_LATENESS)
+        times = states.published[is_late]
+        # A tick is in the first report after it, or in the next if both were published at once.
+        first = np.searchsorted(reports[:, 0], times)
+        reported = np.maximum(
+            reports[first, 1], reports[np.minimum(first + 1, len(reports) - 1), 1]
+        )
+        unreported = int((reported < MIN_REPORTED_LATENESS).sum())
+        text = f'{times.size} of {states.stamps.size} later, {unreported} unreported'
+        yield Promise('every tick later than 10 ms is reported', text, unreported == 0)
+        stamps = states.stamps[states.stamps < end]
         skipped = int((np.round(np.diff(stamps) * RATE / SECOND) - 1).sum())
-        text = f'{skipped} skipped, {said[-1, 2]:.0f} reported'
-        yield Promise('no tick is skipped without a report', text, bool(skipped <= said[-1, 2]))
+        text = f'{skipped} skipped, {reports[-1, 2]:.0f} reported'
+        yield Promise('every skipped tick is reported', text, bool(skipped <= reports[-1, 2]))
 
 
 def _reports(bag: Path) -> NDArray[np.float64]:
-    """Read when the twin reported [ns], lateness and computing at their most [s], and skips."""
+    """Return the twin's reports: time [ns], largest lateness and computing time [s], skips."""
     rows: dict[int, dict[str, str]] = {}
-    for when, name, values in processes.recorded_statuses(bag):
+    for published, name, values in processes.recorded_statuses(bag):
         if name in ('/twin: timing', '/twin: load'):
-            rows[when] = rows.get(when, {}) | values
-    found = [
-        (when, float(row['lateness_max']) + float(row['compute_max']), float(row['ticks_skipped']))
-        for when, row in rows.items()
-    ]
-    return np.array(found)
+            rows[published] = rows.get(published, {}) | values
+    return np.array([
+        (time, float(row['lateness_max']) + float(row['compute_max']), float(row['ticks_skipped']))
+        for time, row in rows.items()
+    ])
 
 
 def _subscribe(path: Path) -> None:
-    """Write down the stamps of states, and take layers, up to Ctrl-C or the last there is."""
+    """Write the stamps of states to a file until Ctrl-C, and then up to the last state."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
     from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 
-    asked: list[int] = []  # when it was asked to end [ns]
-    signal.signal(signal.SIGINT, lambda _number, _frame: asked.append(time.time_ns()))
+    interrupts: list[int] = []  # times of SIGINT [ns]
+    signal.signal(signal.SIGINT, lambda *_: interrupts.append(time.time_ns()))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f'subscriber_{path.name}')
     states, layers = (
@@ -289,11 +299,11 @@ def _subscribe(path: Path) -> None:
     is_done = False
     with path.open('wb', buffering=0) as stream:
         while not is_done:
-            time.sleep(QUIET if asked else DRAIN_PERIOD)
+            time.sleep(QUIET_PERIOD if interrupts else DRAIN_PERIOD)
             stamps = [stamp_of(message.data) for message in states.drain()]
             layers.drain()
             stream.write(np.array(stamps, dtype='<i8').tobytes())
-            is_done = bool(asked) and (not stamps or stamps[-1] > asked[0])
+            is_done = bool(interrupts) and (not stamps or stamps[-1] > interrupts[0])
 
 
 if __name__ == '__main__':

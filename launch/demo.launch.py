@@ -11,33 +11,34 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Start the twin in slow motion, recorded into a bag, and shown in Rerun."""
+"""Start the twin in slow motion, record it into a bag, and show it in Rerun."""
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
-from launch.substitutions import LaunchConfiguration
 
 SHARE = Path(get_package_share_directory('soft_throw_ros'))
+# Arguments of twin.launch.py whose defaults differ here.
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        'params_file',
+        default_value=str(SHARE / 'config/demo.yaml'),
+        description='Parameter file of all nodes',
+    ),
+    DeclareLaunchArgument('record', default_value='true', description='Record into a bag'),
+    DeclareLaunchArgument(
+        'rerun', default_value='viewer', description='rerun.sink of the recorder'
+    ),
+)
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the twin's launch file with the demo's parameters."""
+    """Return the twin's launch file with the defaults of the demo."""
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                'rerun', default_value='viewer', description='rerun.sink of the recorder'
-            ),
-            IncludeLaunchDescription(
-                str(SHARE / 'launch/twin.launch.py'),
-                launch_arguments={
-                    'params_file': str(SHARE / 'config/demo.yaml'),
-                    'record': 'true',
-                    'folder': 'demo',
-                    'rerun': LaunchConfiguration('rerun'),
-                }.items(),
-            ),
+            *ARGUMENTS,
+            IncludeLaunchDescription(str(SHARE / 'launch/twin.launch.py')),
         ]
     )

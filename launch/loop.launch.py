@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Start a rig that ages, a twin that follows its plate, and a calibrator that finds it out."""
+"""Start a simulated rig that ages, a twin that follows its plate, and a calibrator."""
 
 from pathlib import Path
 
@@ -22,41 +22,32 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 SHARE = Path(get_package_share_directory('soft_throw_ros'))
-PARAMETERS = str(SHARE / 'config/loop.yaml')
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the twin's launch file with the loop's parameters, a rig and a calibrator."""
-    others = [
-        Node(
-            package='soft_throw_ros',
-            executable=name,
-            name=name,
-            namespace=LaunchConfiguration('namespace'),
-            parameters=[LaunchConfiguration('params_file')],
-            output='both',
-        )
-        for name in ('rig', 'calibrator')
-    ]
+    """Return the demo with the parameters of the loop, and the rig and the calibrator."""
+    # The include comes first: it refuses wrong arguments before any node starts.
     return LaunchDescription(
         [
             DeclareLaunchArgument(
-                'params_file', default_value=PARAMETERS, description='Parameters of all nodes'
+                'params_file',
+                default_value=str(SHARE / 'config/loop.yaml'),
+                description='Parameter file of all nodes',
             ),
-            DeclareLaunchArgument('namespace', default_value='', description='Of all nodes'),
-            DeclareLaunchArgument(
-                'rerun', default_value='viewer', description='rerun.sink of the recorder'
+            IncludeLaunchDescription(str(SHARE / 'launch/demo.launch.py')),
+            *(
+                Node(
+                    package='soft_throw_ros',
+                    executable=name,
+                    name=name,
+                    namespace=LaunchConfiguration('namespace'),
+                    parameters=[
+                        LaunchConfiguration('params_file'),
+                        {'use_sim_time': LaunchConfiguration('use_sim_time')},
+                    ],
+                    output='both',
+                )
+                for name in ('rig', 'calibrator')
             ),
-            IncludeLaunchDescription(
-                str(SHARE / 'launch/twin.launch.py'),
-                launch_arguments={
-                    'params_file': LaunchConfiguration('params_file'),
-                    'namespace': LaunchConfiguration('namespace'),
-                    'record': 'true',
-                    'folder': 'loop',
-                    'rerun': LaunchConfiguration('rerun'),
-                }.items(),
-            ),
-            *others,
         ]
     )

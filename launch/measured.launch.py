@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Start a twin that follows a plate which is measured, and a calibrator that keeps it true.
+Start a twin that follows a measured plate, and a calibrator that updates the rig's parameters.
 
 Examples
 --------
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetRemap
 
@@ -33,30 +33,39 @@ MEASURED = 'twin/measured_joint_states'
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the twin's launch file, whose arguments may be given as well, and a calibrator."""
+    """Return the twin's launch file with a measured plate, and a calibrator."""
+    # The group keeps the remappings from nodes of a launch file that includes this one.
+    # The include comes first: it refuses wrong arguments before any node starts.
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 'topic',
                 default_value=MEASURED,
-                description='Where plate and projectile are measured: sensor_msgs/JointState',
+                description='sensor_msgs/JointState with the measured plate and projectile',
             ),
-            SetRemap(src='~/measured_joint_states', dst=LaunchConfiguration('topic')),
-            SetRemap(src=MEASURED, dst=LaunchConfiguration('topic')),
-            IncludeLaunchDescription(
-                str(SHARE / 'launch/twin.launch.py'),
-                launch_arguments={'motion': 'measured'}.items(),
+            DeclareLaunchArgument(
+                'motion',
+                default_value='measured',
+                choices=['measured'],
+                description='engine.motion of the twin',
             ),
-            Node(
-                package='soft_throw_ros',
-                executable='calibrator',
-                name='calibrator',
-                namespace=LaunchConfiguration('namespace'),
-                parameters=[
-                    LaunchConfiguration('params_file'),
-                    {'use_sim_time': LaunchConfiguration('use_sim_time')},
-                ],
-                output='both',
+            GroupAction(
+                [
+                    SetRemap(src='~/measured_joint_states', dst=LaunchConfiguration('topic')),
+                    SetRemap(src=MEASURED, dst=LaunchConfiguration('topic')),
+                    IncludeLaunchDescription(str(SHARE / 'launch/twin.launch.py')),
+                    Node(
+                        package='soft_throw_ros',
+                        executable='calibrator',
+                        name='calibrator',
+                        namespace=LaunchConfiguration('namespace'),
+                        parameters=[
+                            LaunchConfiguration('params_file'),
+                            {'use_sim_time': LaunchConfiguration('use_sim_time')},
+                        ],
+                        output='both',
+                    ),
+                ]
             ),
         ]
     )

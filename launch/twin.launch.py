@@ -12,17 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Start a twin, and beside it, if asked, a recorder, the Rerun viewer and RViz.
+Start a twin and, on request, a recorder, the Rerun viewer and RViz.
 
 Examples
 --------
-``ros2 launch soft_throw_ros twin.launch.py namespace:=rig1 record:=true rerun:=viewer``
+``ros2 launch soft_throw_ros twin.launch.py namespace:=rig1 output:=my_bag use_rviz:=true``
 
 """
 
+import os
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import (
+    get_package_prefix,
+    get_package_share_directory,
+    PackageNotFoundError,
+)
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -33,7 +38,7 @@ SHARE = Path(get_package_share_directory('soft_throw_ros'))
 
 
 def _flag(name: str, description: str) -> DeclareLaunchArgument:
-    """Declare an argument that is true or false; false by default."""
+    """Return a boolean launch argument with the default false."""
     return DeclareLaunchArgument(
         name, default_value='false', choices=['true', 'false'], description=description
     )
@@ -43,82 +48,142 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         'params_file',
         default_value=str(SHARE / 'config/twin.yaml'),
-        description='Parameters of all nodes',
+        description='Parameter file of all nodes',
     ),
     DeclareLaunchArgument(
-        'namespace', default_value='', description='Of all nodes; several rigs have several'
+        'namespace', default_value='', description='Namespace of all nodes, one for each rig'
     ),
     DeclareLaunchArgument(
         'motion',
         default_value='',
-        description='engine.motion of the twin; as params_file says if empty',
+        description='engine.motion of the twin; empty: the value of params_file',
     ),
-    _flag('record', 'Whether to record into a bag'),
-    DeclareLaunchArgument('folder', default_value='.', description='Where bags are put'),
+    _flag('record', 'Record into a bag'),
+    DeclareLaunchArgument(
+        'output',
+        default_value='',
+        description='Path of the new bag, as of `ros2 bag record --output`; sets record:=true',
+    ),
+    DeclareLaunchArgument(
+        'uri', default_value='', description='The same, by the name in the parameters of rosbag2'
+    ),
+    DeclareLaunchArgument(
+        'folder',
+        default_value='',
+        description='Folder of bags with the time as name; empty: the value of params_file',
+    ),
     DeclareLaunchArgument(
         'rerun',
         default_value='none',
         choices=['none', 'viewer', 'serve', 'file'],
-        description='Whether to show it in Rerun: rerun.sink of the recorder',
+        description='rerun.sink of the recorder',
     ),
-    _flag('rviz', 'Whether to show it in RViz'),
-    _flag('use_sim_time', 'Whether to follow /clock'),
+    _flag('description', 'Publish the frames of the rig and its model, robot_description'),
+    _flag('use_rviz', 'Start RViz with the model of the rig; sets description:=true'),
+    _flag('rviz', 'The same as use_rviz'),
+    _flag('use_sim_time', 'Follow /clock'),
 )
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments, and what they ask for."""
+    """Return the arguments and the nodes that they select."""
     return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes that the arguments ask for."""
-    asked = {
+    """Check all arguments, then return the nodes, so that a refusal leaves no node running."""
+    values = {
         argument.name: LaunchConfiguration(argument.name).perform(context)
         for argument in ARGUMENTS
     }
-    use_sim_time = asked['use_sim_time'] == 'true'
-    common = {'namespace': asked['namespace'], 'output': 'both'}
-    parameters = [asked['params_file'], {'use_sim_time': use_sim_time}]
-    motion = [{'engine.motion': asked['motion']}] if asked['motion'] else []
+    if not Path(values['params_file']).is_file():
+        raise RuntimeError(f'params_file:={values["params_file"]}: file not found')
+    use_sim_time = values['use_sim_time'] == 'true'
+    common = {'namespace': values['namespace'], 'output': 'both'}
+    parameters = [values['params_file'], {'use_sim_time': use_sim_time}]
+    motion = [{'engine.motion': values['motion']}] if values['motion'] else []
     nodes = [_ours('twin', parameters=[*parameters, *motion], **common)]
-    if asked['record'] == 'true' or asked['rerun'] != 'none':
-        recording = {
-            'storage': 'mcap' if asked['record'] == 'true' else 'none',
-            'folder': asked['folder'],
-            'rerun.sink': asked['rerun'],
-        }
+    if recording := _recording(values):
         nodes.append(_ours('recorder', parameters=[*parameters, recording], **common))
-    if asked['rviz'] == 'true':
-        nodes += _rviz_nodes(common, use_sim_time=use_sim_time)
+    with_rviz = 'true' in (values['use_rviz'], values['rviz'])
+    if with_rviz:
+        _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
+    elif values['description'] == 'true':
+        _check_installed('description', 'robot_state_publisher')
+    else:
+        return nodes
+    namespace = values['namespace'].strip('/')
+    prefix = f'{namespace}/' if namespace else ''
+    nodes += _state_publishers(values['params_file'], prefix, common, use_sim_time=use_sim_time)
+    if with_rviz:
+        nodes.append(_rviz(prefix, common, use_sim_time=use_sim_time))
     return nodes
 
 
+def _recording(values: dict[str, str]) -> dict[str, str]:
+    """Return the parameters of the recorder, or none without a recorder."""
+    paths = {name: values[name] for name in ('output', 'uri') if values[name]}
+    if len(paths) > 1:
+        given = ' and '.join(f'{name}:={path}' for name, path in paths.items())
+        raise RuntimeError(f'{given}: both name the bag; leave one of the two out')
+    records = values['record'] == 'true' or bool(paths)
+    if not records and values['rerun'] == 'none':
+        return {}
+    recording = {'storage': 'mcap' if records else 'none', 'rerun.sink': values['rerun']}
+    if values['folder']:
+        recording['folder'] = values['folder']
+    for path in paths.values():
+        recording |= {'folder': str(Path(path).parent), 'name': Path(path).name}
+    return recording
+
+
+def _check_installed(argument: str, *packages: str) -> None:
+    """Raise if packages are missing that an argument needs, with the command to install them."""
+    missing = []
+    for package in packages:
+        try:
+            get_package_prefix(package)
+        except PackageNotFoundError:
+            missing.append(package)
+    if missing:
+        distribution = os.environ.get('ROS_DISTRO', '$ROS_DISTRO')
+        names = ' '.join(f'ros-{distribution}-{name.replace("_", "-")}' for name in missing)
+        raise RuntimeError(
+            f'{argument}:=true needs {" and ".join(missing)}: sudo apt install {names}'
+        )
+
+
 def _ours(name: str, **options: object) -> Node:
-    """Return a node of this package by its usual name."""
+    """Return a node of this package with its default name."""
     return Node(package='soft_throw_ros', executable=name, name=name, **options)
 
 
-def _rviz_nodes(common: dict[str, str], *, use_sim_time: bool) -> list[Node]:
+def _state_publishers(
+    params_file: str, prefix: str, common: dict[str, str], *, use_sim_time: bool
+) -> list[Node]:
     """
-    Return RViz, and what moves its model of the rig.
+    Return the publishers of the frames and of `robot_description`, in the sizes of the parameters.
 
-    A robot_state_publisher listens to one topic, and layer and bodies come by two, so there are
-    two of them. Frames have the namespace before their names, so that rigs do not meet in /tf.
+    A robot_state_publisher subscribes to one topic. The layer and the bodies have a topic each,
+    so there are two publishers of the same model.
 
     """
-    namespace = common['namespace'].strip('/')
-    prefix = f'{namespace}/' if namespace else ''
-    model = (SHARE / 'urdf/soft_throw.urdf').read_text()
+    from soft_throw_ros.configuration.robot_model import urdf_of_file  # imports numba
+
+    model = urdf_of_file(
+        (SHARE / 'urdf/soft_throw.urdf').read_text(),
+        params_file,
+        node=f'/{prefix}twin',
+        frame_prefix=prefix,
+    )
     parameters = [
         {
             'robot_description': ParameterValue(model, value_type=str),
-            'frame_prefix': prefix,
             'publish_frequency': 100.0,
             'use_sim_time': use_sim_time,
         }
     ]
-    publishers = [
+    return [
         Node(
             package='robot_state_publisher',
             executable='robot_state_publisher',
@@ -129,13 +194,15 @@ def _rviz_nodes(common: dict[str, str], *, use_sim_time: bool) -> list[Node]:
         )
         for name, topic in (('body', 'twin/joint_states'), ('layer', 'twin/layer/joint_states'))
     ]
-    view = str(SHARE / 'rviz/soft_throw.rviz')
-    rviz = Node(
+
+
+def _rviz(prefix: str, common: dict[str, str], *, use_sim_time: bool) -> Node:
+    """Return RViz, with the frame of the rig as the fixed one."""
+    return Node(
         package='rviz2',
         executable='rviz2',
         name='rviz',
-        arguments=['-d', view, '-f', f'{prefix}rig'],
+        arguments=['-d', str(SHARE / 'rviz/soft_throw.rviz'), '-f', f'{prefix}rig'],
         parameters=[{'use_sim_time': use_sim_time}],
         **common,
     )
-    return [*publishers, rviz]

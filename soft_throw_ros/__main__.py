@@ -14,43 +14,46 @@
 """
 Run an executable of the package by its name: ``soft-throw NAME [ARGUMENTS]``.
 
-pip lays this one command on the PATH, so that no generic name (``replay``) lands there; colcon
-lays the plain names into lib/soft_throw_ros, for ``ros2 run``.
+pip installs only this command on the PATH, to keep generic names such as ``replay`` out; colcon
+installs the plain names into lib/soft_throw_ros, for ``ros2 run``.
 
 """
 
-from collections.abc import Callable, Iterator
-import contextlib
+from collections.abc import Callable
 import importlib
 import os
 import signal
 import sys
 
-# Name: module with a main(args), and what it is for. The only such list: setup.py reads it too,
-# so nothing may be imported here but the standard library.
+# Name, module with a main(args), purpose. setup.py also reads this table, and imports delay the
+# signal handlers, so this module imports only a few modules of the standard library.
 EXECUTABLES = {
-    'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin true to its rig'),
-    'design': ('soft_throw_ros.commands.design', 'landscapes over any two parameters'),
-    'identify': ('soft_throw_ros.commands.identify', 'a rig from tracks or videos of throws'),
-    'inspect': ('soft_throw_ros.commands.inspect_bag', 'look at a bag, or at a stream, in Rerun'),
-    'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: topics into a bag, and to Rerun'),
-    'recover': ('soft_throw_ros.commands.recover', 'repair a bag that a crash has cut off'),
-    'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag, or check it'),
-    'rig': ('soft_throw_ros.nodes.rig', 'ROS 2 node: play a rig that is measured'),
-    'throw': ('soft_throw_ros.commands.throw', 'predict one throw by several models'),
-    'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: the throwing rig in real time'),
+    'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin calibrated'),
+    'design': ('soft_throw_ros.commands.design', 'find a better layer, amplitude or motion'),
+    'free_layers': ('soft_throw_ros.commands.free_layers', 'a material from layers that ring'),
+    'identify': ('soft_throw_ros.commands.identify', 'identify a rig from tracks of throws'),
+    'inspect': ('soft_throw_ros.commands.inspect_bag', 'show a bag or a stream in Rerun'),
+    'plan': ('soft_throw_ros.commands.plan', 'rank possible next throws for identify'),
+    'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: record and show topics'),
+    'recover': ('soft_throw_ros.commands.recover', 'repair a bag after a crash'),
+    'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag or check it'),
+    'rig': ('soft_throw_ros.nodes.rig', 'ROS 2 node: simulate a rig with sensors'),
+    'throw': ('soft_throw_ros.commands.throw', 'predict a throw by several models'),
+    'track': ('soft_throw_ros.commands.track', 'extract tracks from a video'),
+    'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: twin of a throwing rig in real time'),
+    'viewer': ('soft_throw_ros.nodes.viewer', 'ROS 2 node: show twins live in Rerun'),
     'warm_up': (
         'soft_throw_ros.commands.warm_up',
-        'compile all kernels beforehand',
+        'compile all kernels in advance',
     ),
 }
 
 
 def main(args: list[str] | None = None) -> int | None:
     """
-    Run the executable named by the first argument, with the others.
+    Run the executable named by the first argument with the other arguments.
 
-    Its module is imported only now: what needs no ROS runs without ROS.
+    The module is imported only then, so commands that do not need ROS run without it.
 
     Parameters
     ----------
@@ -60,68 +63,91 @@ def main(args: list[str] | None = None) -> int | None:
     Returns
     -------
     int or None
-        Exit code of the executable; 2 if there is none of that name, 1 if it needs a module that
-        is not installed.
+        Exit code of the executable; 2 if the name is unknown, 1 if a required module is not
+        installed.
 
     """
-    name, *rest = (sys.argv[1:] if args is None else args) or ['--help']
+    name, *arguments = (sys.argv[1:] if args is None else args) or ['--help']
     if name in {'-h', '--help'}:
         print(_usage())
         return 0
     if name not in EXECUTABLES:
         print(
-            f'soft-throw: no executable is named {name!r}; there are: {", ".join(EXECUTABLES)}',
+            f'soft-throw: unknown executable {name!r}; choose from {", ".join(EXECUTABLES)}',
             file=sys.stderr,
         )
         return 2
-    sys.argv = [f'soft-throw {name}', *rest]  # what the executable calls itself in its messages
-    return _run(name, rest)
+    sys.argv = [f'soft-throw {name}', *arguments]  # the prefix of its messages
+    return _run(name, arguments)
 
 
 def __getattr__(name: str) -> Callable[[], int | None]:
-    """Return the function behind a plain name that colcon lays: `run_twin` and the like."""
+    """Return the entry point of a name that colcon installs, such as `run_twin`."""
     executable = name.removeprefix('run_')
     if executable == name or executable not in EXECUTABLES:
-        raise AttributeError(f'no executable is named {name!r}')
+        raise AttributeError(f'unknown executable {name!r}')
     return lambda: _run(executable, sys.argv[1:])
 
 
 def _run(name: str, arguments: list[str]) -> int | None:
-    """Import the module of an executable, and run it."""
+    """Import the module of an executable and run its main function."""
     module_name, _ = EXECUTABLES[name]
-    try:
-        with _ended_by_signals(is_node='.nodes.' in module_name):
-            module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        print(f'soft-throw: {name} needs what is not installed: {error}', file=sys.stderr)
-        return 1
-    exit_code: int | None = module.main(arguments)
-    return exit_code
-
-
-@contextlib.contextmanager
-def _ended_by_signals(*, is_node: bool) -> Iterator[None]:
-    """
-    Let a signal end the process at once and quietly, as it may while nothing has begun.
-
-    An import that is interrupted halfway would say so in dozens of lines. Nodes then end as they
-    do later, with 0.
-
-    """
+    is_node = '.nodes.' in module_name
+    # During the import a signal ends the process at once without output, because an interrupted
+    # import prints dozens of lines. Nodes then exit with 0, as they do later.
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     handlers = {number: signal.getsignal(number) for number in numbers}
     for number, handler in handlers.items():
         if handler != signal.SIG_IGN:
             signal.signal(number, lambda number, _: os._exit(0 if is_node else 128 + number))
     try:
-        yield
+        _ensure_kernel_cache()
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        print(f'soft-throw: {name} needs a module that is not installed: {error}', file=sys.stderr)
+        return 1
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+    try:
+        exit_code: int | None = module.main(arguments)
+    except KeyboardInterrupt:  # the executable has not installed a signal handler
+        return 0 if is_node else 128 + signal.SIGINT
+    return exit_code
+
+
+def _ensure_kernel_cache() -> None:
+    """
+    Set a private temporary folder as numba's cache if no other folder is writable.
+
+    Otherwise numba raises an exception for the first kernel, for example in a container without a
+    home directory. Child processes inherit the folder in their environment.
+
+    """
+    import atexit
+    from pathlib import Path
+    import shutil
+    import tempfile
+
+    of_user = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
+    folders = (Path(__file__).with_name('core') / '__pycache__', Path(of_user))
+    existing = (
+        next(path for path in (folder, *folder.parents) if path.exists()) for folder in folders
+    )
+    is_writable = any(path.is_dir() and os.access(path, os.W_OK | os.X_OK) for path in existing)
+    if is_writable or 'NUMBA_CACHE_DIR' in os.environ:
+        return
+    cache = os.environ['NUMBA_CACHE_DIR'] = tempfile.mkdtemp(prefix='soft_throw_ros_')
+    atexit.register(shutil.rmtree, cache, ignore_errors=True)
+    print(
+        'soft-throw: no folder for compiled kernels is writable, so every start compiles them '
+        'again; set NUMBA_CACHE_DIR to a writable folder',
+        file=sys.stderr,
+    )
 
 
 def _usage() -> str:
-    """Say how to call the command, with a line for each executable."""
+    """Return the usage of the command with one line per executable."""
     width = max(map(len, EXECUTABLES))
     lines = [f'  {name:{width}}  {purpose}' for name, (_, purpose) in EXECUTABLES.items()]
     return '\n'.join(['usage: soft-throw NAME [ARGUMENTS]', '', 'executables:', *lines])

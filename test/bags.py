@@ -11,36 +11,42 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bags that tests write: channels, messages and whole bags."""
+"""Channels, messages and bags for tests."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+import contextlib
+from io import BytesIO
 from pathlib import Path
 import struct
 from typing import Any
 
+from mcap.exceptions import EndOfFile
+from mcap.reader import NonSeekingReader
+from mcap.writer import IndexType, Writer
 from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 
 BEGIN = 1_700_000_000_000_000_000
+"""Time of the first message. [ns]"""
 
 
-def profiles(*given: dict[str, Any]) -> str:
-    """Write profiles of quality of service, as they stand at a channel."""
+def profiles(*changes: dict[str, Any]) -> str:
+    """Return YAML with a quality-of-service profile for each set of changes."""
     infinite = {'sec': 9223372036, 'nsec': 854775807}
     default = {
         'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
         'deadline': infinite, 'lifespan': infinite, 'liveliness': 'automatic',
         'liveliness_lease_duration': infinite, 'avoid_ros_namespace_conventions': False,
     }
-    return dump_yaml([{**default, **profile} for profile in given])
+    return dump_yaml([{**default, **profile} for profile in changes])
 
 
 def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
-    """Make the channel of a topic whose publisher offers `qos`."""
+    """Return the channel of a topic whose publisher offers `qos`."""
     schema = find_schema(kind, installed_prefixes())
     return Channel(
         topic=topic,
@@ -52,13 +58,57 @@ def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channe
 
 
 def text(content: str) -> bytes:
-    """Write a message of std_msgs/String."""
+    """Return a serialized message of std_msgs/String."""
     data = content.encode() + b'\0'
     return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
 
 
+def stream(messages: Iterable[Message]) -> list[bytes]:
+    """Return the pieces of an MCAP file without chunks and without an end, one per message."""
+    output = BytesIO()
+    writer = Writer(output, use_chunking=False, index_types=IndexType.NONE)
+    writer.start('ros2', 'a test')
+    ids: dict[Channel, int] = {}
+    pieces = []
+    for channel, data, log_time, publish_time, sequence in messages:
+        if channel not in ids:
+            schema = writer.register_schema(
+                channel.type, channel.schema_encoding, channel.schema.encode()
+            )
+            metadata = {
+                'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash
+            }
+            ids[channel] = writer.register_channel(channel.topic, 'cdr', schema, metadata)
+        writer.add_message(ids[channel], log_time, data, publish_time, sequence)
+        writer.flush()
+        pieces.append(output.getvalue())
+        output.seek(0)
+        output.truncate()
+    return pieces
+
+
+def saved(folder: Path) -> list[tuple[str, bytes, int, int, int]]:
+    """
+    Read a bag by mcap's own reader, up to an unfinished record if the bag is being written.
+
+    Returns
+    -------
+    list of tuple
+        Topic, data, log time, publish time [ns] and sequence number of each message.
+
+    """
+    rows = []
+    for path in sorted(folder.glob('*.mcap')):
+        with path.open('rb') as file, contextlib.suppress(EndOfFile, struct.error):
+            reader = NonSeekingReader(file, validate_crcs=True)
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                times = message.log_time, message.publish_time
+                rows.append((channel.topic, message.data, *times, message.sequence))
+    return rows
+
+
 def write(path: Path, messages: Iterable[Message], chunk: int = 1000, **kwargs: Any) -> Path:
-    """Write a bag with a chunk for so many messages."""
+    """Write a bag with a fixed number of messages per chunk."""
     with BagWriter(path, distribution='jazzy', **kwargs) as writer:
         for number, message in enumerate(messages):
             writer.write(message)

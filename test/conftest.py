@@ -11,25 +11,34 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What holds for every test; nothing of ROS."""
+"""Settings of all tests, independent of ROS."""
 
 from collections.abc import Iterator
 import signal
 
 import hypothesis
+from hypothesis.internal.conjecture import providers
 import numpy as np
 import pytest
 import strays
 
-# The same examples in every run, and no deadline, for a first call compiles.
-hypothesis.settings.register_profile('repeatable', deadline=None, derandomize=True)
-# `make fuzz` has other examples in every run, and a failure says how to repeat it.
+# Hypothesis draws constants from the local modules that happen to be imported. Examples would then
+# depend on earlier tests and on threads that import. There is no public switch for this.
+providers.is_local_module_file = lambda _path: False
+# The same examples in every run; no deadline, because the machine may be busy.
+hypothesis.settings.register_profile(
+    'repeatable',
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+# Random examples for `make fuzz`; a failure prints how to repeat it.
 hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
 
 strays.watch_this_process()
 
-# What tests start hears these signals, even if the tests themselves, run by nohup, do not.
+# Child processes receive these signals even if the tests run under nohup.
 for number in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(number) == signal.SIG_IGN:
         signal.signal(number, lambda *_: None)
@@ -37,6 +46,6 @@ for number in (signal.SIGINT, signal.SIGHUP):
 
 @pytest.fixture(autouse=True)
 def floating_point_errors_raise() -> Iterator[None]:
-    """Let no NaN or infinity arise unnoticed; what decays may underflow to zero."""
+    """Raise on floating-point errors except underflow, which decaying values cause."""
     with np.errstate(divide='raise', over='raise', invalid='raise'):
         yield

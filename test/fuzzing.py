@@ -12,22 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Bad input by the thousand: how it is made, how many cases there are, and what is promised of each.
+Generators of invalid input, and the checks that every case must pass.
 
-A case is bounded in time and memory, may write into its own folder only, and ends with a result
-without NaN or with a refusal in one line.
+A case has a limit of time and memory, writes to its own folder only, and ends with a result
+without NaN or with an error of one line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
-import importlib
 import io
 import math
 import os
 from pathlib import Path
-import pkgutil
 import re
 import resource
 import signal
@@ -38,23 +36,15 @@ from typing import Any
 
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-import soft_throw_ros
-
-# What a case, or a thread that an earlier test has left, were the first to import would change the
-# next one: hypothesis draws the numbers that the modules of this project have in them
-for _module in pkgutil.walk_packages(soft_throw_ros.__path__, 'soft_throw_ros.'):
-    if not _module.name.endswith('.__main__'):
-        with contextlib.suppress(ImportError):  # what needs ROS or Rerun, where they are not
-            importlib.import_module(_module.name)
 
 CASES = int(os.environ.get('FUZZ_CASES', '2000'))
-"""How many there are in all; a share of them goes to every test that is `fuzzed`."""
+"""Total number of cases, divided among the tests decorated by `fuzzed`."""
 
 TIME_LIMIT = 60
-"""How long a case may take, on a machine that is busy with other things. [s]"""
+"""Longest duration of a case on a busy machine. [s]"""
 
 MEMORY_LIMIT = 500_000_000
-"""How much memory a case may take beyond what was there before. [bytes]"""
+"""Largest additional memory of a case. [bytes]"""
 
 NUMBERS = [
     'nan', '.nan', 'NaN', 'inf', '-.inf', '-inf', '1e400', '-1e400', '1e308', '5e-324', '-0.0',
@@ -70,11 +60,11 @@ WORDS = [
 
 
 class CaseHangs(BaseException):
-    """Its time is up, which nobody may take for damage of an input."""
+    """A case exceeds its time; a BaseException, which no handler of bad input catches."""
 
 
 def fuzzed(share: float, least: int = 2) -> Callable[[Any], Any]:
-    """Give a test its share of all cases."""
+    """Return a decorator that runs a test with its share of all cases."""
     return settings(
         max_examples=max(least, round(share * CASES)),
         deadline=None,
@@ -84,7 +74,7 @@ def fuzzed(share: float, least: int = 2) -> Callable[[Any], Any]:
 
 
 def texts(*valid: str) -> st.SearchStrategy[str]:
-    """Make texts out of valid ones: cut, doubled, shuffled, with words and numbers put in."""
+    """Return valid texts with parts removed, doubled, moved, or replaced by words and numbers."""
 
     @st.composite
     def strategy(draw: Callable[..., Any]) -> str:
@@ -102,10 +92,10 @@ def _put_word(draw: Callable[..., Any], text: str) -> str:
 
 
 def _put_number(draw: Callable[..., Any], text: str) -> str:
-    found = list(re.finditer(r'-?\d[\d.]*(?:e-?\d+)?', text))
-    if not found:
+    matches = list(re.finditer(r'-?\d[\d.]*(?:e-?\d+)?', text))
+    if not matches:
         return text
-    match = draw(st.sampled_from(found))
+    match = draw(st.sampled_from(matches))
     number = draw(st.sampled_from(NUMBERS) | st.floats().map(repr) | st.integers().map(str))
     return text[: match.start()] + number + text[match.end():]
 
@@ -133,7 +123,7 @@ _TEXT_EDITS = (_put_word, _put_number, _put_number, _cut, _double, _move_line)
 
 
 def datas(*valid: bytes) -> st.SearchStrategy[bytes]:
-    """Make bytes out of valid ones: truncated, with bits flipped, lengths changed, parts moved."""
+    """Return valid data truncated, with flipped bits, changed numbers, or doubled parts."""
 
     @st.composite
     def strategy(draw: Callable[..., Any]) -> bytes:
@@ -184,22 +174,22 @@ VALUES: st.SearchStrategy[Any] = st.one_of(
     st.lists(st.floats() | st.integers() | st.text(max_size=3), max_size=4),
     st.lists(st.floats(), min_size=1001, max_size=1003),
 )
-"""Values that parameters may be given, by programs that err."""
+"""Valid and invalid values of parameters."""
 
 
 @contextlib.contextmanager
 def bounded(*folders: Path) -> Iterator[None]:
     """
-    Hold a case to its limits of time and memory, and to writing below its folders.
+    Limit the time and memory of a case, and check that it writes only below its folders.
 
     Raises
     ------
     AssertionError
-        Naming the file, if one was written elsewhere.
+        If a file was written elsewhere.
     CaseHangs
-        If the time is up.
+        If the case takes too long.
     MemoryError
-        If more memory is asked for than a case may have.
+        If the case requests too much memory.
 
     """
     _written.clear()
@@ -226,12 +216,12 @@ def _fail(_number: int, _frame: object) -> None:
 
 
 _written: list[str] = []
-_TEMPORARY = f'{tempfile.gettempdir()}/tmp'  # how names begin that Python's tempfile makes
+_TEMPORARY = f'{tempfile.gettempdir()}/tmp'  # prefix of the names from Python's tempfile
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 def _on_audit(event: str, arguments: tuple[Any, ...]) -> None:
-    """Take note of what is written, made or deleted."""
+    """Record the paths of written, created and deleted files."""
     if event == 'open':
         path, _, flags = arguments
         if isinstance(path, (str, bytes)) and flags & _WRITING:
@@ -244,7 +234,7 @@ def _on_audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 def _note(path: str) -> None:
     is_temporary = path.startswith(_TEMPORARY) or path == os.devnull
-    if '__pycache__' not in path and not is_temporary:  # numba's and Python's own
+    if '__pycache__' not in path and not is_temporary:  # caches of numba and Python
         _written.append(path)
 
 
@@ -252,7 +242,7 @@ sys.addaudithook(_on_audit)
 
 
 def assert_refusal(error: Exception) -> None:
-    """Check that a refusal is one line that says something."""
+    """Check that an error message is one non-empty line."""
     text = str(error)
     assert text.strip()
     assert '\n' not in text, text
@@ -260,12 +250,12 @@ def assert_refusal(error: Exception) -> None:
 
 def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tuple[int, str, str]:
     """
-    Run a command, and check what is promised of all of them.
+    Run a command, and check the promises of all commands.
 
     Returns
     -------
     tuple of int, str, str
-        Exit code, standard output, and the refusal or warnings.
+        Exit code, standard output and standard error.
 
     """
     out, err = io.StringIO(), io.StringIO()
@@ -274,14 +264,14 @@ def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tu
             code = main(list(arguments)) or 0
         except SystemExit as end:
             code = int(end.code or 0)
-    said = err.getvalue()
-    assert code in {0, 1, 2}, said
-    assert 'Traceback' not in said
+    message = err.getvalue()
+    assert code in {0, 1, 2}, message
+    assert 'Traceback' not in message
     if code == 2:
-        lines = re.sub(r'^usage: .*\n( .*\n)*', '', said, flags=re.MULTILINE).splitlines()
-        assert lines, 'refused without a word'
-        assert all(re.match(r'[\w.-]+( [\w.-]+)?: ', line) for line in lines), said
-        assert sum('error: ' in line for line in lines) <= 1, said
+        lines = re.sub(r'^usage: .*\n( .*\n)*', '', message, flags=re.MULTILINE).splitlines()
+        assert lines, 'refused without a message'
+        assert all(re.match(r'[\w.-]+( [\w.-]+)?: ', line) for line in lines), message
+        assert sum('error: ' in line for line in lines) <= 1, message
         assert not out.getvalue()
     assert not re.search(r'\b(nan|NaN)\b', out.getvalue()), out.getvalue()
-    return code, out.getvalue(), said
+    return code, out.getvalue(), message

@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Hosts on one machine, each in a network namespace, joined by a cable that delays, loses and is cut.
+Hosts in network namespaces of one machine, connected by a cable that delays and loses frames.
 
-The cable is a thread that hands Ethernet frames from host to host. It does what `tc netem` does,
-and also where the kernel has no netem. Nothing is left behind: a namespace goes with the last
-thread or process that is in it.
+The cable is a thread that forwards Ethernet frames. It replaces `tc netem`, which many kernels
+lack. A namespace ends with its last thread or process, so no cleanup is needed.
 """
 
 from __future__ import annotations
@@ -47,21 +46,21 @@ _LARGEST_FRAME = 2048
 
 class Host:
     """
-    A network namespace with one end of a cable, at 10.77.0.NUMBER.
+    A network namespace with the address 10.77.0.NUMBER and a port of a cable.
 
     Raises
     ------
     OSError
-        If the system does not allow it, or has no `ip`.
+        If the system refuses a namespace, or has no command `ip`.
 
     """
 
     def __init__(self, number: int) -> None:
-        self._thread = ThreadPoolExecutor(1)  # which alone is in the namespace
+        self._thread = ThreadPoolExecutor(1)  # the only thread in the namespace
         self.port: int = self.call(self._enter, number)
 
     def call(self, function: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
-        """Call something on this host; processes that it starts are on it, too."""
+        """Call a function on this host; processes that it starts are on this host, too."""
         return self._thread.submit(function, *args, **kwargs).result()
 
     def close(self) -> None:
@@ -74,7 +73,7 @@ class Host:
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.unshare(_CLONE_NEWNET) != 0:
             reason = os.strerror(ctypes.get_errno())
-            raise OSError(f'no network namespace of its own: {reason}')
+            raise OSError(f'no network namespace: {reason}')
         port = os.open('/dev/net/tun', os.O_RDWR | os.O_NONBLOCK)
         fcntl.ioctl(port, _TUNSETIFF, struct.pack('16sH22x', b'cable', _IFF_TAP | _IFF_NO_PI))
         for command in (
@@ -82,7 +81,7 @@ class Host:
             'link set cable up',
             'link set lo up',
             'route add 224.0.0.0/4 dev cable',
-            # a host that has gone is missed at once, not only after 15 to 45 s
+            # notice a vanished host at once instead of after 15 to 45 s
             'ntable change name arp_cache dev cable base_reachable 1000 delay_probe 100',
         ):
             subprocess.run(['ip', *command.split()], check=True, capture_output=True)
@@ -91,37 +90,37 @@ class Host:
 
 class Cable:
     """
-    What joins hosts: a switch that hands on every frame late, or loses it.
+    A switch that delays or loses the frames between hosts.
 
     Parameters
     ----------
     hosts : sequence of Host
-        On the cable.
+        Connected hosts.
     delay : float
-        Of every frame. [s]
+        Delay of every frame. [s]
     loss : float
-        What part of the frames is lost. [-]
+        Fraction of lost frames. [-]
 
     Attributes
     ----------
     is_cut : bool
-        Whether all is lost at present.
-    handed_on, lost : int
-        How many frames.
+        Whether all frames are lost.
+    forwarded, lost : int
+        Number of frames.
 
     """
 
     def __init__(self, hosts: list[Host], *, delay: float, loss: float) -> None:
         self.is_cut = False
-        self.handed_on = 0
+        self.forwarded = 0
         self.lost = 0
         self._ports = [host.port for host in hosts]
         self._delay = delay
         self._loss = loss
         self._chance = random.Random(1)
         self._waiting: deque[tuple[float, int, bytes]] = deque()
-        self._places: dict[bytes, int] = {}  # ports by addresses
-        self._is_over = threading.Event()
+        self._port_of: dict[bytes, int] = {}  # by hardware address
+        self._is_closed = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def __enter__(self) -> Cable:
@@ -134,29 +133,29 @@ class Cable:
         _error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        self._is_over.set()
+        self._is_closed.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._is_over.is_set():
+        while not self._is_closed.is_set():
             until = self._waiting[0][0] - time.monotonic() if self._waiting else 0.1
             ready, _, _ = select.select(self._ports, [], [], max(until, 0.0))
             for port in ready:
                 frame = os.read(port, _LARGEST_FRAME)
-                self._places[frame[6:12]] = port
+                self._port_of[frame[6:12]] = port
                 if self.is_cut or self._chance.random() < self._loss:
                     self.lost += 1
                 else:
                     self._waiting.append((time.monotonic() + self._delay, port, frame))
             while self._waiting and self._waiting[0][0] <= time.monotonic():
-                self._hand_on(*self._waiting.popleft()[1:])
+                self._forward(*self._waiting.popleft()[1:])
 
-    def _hand_on(self, origin: int, frame: bytes) -> None:
-        to = self._places.get(frame[:6])
-        for port in [to] if to is not None else self._ports:
+    def _forward(self, origin: int, frame: bytes) -> None:
+        target = self._port_of.get(frame[:6])
+        for port in [target] if target is not None else self._ports:
             if port != origin:
                 try:
                     os.write(port, frame)
-                    self.handed_on += 1
-                except OSError:  # its queue is full, or the host is gone
+                    self.forwarded += 1
+                except OSError:  # the queue is full, or the host has ended
                     self.lost += 1

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What tests have started ends with them, however they end.
+A watcher that ends all processes started by the tests, however the tests end.
 
-A signal of the kernel (PR_SET_PDEATHSIG) would reach children only, and also when the thread ends
-that has started them. So each process of tests has a watcher: it waits for the end of the tests,
-and then ends whatever has their number in its environment, as all that they start inherits it.
+PR_SET_PDEATHSIG would reach only direct children, and would also act when the starting thread
+ends. Therefore a watcher process waits for the end of the tests, and then ends all processes that
+have inherited the number of the tests in their environment.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ import sys
 import time
 
 VARIABLE = 'SOFT_THROW_STARTED_BY_TESTS'
-"""Names the process of tests in the environment of what it starts."""
+"""Environment variable with the process number of the tests, inherited by their children."""
 
-PATIENCE = 5.0
-"""How long processes may take to end when they are asked to. [s]"""
+GRACE_PERIOD = 5.0
+"""Time between SIGTERM and SIGKILL. [s]"""
 
 
 def watch_this_process() -> None:
-    """Have all that this process starts from now on end with it."""
+    """End all processes that this process starts from now on when it ends."""
     own = str(os.getpid())
     if os.environ.get(VARIABLE) == own:
         return
@@ -47,16 +47,16 @@ def watch_this_process() -> None:
         [sys.executable, '-S', '-E', __file__, own],
         {name: value for name, value in os.environ.items() if name != VARIABLE},
         file_actions=[(os.POSIX_SPAWN_OPEN, fd, os.devnull, os.O_RDWR, 0) for fd in range(3)],
-        setsid=True,  # Ctrl-C in a terminal is not for the watcher
+        setsid=True,  # Ctrl-C in a terminal must not reach the watcher
     )
 
 
 def _watch(tests: int) -> None:
-    """Wait for the end of the tests, then ask what they have started to end, and then end it."""
+    """Wait for the end of the tests, then terminate their processes, and finally kill them."""
     if os.getppid() == tests:
         select.select([os.pidfd_open(tests)], [], [])
     for number in (signal.SIGTERM, signal.SIGKILL):
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + GRACE_PERIOD
         while (strays := list(_started_by(tests))) and time.monotonic() < deadline:
             for pid in strays:
                 _send(pid, number)
@@ -69,14 +69,14 @@ def _started_by(tests: int) -> Iterator[int]:
         try:
             if mark in path.read_bytes().split(b'\0'):
                 yield int(path.parent.name)
-        except OSError:  # it is gone, or somebody else's
+        except OSError:  # already ended, or owned by another user
             continue
 
 
 def _send(pid: int, number: int) -> None:
     try:
         os.kill(pid, number)
-    except OSError:  # it is gone
+    except OSError:  # already ended
         return
 
 

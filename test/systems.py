@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Twin, recorder and subscriber in processes of their own, to be hurt; and what they leave."""
+"""A system of twin, recorder and subscriber in separate processes, for tests of faults."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+import contextlib
 from pathlib import Path
 import re
 import signal
@@ -24,66 +25,72 @@ import time
 from typing import Any, NamedTuple
 
 from bench import processes
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
-TIMEOUT = 90.0  # for states to be taken [s]
-SETTLING = 2.5  # time for two reports of a node [s]
-MILLISECOND = 1_000_000  # [ns]
+TIMEOUT = 90.0
+"""Longest wait for states. [s]"""
+
+SETTLING = 2.5
+"""Time for two reports of every node. [s]"""
+
+MILLISECOND = 1_000_000
+"""One millisecond, the period of ticks. [ns]"""
 
 
 class Outcome(NamedTuple):
     """
-    What is left of a system.
+    Bags and counts after the end of a system.
 
     Attributes
     ----------
     bags : list of RecordedStates
-        States in each bag, by somebody else's reader.
+        States in each bag, read by the mcap library.
     missing : int
-        How many states are not in the last bag, by what its recorder says in the end.
+        Number of states missing in the last bag, as logged by its recorder.
     heard : ndarray
-        Stamps of states that the last subscriber wrote down. [ns]
-    told : int
-        When the twin last reported. [ns]
+        Stamps of the states that the last subscriber received. [ns]
+    reported : int
+        Time of the twin's last report. [ns]
     ticks_skipped : int
-        How many ticks it had skipped then.
+        Number of skipped ticks in the last report.
     viewers : int
-        How often a recorder has started what shows its messages.
+        Number of starts of the viewer sink.
 
     """
 
     bags: list[processes.RecordedStates]
     missing: int
     heard: np.ndarray
-    told: int
+    reported: int
     ticks_skipped: int
     viewers: int
 
     @property
     def published(self) -> np.ndarray:
-        """Stamps of all states that anybody has got [ns]."""
+        """Stamps of all states received by the last recorder or subscriber [ns]."""
         return np.union1d(self.bags[-1].stamps, self.heard)
 
     @property
     def ticks_missing(self) -> int:
-        """How many ticks nobody has got, before the last report of the twin."""
-        steps = np.diff(self.published[self.published < self.told]) / MILLISECOND
+        """Number of ticks before the last report that neither received."""
+        steps = np.diff(self.published[self.published < self.reported]) / MILLISECOND
         return int((np.round(steps) - 1).sum())
 
 
 class System:
     """
-    Twin, recorder with a sink for viewers, and subscriber.
+    A running twin, recorder with a viewer sink, and subscriber.
 
     Parameters
     ----------
     start : callable
-        Starts a process by its command: the fixture of that name, or one that does so on another
-        host; called with the name of what is started first.
+        Fixture that starts a process, on this or another host, from a name and a command.
     folder : Path
-        Where bags are put.
+        Folder of the bags.
 
     """
 
@@ -93,13 +100,13 @@ class System:
         self._start = start
         self._folder = folder
         self._sink = sink
-        self._heard = folder / 'heard'  # what the subscriber writes: the stamps that it hears
+        self._heard = folder / 'heard'  # stamps written by the subscriber
         for name in ('recorder', 'subscriber', 'twin'):
             self.start(name)
         self.wait_for_states()
 
     def start(self, name: str) -> None:
-        """Start one of them, or start it again."""
+        """Start or restart a process."""
         if name == 'recorder':
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
@@ -117,30 +124,44 @@ class System:
         self.running[name] = process
 
     def pids(self, name: str) -> list[int]:
-        """Return the process that is meant, or all of them."""
-        shown = processes.children_of(self.running['recorder'].process.pid)
+        """Return the process numbers of a node, of the viewer sink, or of all."""
+        sinks = processes.children_of(self.running['recorder'].process.pid)
         if name == 'viewer':
-            return shown
-        everybody = [process.process.pid for process in self.running.values()]
-        return everybody + shown if name == 'all' else [self.running[name].process.pid]
+            return sinks
+        nodes = [process.process.pid for process in self.running.values()]
+        return nodes + sinks if name == 'all' else [self.running[name].process.pid]
 
     def wait_for_states(self) -> None:
-        """Wait until recorder and subscriber have taken states for a second or so."""
+        """Wait until recorder and subscriber receive states published after the call."""
+        deadline, start = time.monotonic() + TIMEOUT, time.time_ns()
+        self.wait_for_heard(1250)
+        while _last_recorded_stamp(self.bags[-1]) < start:
+            assert time.monotonic() < deadline, 'no new states are recorded'
+            time.sleep(0.1)
+
+    def wait_for_heard(self, count: int) -> None:
+        """Wait until the subscriber has received a number of additional states."""
+        deadline, before = time.monotonic() + TIMEOUT, _size(self._heard)
+        while _size(self._heard) < before + 8 * count:
+            assert time.monotonic() < deadline, 'no states are received'
+            time.sleep(0.1)
+
+    def wait_for_viewer(self, *, not_pid: int) -> None:
+        """Wait until the recorder has a viewer with another process number."""
         deadline = time.monotonic() + TIMEOUT
-        before = [_size(self._heard), _size(self.bags[-1])]
-        while _size(self._heard) < before[0] + 10_000 or _size(self.bags[-1]) < before[1] + 20_000:
-            assert time.monotonic() < deadline, 'no states are taken'
+        while self.pids('viewer') in ([], [not_pid]):
+            assert time.monotonic() < deadline, 'no viewer was started again'
             time.sleep(0.1)
 
     def wait_for_states_of(self, moment: int) -> None:
-        """Wait until the subscriber hears states that were published after a moment [ns]."""
+        """Wait until the subscriber receives states published after a given time [ns]."""
         deadline = time.monotonic() + TIMEOUT
         while int(np.fromfile(self._heard, dtype='<i8')[-1]) < moment:
-            assert time.monotonic() < deadline, 'only old states are heard'
+            assert time.monotonic() < deadline, 'only old states are received'
             time.sleep(0.1)
 
     def end(self) -> Outcome:
-        """End all, the twin first, and gather what they left."""
+        """End all processes, the twin first, and return the outcome."""
         time.sleep(SETTLING)
         for name in ('twin', 'subscriber', 'recorder'):
             process = self.running[name]
@@ -148,30 +169,41 @@ class System:
             assert not any('Traceback' in line for line in process.lines), process.lines
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last
-        # What was lost, and what was published before the recorder joined, if it joined late.
+        # Lost states, and states published before a late recorder joined.
         missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
         reports = processes.recorded_statuses(self.bags[-1])
-        told, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
-        viewers = [int(values['starts']) for _, name, values in reports if 'viewer' in name]
+        reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
+        viewers = [
+            int(values['starts']) for _, name, values in reports if name == '/recorder: viewer'
+        ]
         return Outcome(
             [processes.recorded_states(bag) for bag in self.bags],
             missing,
             np.fromfile(self._heard, dtype='<i8'),
-            told,
+            reported,
             int(timing['ticks_skipped']),
             max(viewers, default=0),
         )
 
 
 def missing(states: processes.RecordedStates, twins: int = 1) -> int:
-    """Count what is missing of numbers that begin at 1, and begin anew after the longest pause."""
+    """Count missing sequence numbers, which restart at 1 with each twin, after a long pause."""
     pauses = np.argsort(np.diff(states.stamps))[::-1][: twins - 1]
-    parts = np.split(states.numbers, np.sort(pauses) + 1)
-    assert all((np.diff(part) > 0).all() for part in parts)
-    return sum(int(part[-1]) for part in parts) - states.numbers.size
+    runs = np.split(states.numbers, np.sort(pauses) + 1)
+    assert all((np.diff(run) > 0).all() for run in runs)
+    return sum(int(run[-1]) for run in runs) - states.numbers.size
 
 
 def _size(path: Path) -> int:
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.glob('*.mcap'))
     return path.stat().st_size if path.exists() else 0
+
+
+def _last_recorded_stamp(bag: Path) -> int:
+    """Return the stamp of the last state in an unfinished bag, or 0 [ns]."""
+    stamp = 0
+    for path in sorted(bag.glob('*.mcap')):
+        with path.open('rb') as stream, contextlib.suppress(McapError):
+            reader = NonSeekingReader(stream)
+            for _, _, message in reader.iter_messages([processes.STATES], log_time_order=False):
+                stamp = processes.stamp_of(message.data)
+    return stamp

@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The figures of docs/paper: what is drawn is what the models say, and is fit to be shown."""
+"""The figures of docs/paper show the numbers of the models, and the files are current."""
 
 import functools
 import math
 from pathlib import Path
-import re
 import sys
 
 import numpy as np
@@ -41,30 +40,24 @@ DOCS = Path(__file__).parents[1] / 'docs'
 
 @functools.cache
 def drawn(name):
-    """Draw a figure, once for all tests, and lay it out."""
+    """Draw a figure once for all tests."""
     with style.settings():
-        figure = DRAWINGS[name].draw()
+        figure = DRAWINGS[name]()
         canvas = FigureCanvasAgg(figure)
         figure.set_dpi(150)
         canvas.draw()
     return figure
 
 
-@functools.cache
-def pixels(name):
-    """Return what is on the canvas: (height, width, red green blue) from 0 to 1."""
-    return np.asarray(drawn(name).canvas.buffer_rgba())[:, :, :3] / 255.0
-
-
 def panels(name):
-    """Return the axes that are no colour bars."""
+    """Return the axes without colour bars."""
     return [axes for axes in drawn(name).axes if axes.get_label() != '<colorbar>']
 
 
 def line(axes, label):
-    """Return x and y of the only line whose label begins so."""
-    (found,) = [each for each in axes.lines if each.get_label().startswith(label)]
-    return found.get_data()
+    """Return x and y of the only line whose label starts with the given text."""
+    (curve,) = [curve for curve in axes.lines if curve.get_label().startswith(label)]
+    return curve.get_data()
 
 
 def release_at(x, c, damping_ratio=0.0, density_ratio=1.0):
@@ -73,56 +66,15 @@ def release_at(x, c, damping_ratio=0.0, density_ratio=1.0):
     )
 
 
-# How they look
-
-PAPERS = [name for name in DRAWINGS if name != 'throw']
-# Of a module: all tests of a figure run one after the other, most likely in one process
-of_each = functools.partial(pytest.mark.parametrize, 'name', scope='module')
-
-
-@of_each([*PAPERS, 'throw'])
-def test_figure_in_docs_is_current_small_and_not_empty(name):
+@pytest.mark.parametrize('name', DRAWINGS, scope='module')
+def test_figure_in_docs_is_current_and_small(name):
     path = path_of(name, DOCS)
     assert path.stat().st_size < 250_000
-    shown = image.imread(path)[:, :, :3]
-    picture = pixels(name)
-    assert shown.shape == picture.shape
-    # Letters and edges may come out a little different with another matplotlib
-    assert np.abs(shown - picture).mean() < 0.01
-    assert 0.1 < (picture > 0.99).all(axis=2).mean() < 0.97
-    assert (np.ptp(picture, axis=2) > 0.2).mean() > 0.002
-
-
-@of_each([*PAPERS, 'throw'])
-def test_nothing_is_cut_off_or_too_small_and_no_legend_hides_data(name):
-    figure = drawn(name)
-    shown = figure.get_window_extent()
-    texts = [figure._suptitle] if figure._suptitle else []
-    for axes in figure.axes:
-        texts += [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label, *axes.texts]
-    for text in texts:
-        if text.get_text() and text.get_visible():
-            assert text.get_size() >= 8.0  # a README shows 1260 dots as some 830
-            box = text.get_window_extent()
-            assert shown.x0 <= box.x0 < box.x1 <= shown.x1 + 1.0, text.get_text()
-            assert shown.y0 <= box.y0 < box.y1 <= shown.y1 + 1.0, text.get_text()
-    for legend in figure.legends:
-        box = legend.get_window_extent()
-        assert shown.x0 <= box.x0 < box.x1 <= shown.x1
-        assert not any(axes.get_window_extent().overlaps(box) for axes in figure.axes)
-
-
-@of_each(PAPERS)
-def test_figure_has_a_caption_and_symbols_or_units_at_its_axes(name):
-    title, _, caption = drawn(name)._suptitle.get_text().partition('\n')
-    number = re.match(r'fig(\d+)', name)
-    assert not number or re.search(rf'Figs?\.\\ {number[1]}\\ ', title)
-    assert len(caption) > 40
-    for axes in panels(name):
-        if axes.get_subplotspec().is_first_col():
-            assert re.search(r'\$|\(.*\w|over', axes.get_ylabel()), axes.get_title()
-        if name != 'fig1' and axes.get_subplotspec().is_last_row():
-            assert '$' in axes.get_xlabel(), axes.get_title()
+    stored = image.imread(path)[:, :, :3]
+    drawing = np.asarray(drawn(name).canvas.buffer_rgba())[:, :, :3] / 255.0
+    assert stored.shape == drawing.shape
+    # Text and edges may differ slightly between versions of matplotlib
+    assert np.abs(stored - drawing).mean() < 0.01
 
 
 def test_unknown_figure_is_refused_by_name(capsys):
@@ -132,24 +84,21 @@ def test_unknown_figure_is_refused_by_name(capsys):
     assert "'fig99'" in capsys.readouterr().err
 
 
-# What they show
-
-
 @pytest.mark.parametrize(('name', 'damping_ratio'), [('fig3', 0.0), ('fig11', 0.064)])
 def test_maps_are_the_exact_releases_of_equal_densities(name, damping_ratio):
-    places = np.random.default_rng(4).uniform((0.02, 0.3), (0.98, 13.9), size=(40, 2))
+    points = np.random.default_rng(4).uniform((0.02, 0.3), (0.98, 13.9), size=(40, 2))
     for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
-        (shown,) = axes.images
-        values = shown.get_array()
-        assert shown.get_extent() == pytest.approx((0.0, 1.0, 0.0, 14.0), abs=1e-12)
-        for x, c in places:
+        (picture,) = axes.images
+        values = picture.get_array()
+        assert picture.get_extent() == pytest.approx((0.0, 1.0, 0.0, 14.0), abs=1e-12)
+        for x, c in points:
             row, column = int(c / 14.0 * len(values)), int(x * len(values))
             middle = (column + 0.5) / len(values), 14.0 * (row + 0.5) / len(values)
             expected = getattr(release_at(*middle, damping_ratio), result)
             assert values[row, column] == pytest.approx(expected, rel=1e-9)
 
 
-def test_fig3_marks_what_the_paper_says_and_the_highest_point():
+def test_fig3_marks_the_optimum_of_the_paper_and_the_computed_one():
     axes = panels('fig3')[1]
     x, c = line(axes, 'paper: ridge')
     np.testing.assert_allclose(c, 10.2 * np.sqrt(x))
@@ -159,15 +108,15 @@ def test_fig3_marks_what_the_paper_says_and_the_highest_point():
 
 
 @pytest.mark.parametrize(('name', 'damping_ratio'), [('fig5', 0.0), ('fig12', 0.064)])
-def test_series_are_the_exact_releases_and_its_points_throws_by_cells(name, damping_ratio):
+def test_series_are_exact_releases_and_their_points_agree(name, damping_ratio):
     for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
         for series, color, bars in zip(
             SERIES, (style.BLUE, style.ORANGE, style.GREEN), axes.containers, strict=True
         ):
             curves = [
-                each.get_data()
-                for each in axes.lines
-                if each.get_color() == color and len(each.get_xdata()) > 1000
+                curve.get_data()
+                for curve in axes.lines
+                if curve.get_color() == color and len(curve.get_xdata()) > 1000
             ]
             x, values = curves[-1]
             for i in (40, 301, 700, 1100):
@@ -179,7 +128,7 @@ def test_series_are_the_exact_releases_and_its_points_throws_by_cells(name, damp
             np.testing.assert_allclose(values, getattr(rigid, result), rtol=4e-4)
 
 
-def test_error_bars_are_those_of_linear_propagation_where_nothing_jumps():
+def test_error_bars_match_linear_propagation_without_jumps():
     # 5.6 mm of the second series: wave speed, thickness and frequency one by one
     series = SERIES[1]
     base = {'thickness': 5.6e-3, 'wave_speed': 7.8, 'frequency': 63.2}
@@ -199,7 +148,7 @@ def test_error_bars_are_those_of_linear_propagation_where_nothing_jumps():
     np.testing.assert_allclose(bars, math.sqrt(variance), rtol=0.15)
 
 
-def test_fig7_has_the_spring_of_appendix_a_and_layers_above_it():
+def test_fig7_has_the_spring_of_appendix_a_below_the_layers():
     phases, transfers = panels('fig7')
     q, alpha = line(transfers, 'spring')
     expected = (q / (q - 1.0) * np.sin(2.0 * np.pi / (q + 1.0))) ** 2
@@ -213,15 +162,15 @@ def test_fig7_has_the_spring_of_appendix_a_and_layers_above_it():
     assert highest[-1] > alpha.max() == pytest.approx(3.1274, abs=1e-4)
 
 
-def test_plate_fit_finds_what_the_track_was_made_with():
+def test_plate_fit_recovers_the_true_parameters():
     values, errors = fits.fit_plate(*fits.plate_track())
     assert (np.abs(values - (0.0, 63.2, 2e-3, 0.064)) < 4.0 * errors).all()
     assert errors[1] < 0.05
 
 
 def test_thick_layer_is_the_first_interval_of_the_wave():
-    # In contact V_m = 2 A w (sin a - w cos a + w e^(-a/w)) / (1 + w^2), w for w tau, a for the
-    # angle: Eq. (11), which says nothing of how the others are computed. It leaves at the top.
+    # Eq. (11), an independent formula: in contact V_m = 2 A omega (sin a - w cos a + w e^(-a/w)) /
+    # (1 + w^2) with w = omega tau and the angle a. The projectile leaves at its largest speed.
     def speed(a, w):
         return 2.0 * (math.sin(a) - w * math.cos(a) + w * math.exp(-a / w)) / (1.0 + w * w)
 
@@ -232,16 +181,16 @@ def test_thick_layer_is_the_first_interval_of_the_wave():
     for axes in (transfers, wide):
         w, alpha = line(axes, 'exact')
         for i in (3, 100, 333):
-            leaves = brentq(slope, 0.5 * math.pi, math.pi, args=(w[i],))
-            assert alpha[i] == pytest.approx(speed(leaves, w[i]) ** 2, rel=1e-8)
+            release = brentq(slope, 0.5 * math.pi, math.pi, args=(w[i],))
+            assert alpha[i] == pytest.approx(speed(release, w[i]) ** 2, rel=1e-8)
     w, angle = line(angles, 'exact')
-    leaves = brentq(slope, 0.5 * math.pi, math.pi, args=(w[200],))
-    assert angle[200] == pytest.approx(leaves / math.pi, rel=1e-9)
+    release = brentq(slope, 0.5 * math.pi, math.pi, args=(w[200],))
+    assert angle[200] == pytest.approx(release / math.pi, rel=1e-9)
 
 
-def test_line_is_broken_where_values_jump_and_nowhere_else():
+def test_line_is_broken_only_where_values_jump():
     smooth = np.sin(np.linspace(0.0, 6.0, 300))
     assert np.isfinite(style.broken(smooth)).all()
     jumps = smooth + (np.arange(300) >= 120) * 0.1
-    (lost,) = np.flatnonzero(np.isnan(style.broken(jumps)))
-    assert lost == 120
+    (gap,) = np.flatnonzero(np.isnan(style.broken(jumps)))
+    assert gap == 120

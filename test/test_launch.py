@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The launch files, without launch, which no wheel brings: stand-ins note down what they ask for.
+Launch files, executed with replacements of the package launch, which is not on PyPI.
 
-What launch itself makes of them is tried by hand on a ROS machine.
+The replacements record the actions; launch itself is tested by hand, from its sources.
 """
 
 from pathlib import Path
@@ -24,15 +24,17 @@ from types import ModuleType
 
 import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
+from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.recorder import RECORDER
+from urdf_parser_py.urdf import URDF
 import yaml
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
 
 
-class Asked:
-    """An action or a substitution, with what it was made of."""
+class Recorded:
+    """An action or a substitution with its arguments."""
 
     def __init__(self, *args, **kwargs):
         self.args, self.kwargs = args, kwargs
@@ -47,14 +49,14 @@ class Asked:
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """Have launch files import classes of this file, each by its name in launch."""
+    """Replace the modules of launch by recording classes with the same names."""
     kinds = {}
 
     def module(name, **values):
-        made = ModuleType(name)
-        made.__getattr__ = lambda kind: kinds.setdefault(kind, type(kind, (Asked,), {}))
-        vars(made).update(values)
-        monkeypatch.setitem(sys.modules, name, made)
+        replacement = ModuleType(name)
+        replacement.__getattr__ = lambda kind: kinds.setdefault(kind, type(kind, (Recorded,), {}))
+        vars(replacement).update(values)
+        monkeypatch.setitem(sys.modules, name, replacement)
 
     for name in (
         'launch', 'launch.actions', 'launch.substitutions',
@@ -62,56 +64,77 @@ def stand_ins(monkeypatch):
     ):
         module(name)
     module('ament_index_python')
-    module('ament_index_python.packages', get_package_share_directory=lambda _name: str(ROOT))
+    module(
+        'ament_index_python.packages',
+        get_package_share_directory=lambda _name: str(ROOT),
+        get_package_prefix=get_package_prefix,
+        PackageNotFoundError=KeyError,
+    )
     return kinds
 
 
+def get_package_prefix(name):
+    """Raise for packages that are not installed."""
+    if name in not_installed:
+        raise KeyError(name)
+
+
+not_installed = set()
+
+
 def actions(name):
-    """Return what a launch file describes."""
+    """Return the actions of a launch file, including those of groups."""
     description = runpy.run_path(str(ROOT / 'launch' / name))['generate_launch_description']()
-    return description.args[0]
+    return [
+        action
+        for entry in description.args[0]
+        for action in (entry.args[0] if kind_of(entry) == 'GroupAction' else [entry])
+    ]
+
+
+def description_of(node):
+    """Return the parsed model of a robot_state_publisher."""
+    text = node['parameters'][0]['robot_description'].args[0]
+    return URDF.from_xml_string(text.encode())
 
 
 def kind_of(action):
     return type(action).__name__
 
 
-def nodes(**asked):
-    """Return the nodes that twin.launch.py starts, by executable."""
-    described = actions('twin.launch.py')
-    values = {
+def nodes(**arguments):
+    """Return the nodes of twin.launch.py by executable."""
+    values = defaults('twin.launch.py')
+    assert set(arguments) <= set(values)
+    started = actions('twin.launch.py')[-1].kwargs['function']({**values, **arguments})
+    return {node.kwargs['executable']: node.kwargs for node in started}
+
+
+def defaults(name):
+    """Return the arguments of a launch file and their defaults."""
+    return {
         action.name: action.kwargs['default_value']
-        for action in described
+        for action in actions(name)
         if kind_of(action) == 'DeclareLaunchArgument'
     }
-    assert set(asked) <= set(values)
-    started = described[-1].kwargs['function']({**values, **asked})
-    return {node.kwargs['executable']: node.kwargs for node in started}
 
 
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('name', FILES)
-def test_files_and_executables_that_are_named_are_there(name):
+def test_named_files_and_executables_exist(name):
     for action in actions(name):
         if kind_of(action) == 'DeclareLaunchArgument' and action.name == 'params_file':
             assert Path(action.kwargs['default_value']).is_file()
         if kind_of(action) == 'IncludeLaunchDescription':
-            given = dict(action.kwargs['launch_arguments'])
             assert Path(action.name).is_file()
-            named = given.get('params_file', __file__)
-            assert not isinstance(named, str) or Path(named).is_file()
-            assert set(given) <= {
-                each.name
-                for each in actions(Path(action.name).name)
-                if kind_of(each) == 'DeclareLaunchArgument'
-            }
+            assert 'launch_arguments' not in action.kwargs  # would override the user's
         if kind_of(action) == 'Node':
             assert action.kwargs['package'] == 'soft_throw_ros'
             assert action.kwargs['executable'] in EXECUTABLES
 
 
 @pytest.mark.usefixtures('stand_ins')
-def test_twin_comes_alone_with_its_file_of_parameters():
+def test_twin_starts_alone_with_its_parameter_file():
     (twin,) = nodes(namespace='rig1').values()
     assert (twin['executable'], twin['name'], twin['namespace']) == ('twin', 'twin', 'rig1')
     path, values = twin['parameters']
@@ -121,27 +144,100 @@ def test_twin_comes_alone_with_its_file_of_parameters():
 
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize(
-    ('asked', 'storage', 'sink'),
+    ('arguments', 'storage', 'sink'),
     [
         ({'record': 'true'}, 'mcap', 'none'),
         ({'rerun': 'viewer'}, 'none', 'viewer'),
         ({'record': 'true', 'rerun': 'file'}, 'mcap', 'file'),
     ],
 )
-def test_recorder_records_and_shows_what_is_asked(asked, storage, sink):
-    recording = nodes(folder='bags', **asked)['recorder']['parameters'][-1]
-    assert recording == {'storage': storage, 'folder': 'bags', 'rerun.sink': sink}
+@pytest.mark.parametrize('folder', ['', 'bags'])
+def test_recorder_has_the_requested_storage_and_sink(arguments, storage, sink, folder):
+    recording = nodes(folder=folder, **arguments)['recorder']['parameters'][-1]
+    expected = {'storage': storage, 'rerun.sink': sink} | ({'folder': folder} if folder else {})
+    assert recording == expected
     assert set(recording) <= set(RECORDER.by_name)
 
 
 @pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('name', ['output', 'uri'])
+def test_path_of_a_bag_starts_the_recorder_as_in_rosbag2(name):
+    recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
+    assert recording == {
+        'storage': 'mcap', 'rerun.sink': 'none', 'folder': 'bags', 'name': 'first'
+    }
+    assert set(recording) <= set(RECORDER.by_name)
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_two_paths_of_a_bag_are_refused():
+    with pytest.raises(RuntimeError, match='output:=a and uri:=b'):
+        nodes(output='a', uri='b')
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('argument', ['rviz', 'use_rviz'])
 @pytest.mark.parametrize(('namespace', 'frame'), [('', 'rig'), ('/rig1', 'rig1/rig')])
-def test_rviz_shows_the_rig_of_the_namespace(namespace, frame):
-    started = nodes(rviz='true', namespace=namespace)
-    (_, view, _, shown) = started['rviz2']['arguments']
+def test_rviz_shows_the_rig_of_the_namespace(argument, namespace, frame):
+    started = nodes(namespace=namespace, **{argument: 'true'})
+    (_, view, _, fixed_frame) = started['rviz2']['arguments']
     displays = yaml.safe_load(Path(view).read_text())['Visualization Manager']['Displays']
     assert 'rviz_default_plugins/RobotModel' in {display['Class'] for display in displays}
-    assert shown == frame
+    assert fixed_frame == frame
     publisher = started['robot_state_publisher']
     assert publisher['remappings'] == [('joint_states', 'twin/layer/joint_states')]
-    assert publisher['parameters'][0]['frame_prefix'] == frame.removesuffix('rig')
+    assert description_of(publisher).get_root() == frame
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
+    path = tmp_path / 'two_rigs.yaml'
+    path.write_text(
+        '/rig1/twin: {ros__parameters: {layer: {thickness: 0.03}}}\n'
+        '/rig2/twin: {ros__parameters: {layer: {diameter: 0.02}}}\n'
+    )
+    started = nodes(description='true', namespace='rig2', params_file=str(path))
+    assert set(started) == {'twin', 'robot_state_publisher'}
+    robot = description_of(started['robot_state_publisher'])
+    assert robot.link_map['rig2/layer_00'].visual.geometry.radius == 0.01
+    assert robot.link_map['rig2/layer_00'].visual.geometry.length == pytest.approx(1.2e-3)
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_description_of_a_refused_parameter_is_refused_with_its_line(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    path.write_text('twin:\n  ros__parameters:\n    layer:\n      thickness: -1.0\n')
+    with pytest.raises(ParameterError, match=r'mine\.yaml:4: layer\.thickness must be'):
+        nodes(description='true', params_file=str(path))
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('name', FILES)
+def test_every_launch_file_declares_only_arguments_of_twin_launch(name):
+    assert set(defaults(name)) - {'topic'} <= set(defaults('twin.launch.py'))
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_rig_and_calibrator_follow_the_clock_of_the_twin():
+    started = [*actions('loop.launch.py'), *actions('measured.launch.py')]
+    declared = [action.kwargs for action in started if kind_of(action) == 'Node']
+    assert [node['executable'] for node in declared] == ['rig', 'calibrator', 'calibrator']
+    for node in declared:
+        path, values = node['parameters']
+        assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_missing_parameter_file_is_refused_before_any_node_starts():
+    with pytest.raises(RuntimeError, match=r'params_file:=nope\.yaml'):
+        nodes(params_file='nope.yaml')
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('argument', ['description', 'use_rviz'])
+def test_missing_package_is_refused_with_its_name(monkeypatch, argument):
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
+    monkeypatch.setattr(sys.modules[__name__], 'not_installed', {'robot_state_publisher'})
+    message = rf'{argument}:=true .* apt install ros-jazzy-robot-state-publisher$'
+    with pytest.raises(RuntimeError, match=message):
+        nodes(**{argument: 'true'})

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Layouts for other viewers, and the groups of diagnostics: what they name is there."""
+"""Layouts for other viewers and groups of diagnostics name existing topics and nodes."""
 
 import json
 from pathlib import Path
@@ -20,15 +20,15 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from soft_throw_ros.configuration.interface import (
+    ALL_TWIN_TOPICS,
     JOINT_STATE,
     NUMBER,
     resolve,
-    TWIN_TOPICS,
 )
 import yaml
 
 CONFIG = Path(__file__).parents[1] / 'config'
-TOPICS = {resolve(topic.name, '/twin'): topic for topic in TWIN_TOPICS}
+TOPICS = {resolve(topic.name, '/twin'): topic for topic in ALL_TWIN_TOPICS}
 
 
 def foxglove_paths():
@@ -42,7 +42,7 @@ def plotjuggler_curves():
     return [curve.get('name') for curve in root.iter('curve')]
 
 
-def test_foxglove_plots_what_the_twin_publishes():
+def test_foxglove_plots_topics_of_the_twin():
     for path in foxglove_paths():
         name, field, index = re.fullmatch(r'([\w/]+)\.(\w+)(?:\[(\d+)\])?', path).groups()
         topic = TOPICS[name]
@@ -53,16 +53,16 @@ def test_foxglove_plots_what_the_twin_publishes():
             assert (topic.type, field, index) == (NUMBER, 'data', None)
 
 
-def test_plotjuggler_plots_what_the_twin_publishes():
+def test_plotjuggler_plots_topics_of_the_twin():
     for curve in plotjuggler_curves():
         name = max((name for name in TOPICS if curve.startswith(f'{name}/')), key=len)
-        topic, rest = TOPICS[name], curve.removeprefix(f'{name}/').split('/')
+        topic, fields = TOPICS[name], curve.removeprefix(f'{name}/').split('/')
         if topic.type == JOINT_STATE:
-            joint, quantity = rest
+            joint, quantity = fields
             assert joint in topic.joints
             assert quantity in topic.quantities
         else:
-            assert (topic.type, rest) == (NUMBER, ['data'])
+            assert (topic.type, fields) == (NUMBER, ['data'])
 
 
 @pytest.mark.parametrize('node', ['twin', 'recorder'])

@@ -13,6 +13,9 @@
 # limitations under the License.
 """The command `soft-throw NAME ...`."""
 
+import os
+from pathlib import Path
+import stat
 import subprocess
 import sys
 import types
@@ -23,7 +26,7 @@ from soft_throw_ros import __main__ as umbrella
 
 @pytest.fixture
 def echo(monkeypatch):
-    """Offer an executable `echo`, whose exit code is 5; give what it was called with."""
+    """Add an executable `echo` with exit code 5, and return the list of its calls."""
     calls = []
 
     def main(args):
@@ -31,7 +34,7 @@ def echo(monkeypatch):
         return 5
 
     monkeypatch.setitem(sys.modules, 'echo_executable', types.SimpleNamespace(main=main))
-    monkeypatch.setitem(umbrella.EXECUTABLES, 'echo', ('echo_executable', 'say it again'))
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'echo', ('echo_executable', 'repeats its arguments'))
     monkeypatch.setattr(sys, 'argv', ['soft-throw', 'echo', 'from', 'process'])
     return calls
 
@@ -46,13 +49,13 @@ def test_umbrella_lists_every_executable_on_one_line(capsys):
 @pytest.mark.parametrize(
     ('args', 'expected'), [(['echo', '-h'], ['-h']), (None, ['from', 'process'])]
 )
-def test_umbrella_hands_on_arguments_and_exit_code(echo, args, expected):
+def test_umbrella_forwards_arguments_and_exit_code(echo, args, expected):
     assert umbrella.main(args) == 5
     assert echo == [(['soft-throw echo', *expected], expected)]
 
 
 @pytest.mark.parametrize(('name', 'code'), [('trow', 2), ('lost', 1)])
-def test_umbrella_names_in_one_line_what_is_not_there(capsys, monkeypatch, name, code):
+def test_umbrella_names_an_unknown_executable_in_one_line(capsys, monkeypatch, name, code):
     monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_module', ''))
     assert umbrella.main([name]) == code
     out, err = capsys.readouterr()
@@ -61,12 +64,73 @@ def test_umbrella_names_in_one_line_what_is_not_there(capsys, monkeypatch, name,
     assert name in err
 
 
+@pytest.mark.parametrize(('module', 'code'), [('package.nodes.echo', 0), ('echo', 130)])
+def test_early_signal_ends_the_executable_without_a_traceback(
+    capsys, monkeypatch, module, code
+):
+    def main(_args):
+        raise KeyboardInterrupt
+
+    for name in ('package', 'package.nodes'):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, module, types.SimpleNamespace(main=main))
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'echo', (module, 'repeats its arguments'))
+    assert umbrella.main(['echo']) == code
+    assert capsys.readouterr() == ('', '')
+
+
+@pytest.fixture
+def unwritable(tmp_path, monkeypatch):
+    """Leave numba without a writable folder, and return the apparent folder of the package."""
+    (tmp_path / 'core').touch()  # a file in place of the folder stops even root
+    monkeypatch.setenv('NUMBA_CACHE_DIR', '')  # restored after the test
+    monkeypatch.delenv('NUMBA_CACHE_DIR')
+    monkeypatch.setenv('XDG_CACHE_HOME', '/dev/null/cache')
+    monkeypatch.setattr(umbrella, '__file__', str(tmp_path / '__main__.py'))
+    return tmp_path
+
+
+def test_kernels_are_cached_in_a_private_folder_if_no_other_is_writable(echo, unwritable, capsys):
+    umbrella.main(['echo'])
+    folder = Path(os.environ['NUMBA_CACHE_DIR'])
+    assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IRWXU
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'NUMBA_CACHE_DIR' in line
+    umbrella.main(['echo'])  # as in a child process
+    assert os.environ['NUMBA_CACHE_DIR'] == str(folder)
+    assert capsys.readouterr().err == ''
+
+
+@pytest.mark.parametrize('writable', ['core', 'cache'])
+def test_numba_chooses_among_writable_folders(echo, unwritable, monkeypatch, capsys, writable):
+    if writable == 'core':
+        (unwritable / 'core').unlink()
+    else:
+        monkeypatch.setenv('XDG_CACHE_HOME', str(unwritable / 'new'))
+    umbrella.main(['echo'])
+    assert 'NUMBA_CACHE_DIR' not in os.environ
+    assert capsys.readouterr().err == ''
+
+
+def test_umbrella_imports_little_before_it_handles_signals():
+    importing = (
+        'import sys; import _collections_abc, importlib, os, signal; '
+        'before = set(sys.modules); import soft_throw_ros.__main__; '
+        'print(*sorted(set(sys.modules) - before))'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', importing], capture_output=True, text=True, check=True, timeout=60
+    )
+    ours = {'soft_throw_ros', 'soft_throw_ros.__main__'}
+    assert set(result.stdout.split()) - {'collections.abc'} == ours
+
+
 def test_throw_needs_no_ros():
     without_ros = (
         "import sys; sys.modules['rclpy'] = None; from soft_throw_ros.__main__ import main; "
         "main(['throw', '--help'])"
     )
-    shown = subprocess.run(
+    result = subprocess.run(
         [sys.executable, '-c', without_ros], capture_output=True, text=True, check=True, timeout=60
     )
-    assert shown.stdout.startswith('usage: soft-throw throw')
+    assert result.stdout.startswith('usage: soft-throw throw')

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The package as it is installed: by pip, editable, by colcon, or not at all."""
+"""The package installed by pip, as editable, by colcon, and used from the checkout."""
 
 import ast
 from email.parser import Parser
@@ -31,18 +31,18 @@ import pytest
 import soft_throw_ros
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration.interface import (
+    ALL_TWIN_TOPICS,
     RECORDER_SERVICES,
     RECORDER_TOPICS,
     RIG_TOPICS,
     TWIN_SERVICES,
-    TWIN_TOPICS,
 )
 
 ROOT = Path(__file__).parents[1]
 
 
 def files_below(folder):
-    """Read all files, by their paths below a folder."""
+    """Return the contents of all files below a folder by their relative paths."""
     paths = [path for path in folder.rglob('*.*') if path.is_file()]
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
@@ -50,10 +50,10 @@ def files_below(folder):
 CONFIG = files_below(ROOT / 'config')
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
-# What is imported: what pip calls it, and rosdep, where lz4 and zstandard come with mcap.
+# Imported modules, with their names for pip and rosdep; lz4 and zstandard come with mcap.
 ON_PYPI = {
     'lz4': ('lz4', 'mcap-ros2-support'),
-    'mcap': ('mcap>=1.5', 'mcap-ros2-support'),
+    'mcap': ('mcap>=1.6', 'mcap-ros2-support'),
     'mcap_ros2': ('mcap-ros2-support>=0.5', 'mcap-ros2-support'),
     'numba': ('numba', 'python3-numba'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -63,13 +63,13 @@ ON_PYPI = {
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
-# What the launch files import and start, besides rviz2, which is asked for.
+# Packages that the launch files import or start, without the optional rviz2.
 TO_LAUNCH = {'launch', 'launch_ros', 'robot_state_publisher'}
-# Nothing is downloaded: what the build needs and what the package needs are there already.
+# Build tools and dependencies are already installed, so pip must not download anything.
 OFFLINE = ['--no-build-isolation', '--no-deps', '--no-index']
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != 'PYTHONPATH'}
 
-PRINT_PLACE_AND_CONFIG = """
+PRINT_PATH_AND_CONFIG = """
 from importlib.resources import files
 import soft_throw_ros
 print(soft_throw_ros.__file__)
@@ -80,8 +80,8 @@ for path in config.rglob('*.*'):
 
 
 def run(*command, cwd, **environment):
-    """Run a command to its end, as from a shell that knows nothing of this checkout."""
-    done = subprocess.run(
+    """Run a command without PYTHONPATH, and return its output."""
+    result = subprocess.run(
         list(map(str, command)),
         cwd=cwd,
         env=ENVIRONMENT | environment,
@@ -90,25 +90,25 @@ def run(*command, cwd, **environment):
         text=True,
         timeout=110,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
 
 
 def assert_finds_config(printed, below):
-    """Check what PRINT_PLACE_AND_CONFIG printed: the package is in a folder, config in it."""
-    place, *found = printed.splitlines()
-    assert Path(place).is_relative_to(below)
-    assert dict(line.split() for line in found) == {
+    """Check the output of PRINT_PATH_AND_CONFIG: package below a folder, and its config."""
+    path, *lines = printed.splitlines()
+    assert Path(path).is_relative_to(below)
+    assert dict(line.split() for line in lines) == {
         name: content.hex() for name, content in CONFIG.items()
     }
 
 
 @pytest.fixture(scope='module')
 def source(tmp_path_factory):
-    """Copy the sources, since a build leaves things behind."""
+    """Return a copy of the sources, because a build creates files."""
     copy = tmp_path_factory.mktemp('source') / 'soft_throw_ros'
-    made = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
-    return shutil.copytree(ROOT, copy, symlinks=True, ignore=made)
+    ignore = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
+    return shutil.copytree(ROOT, copy, symlinks=True, ignore=ignore)
 
 
 @pytest.fixture(scope='module')
@@ -122,7 +122,7 @@ def wheel(source, tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def metadata(wheel):
-    """Read what the wheel says of itself."""
+    """Return the metadata of the wheel."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
         return Parser().parsestr(archive.read(name).decode())
@@ -130,7 +130,7 @@ def metadata(wheel):
 
 @pytest.fixture
 def environment(tmp_path):
-    """Make an environment without the package that shares all else with this one."""
+    """Create a virtual environment without the package that shares all dependencies."""
     folder = tmp_path / 'environment'
     run(sys.executable, '-m', 'venv', '--without-pip', folder, cwd=tmp_path)
     (site_packages,) = folder.glob('lib/python*/site-packages')
@@ -140,7 +140,7 @@ def environment(tmp_path):
 
 @pytest.fixture(scope='module', params=[(), ('--symlink-install',)], ids=['copies', 'links'])
 def colcon_prefix(request, source, tmp_path_factory):
-    """Build a colcon workspace; give the prefix of the package in it."""
+    """Build a colcon workspace, and return the install prefix of the package."""
     colcon = shutil.which('colcon', path=Path(sys.executable).parent) or shutil.which('colcon')
     if colcon is None:
         pytest.skip('colcon comes with the extra [test]')
@@ -156,7 +156,7 @@ def colcon_prefix(request, source, tmp_path_factory):
 
 
 def in_workspace(prefix, *command):
-    """Write a command so that it runs in a shell that has sourced the workspace of a prefix."""
+    """Return a command that runs in a shell with the sourced workspace."""
     return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
 
 
@@ -171,14 +171,14 @@ def test_versions_agree(metadata):
 
 
 @pytest.mark.once
-def test_dependencies_are_exactly_what_the_code_imports(metadata):
+def test_dependencies_match_the_imports(metadata):
     trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
     of_ros = imported - ON_PYPI.keys() - OPTIONAL - {'soft_throw_ros'}
-    tables = (TWIN_TOPICS, RECORDER_TOPICS, RIG_TOPICS, TWIN_SERVICES, RECORDER_SERVICES)
+    tables = (ALL_TWIN_TOPICS, RECORDER_TOPICS, RIG_TOPICS, TWIN_SERVICES, RECORDER_SERVICES)
     of_ros |= {row.type.partition('/')[0] for table in tables for row in table}
     needed = [ON_PYPI[name] for name in imported & ON_PYPI.keys()]
 
@@ -223,7 +223,7 @@ def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     before = set((environment / 'bin').iterdir())
     run(*PIP, '--python', python, 'install', *OFFLINE, wheel, cwd=tmp_path)
     assert set((environment / 'bin').iterdir()) - before == {environment / 'bin/soft-throw'}
-    assert_finds_config(run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path), environment)
+    assert_finds_config(run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path), environment)
     listed = run(environment / 'bin/soft-throw', cwd=tmp_path)
     assert all(name in listed for name in EXECUTABLES)
 
@@ -232,18 +232,18 @@ def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
 def test_editable_install_finds_config(source, environment, tmp_path):
     python = environment / 'bin/python'
     run(*PIP, '--python', python, 'install', *OFFLINE, '--editable', source, cwd=tmp_path)
-    assert_finds_config(run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path), source)
+    assert_finds_config(run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path), source)
     assert run(environment / 'bin/soft-throw', cwd=tmp_path)
 
 
 @pytest.mark.once
 def test_checkout_finds_config_without_being_installed(environment, tmp_path):
     python = environment / 'bin/python'
-    printed = run(python, '-c', PRINT_PLACE_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
+    printed = run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
     assert_finds_config(printed, ROOT)
 
 
-def test_colcon_lays_things_where_ros_looks_and_finds_config(colcon_prefix, tmp_path):
+def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp_path):
     share = colcon_prefix / 'share/soft_throw_ros'
     assert {path.name for path in (colcon_prefix / 'lib/soft_throw_ros').iterdir()} == set(
         EXECUTABLES
@@ -256,7 +256,7 @@ def test_colcon_lays_things_where_ros_looks_and_finds_config(colcon_prefix, tmp_
         assert paths
         for path in paths:
             assert (share / folder / path.name).read_bytes() == path.read_bytes()
-    command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PLACE_AND_CONFIG)
+    command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PATH_AND_CONFIG)
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the README and the pages in docs say is so."""
+"""Examples, links and commands of the README and the pages in docs."""
 
 from pathlib import Path
 import re
@@ -20,7 +20,9 @@ import shlex
 import pytest
 from soft_throw_ros import __main__ as umbrella
 from soft_throw_ros.commands import design, throw
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.throw import simulate
 
 ROOT = Path(__file__).parents[1]
 PAGES = {
@@ -42,15 +44,27 @@ COMMANDS = [
 def test_python_example_prints_an_ejection_time(capsys):
     (example,) = re.findall(r'```python\n(.*?)```', PAGES['README.md'], flags=re.DOTALL)
     exec(compile(example, 'README.md', 'exec'), {})
-    assert re.fullmatch(r'leaves after 7\.6\d\d ms, alpha 3\.6\d\d\n', capsys.readouterr().out)
+    printed = capsys.readouterr().out.strip()
+    assert re.fullmatch(r'released at 7\.647 ms, alpha 3\.637', printed)
+    assert f'prints `{printed}`' in PAGES['README.md']
 
 
-def test_example_of_a_library_is_one(tmp_path):
+def test_readme_shows_the_log_line_of_the_default_twin():
+    rig = rig_of(TWIN.defaults())
+    throw_of_twin = simulate(rig)
+    line = (
+        f'throw 1: released at {1e3 * throw_of_twin.ejection_time:.3f} ms, '
+        f'{throw_of_twin.ejection_speed:.4f} m/s, alpha {throw_of_twin.energy_transfer:.3f}'
+    )
+    assert line in PAGES['README.md']
+
+
+def test_example_of_a_layer_library_is_valid(tmp_path):
     examples = re.findall(r'```yaml\n(.*?)```', PAGES['docs/design.md'], flags=re.DOTALL)
     path = tmp_path / 'mine.yaml'
     path.write_text(''.join(examples), encoding='utf-8')
-    mine = {'my_silicone_10.0mm', 'my_silicone_20.0mm', 'my_stack'}
-    assert mine < library(path).layers.keys()
+    names = {'my_silicone_10.0mm', 'my_silicone_20.0mm', 'my_stack'}
+    assert names < library(path).layers.keys()
 
 
 @pytest.mark.parametrize(
@@ -60,19 +74,19 @@ def test_example_of_a_library_is_one(tmp_path):
         (['aim', '--target-speed', '2.5', '--vary', 'amplitude', '--max-strain', '0.1'], 1),
     ],
 )
-def test_answers_of_design_are_what_is_printed(capsys, args, code):
+def test_design_results_agree_with_the_page(capsys, args, code):
     assert design.main(args) == code
-    answer = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
-    assert answer in ' '.join(PAGES['docs/design.md'].split())
+    result = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
+    assert result in ' '.join(PAGES['docs/design.md'].split())
 
 
-def test_example_of_throw_is_an_answer(capsys):
+def test_example_of_throw_prints_a_result(capsys):
     (example,) = re.findall(r'soft-throw throw (--thickness [^#]+) #', PAGES['README.md'])
     assert throw.main([*shlex.split(example), '--model', 'closed_form']) == 0
     assert 'energy transfer alpha' in capsys.readouterr().out
 
 
-def test_what_the_pages_name_and_link_is_there():
+def test_commands_and_links_of_the_pages_exist():
     assert len(COMMANDS) > 10
     assert {command for _, command in COMMANDS} <= umbrella.EXECUTABLES.keys()
     missing = [link for page, link in LINKS if not ((ROOT / page).parent / link).exists()]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The model of the rig for robot_state_publisher, as another parser reads it."""
+"""The URDF model of the rig, read by urdf_parser_py."""
 
 from pathlib import Path
 
@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, LAYER_JOINTS
+from soft_throw_ros.configuration.robot_model import urdf_of
 from soft_throw_ros.core.throw import simulate
 from urdf_parser_py.urdf import URDF
 import yaml
@@ -29,7 +30,7 @@ RIG = rig_of(TWIN.defaults())
 
 @pytest.fixture(scope='module')
 def robot():
-    """Parse from text, since the parser leaves files open."""
+    """Return the parsed model; the parser would not close a file."""
     return URDF.from_xml_string(MODEL.read_bytes())
 
 
@@ -38,7 +39,7 @@ def test_model_can_be_the_value_of_a_parameter():
     assert ' '.join(yaml.safe_load(text).split()) == ' '.join(text.split())
 
 
-def test_joints_are_those_of_the_twin(robot):
+def test_joints_agree_with_the_twin(robot):
     assert robot.get_root() == FRAME
     names = tuple(joint.name for joint in robot.joints)
     assert names[:2] == JOINTS
@@ -50,15 +51,60 @@ def test_joints_are_those_of_the_twin(robot):
 
 
 @pytest.mark.parametrize(('name', 'side'), [('plate', 1.0), ('projectile', -1.0)])
-def test_bodies_are_drawn_where_their_positions_say(robot, name, side):
+def test_bodies_are_drawn_at_their_positions(robot, name, side):
     visual = robot.link_map[robot.joint_map[name].child].visual
     assert np.allclose(visual.origin.xyz, [0.0, 0.0, -side * visual.geometry.length / 2])
 
 
-def test_projectile_is_that_of_the_default_rig(robot):
+def test_projectile_agrees_with_the_default_rig(robot):
     geometry = robot.link_map['projectile'].visual.geometry
     assert geometry.length == RIG.projectile.length
     assert 2.0 * geometry.radius == RIG.layer.diameter
+
+
+def bodies_of(settings, **options):
+    """Return the parsed model of a rig, and the visuals of its links by name."""
+    robot = URDF.from_xml_string(urdf_of(MODEL.read_text(), settings, **options).encode())
+    return robot, {link.name: link.visual for link in robot.links if link.visual is not None}
+
+
+@pytest.mark.parametrize(
+    ('request_', 'thickness'),
+    [
+        ({}, 16.8e-3),
+        ({'layer.thickness': 5.6e-3, 'layer.diameter': 0.02, 'projectile.length': 0.0163}, 5.6e-3),
+        ({'layer.stack': '8e-3 19 1350, 20e-3 5 1000'}, 28e-3),
+    ],
+    ids=['default', 'layer', 'stack'],
+)
+def test_sizes_are_those_of_the_parameters(robot, request_, thickness):
+    settings = TWIN.defaults()
+    settings |= TWIN.change(settings, request_)
+    sized, visuals = bodies_of(settings)
+    assert [joint.name for joint in sized.joints] == [joint.name for joint in robot.joints]
+    diameter = settings['layer.diameter']
+    projectile = visuals['projectile']
+    assert projectile.geometry.length == settings['projectile.length']
+    assert projectile.origin.xyz == [0.0, 0.0, 0.5 * settings['projectile.length']]
+    assert 2.0 * visuals['plate'].geometry.radius == 2.5 * diameter
+    slices = [visuals[name] for name in LAYER_JOINTS if name in visuals]
+    assert {2.0 * item.geometry.radius for item in [projectile, *slices]} == {diameter}
+    # At rest the slices fill the same part of every layer, from the plate to the top
+    heights = [thickness * LAYER_JOINTS.index(name) / (len(LAYER_JOINTS) - 1)
+               for name in LAYER_JOINTS if name in visuals]
+    middles = [z + item.origin.xyz[2] for z, item in zip(heights, slices, strict=True)]
+    halves = [0.5 * item.geometry.length for item in slices]
+    assert middles[0] - halves[0] == pytest.approx(0.0, abs=1e-12)
+    assert middles[-1] + halves[-1] == pytest.approx(thickness)
+    assert np.sum(halves) == pytest.approx(0.5 * thickness * 10.0 / 14.0)
+
+
+def test_prefix_names_the_links_as_the_frames_and_keeps_the_joints(robot):
+    prefixed, _ = bodies_of(TWIN.defaults(), frame_prefix='rig1/')
+    assert [link.name for link in prefixed.links] == [f'rig1/{link.name}' for link in robot.links]
+    assert [joint.name for joint in prefixed.joints] == [joint.name for joint in robot.joints]
+    assert {joint.parent for joint in prefixed.joints} == {f'rig1/{FRAME}'}
+    assert prefixed.get_root() == f'rig1/{FRAME}'
 
 
 def test_limits_cover_the_rig(robot):

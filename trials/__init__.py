@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Trials of `soft-throw identify` on rigs that are no models: what it finds, and what it says."""
+"""Trials of `soft-throw identify` on simulated rigs with faults, whose parameters are known."""

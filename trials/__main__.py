@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Identify random rigs whose truth is known, with all that goes wrong on a bench.
+Identify random simulated rigs with known parameters and the faults of real measurements.
 
-They are simulated by something else than what is fitted: small cells with large strain. Out comes
-a Markdown table: how many are refused, warned about, or silently wrong (more than 5 errors off
-without a word), and how many 95 % intervals hold the truth. The same seed gives the same table.
+The simulation, on small cells with large strain, shares no code with the fitted model. The output
+is a Markdown table with a row per fault: the numbers of trials that were refused, warned about, or
+silently wrong (a result off by more than 5 standard errors without a warning), and the fractions
+of 95 % intervals that contain the true value. The same seed gives the same table.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from concurrent.futures import Executor
 from dataclasses import asdict
 from functools import partial
 import json
-import os
 from pathlib import Path
 import sys
 
 from soft_throw_ros.commands.options import add_executor_options, open_executor
+from soft_throw_ros.core.processors import usable_processors
 from trials import table
 from trials.judge import judge, Verdict
 from trials.rows import Row, ROWS
@@ -40,25 +41,27 @@ def main(args: list[str] | None = None) -> int:
     """Run the trials; return exit code 0."""
     parser = argparse.ArgumentParser(prog='python -m trials', description=__doc__)
     parser.add_argument(
-        '--rigs', metavar='N', type=int, default=12, help='in each row (default 12)'
+        '--rigs', metavar='N', type=int, default=12, help='number of rigs per row (default 12)'
     )
-    parser.add_argument('--seed', metavar='N', type=int, default=0)
+    parser.add_argument(
+        '--seed', metavar='N', type=int, default=0, help='seed of the random rigs (default 0)'
+    )
     parser.add_argument(
         '--rows', metavar='TEXT', nargs='+', default=[''],
-        help='only rows whose names contain one of these',
+        help='only rows whose names contain one of these texts',
     )
-    parser.add_argument('--list', action='store_true', help='say what rows there are, and end')
+    parser.add_argument('--list', action='store_true', help='print the names of all rows and exit')
     parser.add_argument(
-        '--log', metavar='FILE', type=Path, help='write all verdicts into it (JSON lines)'
+        '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
     )
     parser.add_argument(
         '--keep',
         metavar='FOLDER',
         default='',
-        help='keep tracks, and command lines for them, there',
+        help='save the tracks of all trials, and the command lines that identify them',
     )
     add_executor_options(parser)
-    parser.set_defaults(workers=os.cpu_count())
+    parser.set_defaults(workers=usable_processors())
     arguments = parser.parse_args(args)
     if arguments.rigs < 1:
         parser.error(f'argument --rigs: must be at least 1, got {arguments.rigs}')
@@ -80,18 +83,18 @@ def main(args: list[str] | None = None) -> int:
 def _run(
     rows: list[Row], arguments: argparse.Namespace, executor: Executor | None
 ) -> list[Verdict]:
-    """Go through all rows, and print the table line by line."""
+    """Run the trials of all rows, and print each line of the table when it is complete."""
     verdicts = []
     names = [row.name for row in rows for _ in range(arguments.rigs)]
     numbers = [number for _ in rows for number in range(arguments.rigs)]
-    work = partial(judge, seed=arguments.seed, kept=arguments.keep)
-    spread = map if executor is None else executor.map
-    results = iter(spread(work, names, numbers))
+    run_trial = partial(judge, seed=arguments.seed, folder=arguments.keep)
+    map_trials = map if executor is None else executor.map
+    results = iter(map_trials(run_trial, names, numbers))
     print(*table.header(), sep='\n', flush=True)
     for row in rows:
-        found = [next(results) for _ in range(arguments.rigs)]
-        print(table.line(row.name, found), flush=True)
-        verdicts += found
+        of_row = [next(results) for _ in range(arguments.rigs)]
+        print(table.line(row.name, of_row), flush=True)
+        verdicts += of_row
     return verdicts
 
 

@@ -18,124 +18,173 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import PARAMETERS, values_of
-from soft_throw_ros.twin.imperfect_rig import Imperfections, ImperfectThrow, throw
-from soft_throw_ros.twin.sensor_faults import draw_chances, SensorFaults
+from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, ImperfectThrow, throw
+from soft_throw_ros.simulated_rig.sensor_faults import draw_chances, SensorFaults
 
 Floats = NDArray[np.float64]
 
-NOISE = 20e-6
-"""Standard deviation of heights, if nothing else is said. [m]"""
+NOISES = 10e-6, 30e-6
+"""Default range of the standard deviation of heights. [m]"""
+
+RATES = 3000.0, 8000.0
+"""Default range of the sample rate. [Hz]"""
+
+MODES = 3.0, 7.0
+"""Range of the frequency of a second mode, over that of the plate. [-]"""
 
 MASS_ERROR = 0.01
-"""Standard error with which masses are known, if nothing is said. [-]"""
+"""Relative standard error of masses, the default of the command. [-]"""
 
 LENGTH_ERROR = 1e-4
-"""Standard error with which thickness and diameter are known, if nothing is said. [m]"""
+"""Standard error of thickness and diameter, the default of the command. [m]"""
 
-_START = (14e-3, 18e-3)  # from when to when throws begin in it [s]
-_SLOWEST = 0.5  # projectile that is thrown, over the plate
-_LATEST = 1.2  # release, in plate periods
-_QUICK_CELLS = 32  # to see whether a rig is worth a throw
-_DRAWS = 1000  # of rigs until one throws as it should
+_START = (14e-3, 18e-3)
+"""Range of the start of a throw in its record. [s]"""
+
+_SLOWEST = 0.5
+"""Smallest ejection speed, over the peak speed of the plate. [-]"""
+
+_LATEST = 1.2
+"""Latest release. [plate periods]"""
+
+_QUICK_CELLS = 32
+"""Number of cells of the coarse simulation that selects rigs. [-]"""
+
+_DRAWS = 1000
+"""Largest number of rigs that are drawn for one throw. [-]"""
+
+_LAWS: Mapping[str, Callable[[float], tuple[float, float]]] = {
+    'quadratic': lambda change: (change, 0.0),
+    'cubic': lambda change: (0.0, change),
+    'exponential': lambda change: (change, 2.0 * change**2 / 3.0),
+}
+"""Quadratic and cubic term of a law at the largest strain, for a relative change of stress."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """Something to identify, and what would be right."""
+    """Simulated measurements with the true parameters."""
 
     records: tuple[Floats, ...]
-    """Of each throw or layer: times [s], and heights of plate and projectile, or both ends [m]."""
+    """
+    Measurements, one array per throw or free layer, shape (n, 3).
+
+    The columns are times [s], and heights of plate and projectile or of bottom and top [m].
+    """
     arguments: tuple[str, ...] = ()
-    """Of the command, beside the files."""
+    """Arguments of the command, without the files."""
     truth: Mapping[str, float] = field(default_factory=dict)
-    """What it should find, by the names it has for it; `ejection.*` is how the projectile left."""
+    """True values by the names of the results; `ejection.*` is the first release."""
     thicknesses: tuple[float, ...] = ()
-    """Of free layers that ring, one for each record, if it is these [m]."""
+    """Thicknesses of the free layers, one per record; empty for throws [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigRange:
-    """From where to where random rigs are; times, lengths and ratios evenly in the logarithm."""
+    """
+    Ranges of the parameters of random rigs.
 
-    frequency: tuple[float, float] = (45.0, 90.0)
+    Damping ratio and loss tangent are uniform, the logarithms of all others are.
+    """
+
+    frequency: tuple[float, float] = (40.0, 100.0)
     amplitude: tuple[float, float] = (1e-3, 3e-3)
-    damping_ratio: tuple[float, float] = (0.02, 0.15)
-    wave_speed: tuple[float, float] = (6.0, 11.0)
-    thickness: tuple[float, float] = (6e-3, 20e-3)
-    mass_ratio: tuple[float, float] = (0.2, 2.0)
+    damping_ratio: tuple[float, float] = (0.01, 0.18)
+    wave_speed: tuple[float, float] = (4.0, 14.0)
+    thickness: tuple[float, float] = (6e-3, 25e-3)
+    mass_ratio: tuple[float, float] = (0.15, 2.5)
     loss_tangent: tuple[float, float] = (0.0, 0.0)
 
     def draw(self, random: np.random.Generator) -> Rig:
-        """Draw one."""
+        """Draw a rig."""
 
-        def one_of(limits: tuple[float, float]) -> float:
+        def log_uniform(limits: tuple[float, float]) -> float:
             return float(np.exp(random.uniform(*np.log(limits))))
 
-        layer = Layer(thickness=one_of(self.thickness), wave_speed=one_of(self.wave_speed))
+        layer = Layer(
+            thickness=log_uniform(self.thickness), wave_speed=log_uniform(self.wave_speed)
+        )
         engine = Engine(
-            frequency=one_of(self.frequency),
-            amplitude=one_of(self.amplitude),
+            frequency=log_uniform(self.frequency),
+            amplitude=log_uniform(self.amplitude),
             damping_ratio=random.uniform(*self.damping_ratio),
         )
         layer = replace(layer, loss_tangent=random.uniform(*self.loss_tangent))
-        projectile = Projectile(mass=one_of(self.mass_ratio) * layer.mass)
+        projectile = Projectile(mass=log_uniform(self.mass_ratio) * layer.mass)
         return Rig(engine=engine, layer=layer, projectile=projectile)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """How a throw is done and measured."""
+    """A rig with faults, and the conditions of its measurements."""
 
     rigs: RigRange = field(default_factory=RigRange)
     imperfections: Imperfections = field(default_factory=Imperfections)
-    faults: SensorFaults = field(default_factory=lambda: SensorFaults(noise=NOISE))
+    faults: SensorFaults = field(default_factory=SensorFaults)
+    noise: float | None = None
+    """Standard deviation of heights; drawn from `NOISES` if None [m]."""
     stiffening: float = 0.0
     """Relative change of the stress at the largest strain of the throw [-]."""
+    law: Literal['quadratic', 'cubic', 'exponential'] = 'quadratic'
+    """Law by which the layer stiffens."""
+    has_modes: bool = False
+    """Whether the frequency of a second mode is drawn from `MODES`."""
     drift: float = 0.0
-    """Of heights over the record, over the amplitude [-]."""
-    rate: float = 5000.0
-    """Of samples [Hz]."""
+    """Drift of the heights over the record, over the amplitude [-]."""
+    rate: float | None = None
+    """Sample rate; drawn from `RATES` if None [Hz]."""
     duration: float = 0.1
-    """Of a record [s]."""
+    """Duration of a record [s]."""
     lost_runs: float = 0.0
-    """Share of samples that are lost some dozens in a row [-]."""
+    """Share of samples that are lost in runs of 4 to 23 [-]."""
     accept: Callable[[ImperfectThrow], bool] = lambda _: True
-    """Whether a throw is one that is wanted."""
+    """Additional condition for a throw."""
 
     def draw_throw(self, random: np.random.Generator) -> ImperfectThrow:
-        """Throw with random rigs until one throws well enough to be of interest."""
+        """Simulate random rigs until a throw is good and accepted; return this throw."""
         for _ in range(_DRAWS):
             rig = self.rigs.draw(random)
             quick = throw(rig, until=_LATEST / rig.engine.frequency, cells=_QUICK_CELLS)
             if is_good(quick) and self.accept(quick):
-                found = self.throw(rig, random)
-                if is_good(found) and self.accept(found):
-                    return found
-        raise RuntimeError(f'none of {_DRAWS} rigs throws as it should')
+                thrown = self.throw(rig, random)
+                if is_good(thrown) and self.accept(thrown):
+                    return thrown
+        raise RuntimeError(f'none of {_DRAWS} random rigs has an acceptable throw')
 
     def throw(self, rig: Rig, random: np.random.Generator) -> ImperfectThrow:
-        """Throw, with the imperfections of this bench."""
+        """Simulate a throw with the imperfections of this bench."""
         imperfections = self.imperfections
         if imperfections.ringing:
             phase = random.uniform(0.0, 2.0 * math.pi)
             imperfections = replace(imperfections, ringing_phase=phase)
         until, start = self.duration, -_START[1]
+        if self.has_modes:
+            frequency = random.uniform(*MODES) * rig.engine.frequency
+            imperfections = replace(imperfections, second_mode_frequency=frequency)
         if self.stiffening:
             strain = throw(rig, until=0.02, cells=64).peak_strain
-            imperfections = replace(imperfections, stiffening=self.stiffening / strain)
+            quadratic, cubic = _LAWS[self.law](self.stiffening)
+            imperfections = replace(
+                imperfections,
+                stiffening=quadratic / strain,
+                cubic_stiffening=cubic / strain**2,
+            )
         return throw(rig, imperfections, until=until, start=start)
 
     def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Floats:
-        """Look at a throw."""
+        """Measure a throw with the faults of the sensors; return the received samples."""
         drift = self.drift * thrown.rig.engine.amplitude / self.duration
-        faults = replace(self.faults, drift=self.faults.drift + drift)
-        time = np.arange(0.0, self.duration, 1.0 / self.rate)
+        noise = random.uniform(*NOISES) if self.noise is None else self.noise
+        faults = replace(self.faults, noise=noise, drift=self.faults.drift + drift)
+        rate = random.uniform(*RATES) if self.rate is None else self.rate
+        time = np.arange(0.0, self.duration, 1.0 / rate)
         start = random.uniform(*_START)
         sample = faults.measure(
             time,
@@ -144,15 +193,15 @@ class Bench:
             draw_chances(random, time.size),
         )
         columns = np.column_stack([sample.stamp, sample.plate, sample.projectile])
-        is_seen = np.asarray(sample.is_seen)
-        while self.lost_runs and (~is_seen).mean() < self.lost_runs:
+        is_received = np.asarray(sample.is_received)
+        while self.lost_runs and (~is_received).mean() < self.lost_runs:
             first = int(random.integers(time.size))
-            is_seen[first:first + int(random.integers(4, 24))] = False
-        return np.asarray(columns[is_seen])
+            is_received[first:first + int(random.integers(4, 24))] = False
+        return np.asarray(columns[is_received])
 
 
 def is_good(thrown: ImperfectThrow) -> bool:
-    """Whether the projectile rests until the throw, and then leaves soon and fast."""
+    """Return whether the projectile is at rest until the throw, and released soon and fast."""
     if not thrown.changes:
         return False
     release = thrown.changes[0]
@@ -162,13 +211,8 @@ def is_good(thrown: ImperfectThrow) -> bool:
 
 
 def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
-    """Tell what is right of a rig, of how it throws, and of how it is measured."""
-    rig, (release, *later) = thrown.rig, thrown.changes
-    last = release  # before it comes down, which is what averages see
-    for change in later:
-        if not change.is_release and change.velocity <= 0.0:
-            break
-        last = change
+    """Return the true parameters of rig and sensors, and the true first release."""
+    rig, release = thrown.rig, thrown.changes[0]
     peak = Underdamped.of(rig.engine).peak_velocity
     truth = {
         **values_of(rig, PARAMETERS),
@@ -176,19 +220,19 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
         'projectile.delay': faults.projectile_delay,
         'projectile.sticking': thrown.imperfections.sticking,
     }
-    for how, change in (('ejection', release), ('averages', last)):
-        truth[f'{how}.time'] = change.time
-        truth[f'{how}.speed'] = change.velocity
-        truth[f'{how}.peak_plate_speed'] = peak
-        truth[f'{how}.energy_transfer'] = (change.velocity / peak) ** 2
+    truth['ejection.time'] = release.time
+    truth['ejection.speed'] = release.velocity
+    truth['ejection.peak_plate_speed'] = peak
+    truth['ejection.energy_transfer'] = (release.velocity / peak) ** 2
     return truth
 
 
-def known_of(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, ...]:
+def measured_options(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, ...]:
     """
-    Tell the command what somebody knows who has measured the parts of a rig.
+    Return options of the command with the measured masses and lengths of a rig.
 
-    Exactly, or, with random numbers, as well as the paper's authors did.
+    The values are exact without `random`; otherwise they have random errors, as large as those of
+    the paper.
 
     """
     if random is not None:
@@ -200,10 +244,12 @@ def known_of(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, 
         )
         projectile = replace(rig.projectile, mass=rig.projectile.mass * (1.0 + MASS_ERROR * mass))
         rig = replace(rig, layer=layer, projectile=projectile)
-    known = {
+    measured = {
         'thickness': rig.layer.thickness,
         'density': rig.layer.density,
         'diameter': rig.layer.diameter,
         'mass': rig.projectile.mass,
     }
-    return tuple(part for name, value in known.items() for part in (f'--{name}', f'{value:.9g}'))
+    return tuple(
+        word for name, value in measured.items() for word in (f'--{name}', f'{value:.9g}')
+    )

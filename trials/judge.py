@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What `soft-throw identify` makes of a trial, and how far off that is."""
+"""Comparison of the results of `soft-throw identify` with the true values of a trial."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ from typing import Any, NamedTuple
 import zlib
 
 import numpy as np
-from soft_throw_ros.commands import identify
+from soft_throw_ros.commands import free_layers, identify
 from trials.bench import Trial
 from trials.rows import ROWS_BY_NAME
 
-AMBIGUOUS = ('may as well be', 'one echo of the wave earlier or later')
-"""In warnings of clean tracks, too: there is a second solution within the errors."""
+AMBIGUOUS = ('may as well be',)
+"""Parts of warnings about a second solution within the errors; clean tracks may have one, too."""
 
 FAR_OFF = 5.0
-"""Errors from which on a number is wrong."""
+"""Deviation from which on a result is wrong. [standard errors]"""
 
-_INTERVAL = 1.96  # errors on either side that hold 95 %
+_INTERVAL = 1.96
+"""Half width of a 95 % interval. [standard errors]"""
 
 
 class Deviation(NamedTuple):
-    """Of a number that was found: what it is, and what it should be."""
+    """A fitted value, its standard error, and the true value."""
 
     value: float
     error: float
@@ -51,116 +52,138 @@ class Deviation(NamedTuple):
 
     @property
     def errors(self) -> float:
-        """How many errors it is off."""
+        """Absolute deviation from the true value [standard errors]."""
         if self.error == math.inf:
             return 0.0
         return abs(self.value - self.truth) / max(self.error, 1e-12 * abs(self.truth))
 
     @property
-    def is_held(self) -> bool:
-        """Whether the 95 % interval holds the truth."""
+    def is_covered(self) -> bool:
+        """Whether the 95 % interval contains the true value."""
         return self.errors <= _INTERVAL
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What became of a trial."""
+    """The outcome of a trial."""
 
     row: str
     number: int
     refusal: str = ''
-    """Why the command refused it; empty if it did not."""
+    """Error message of the command; empty if the fit succeeded."""
     warnings: tuple[str, ...] = ()
-    found: Mapping[str, Deviation]
-    """Names are those of the twin; `ejection.*` is by the model, `averages.*` without one."""
+    results: Mapping[str, Deviation]
+    """Deviations by the parameter names of the twin; `ejection.*` is the first release."""
     seconds: float
-    """That it took."""
+    """Duration of the command [s]."""
 
     @property
     def alarms(self) -> list[str]:
-        """List what blames something, and does not only name what explains the tracks as well."""
+        """Refusal and warnings, except those about a second solution within the errors."""
         refusals = [self.refusal] if self.refusal else []
-        found = [each for each in self.warnings if not any(word in each for word in AMBIGUOUS)]
-        return refusals + found
+        return refusals + [
+            warning
+            for warning in self.warnings
+            if not any(text in warning for text in AMBIGUOUS)
+        ]
 
     @property
     def wrong(self) -> list[str]:
-        """List what is far off."""
-        return [name for name, each in self.found.items() if each.errors > FAR_OFF]
+        """Names of the results that are wrong."""
+        return [name for name, result in self.results.items() if result.errors > FAR_OFF]
 
     @property
     def is_silently_wrong(self) -> bool:
-        """Whether something is far off without a word."""
+        """Whether a result is wrong although the command neither refused nor warned."""
         return not self.refusal and not self.warnings and bool(self.wrong)
 
 
-def judge(name: str, number: int, *, seed: int, kept: str = '') -> Verdict:
+def judge(name: str, number: int, *, seed: int, folder: str = '') -> Verdict:
     """
-    Draw a trial of the row of that name, and have the command identify it.
+    Draw a trial of a row, identify it by the command, and compare the results with the truth.
 
-    The same seed gives the same trials. Files and a command line are kept in a folder, if any.
+    The same seed gives the same trials. With `folder`, the files and the command line are saved
+    in a new folder inside it.
     """
     random = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
     trial = ROWS_BY_NAME[name].draw(random)
     with contextlib.ExitStack() as stack:
-        if kept:
-            folder = Path(kept) / f'{"".join(c if c.isalnum() else "_" for c in name)}_{number}'
-            folder.mkdir(parents=True, exist_ok=True)
+        if folder:
+            path = Path(folder) / f'{"".join(c if c.isalnum() else "_" for c in name)}_{number}'
+            path.mkdir(parents=True, exist_ok=True)
         else:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        arguments = [*trial.arguments, *_write(trial, folder)]
-        if kept:
-            lines = [shlex.join(['soft-throw', 'identify', *arguments])]
-            lines += [f'# {name} {value:.9g}' for name, value in trial.truth.items()]
-            (folder / 'command.sh').write_text('\n'.join(lines) + '\n', encoding='utf-8')
-        began = time.perf_counter()
-        report, refusal = _identify([*arguments, '--json'])
-        seconds = time.perf_counter() - began
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        arguments = [*trial.arguments, *_write(trial, path)]
+        if folder:
+            command = 'free_layers' if trial.thicknesses else 'identify'
+            lines = [shlex.join(['soft-throw', command, *arguments])]
+            lines += [f'# {key} {value:.9g}' for key, value in trial.truth.items()]
+            (path / 'command.sh').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+        start = time.perf_counter()
+        report, refusal = _identify(trial, [*arguments, '--json'])
+        seconds = time.perf_counter() - start
     return Verdict(
         row=name,
         number=number,
-        refusal=refusal.replace(str(folder), ''),
+        refusal=refusal.replace(str(path), ''),
         warnings=tuple(report.get('warnings', ())),
-        found=_compare(report, trial.truth),
+        results=compare(report, trial.truth),
         seconds=seconds,
     )
 
 
 def _write(trial: Trial, folder: Path) -> list[str]:
-    """Write the files, and return the arguments that name them."""
+    """Write the tracks to files; return the arguments of the command that name these files."""
     arguments = []
     bodies = 'bottom,top' if trial.thicknesses else 'plate,projectile'
     for number, record in enumerate(trial.records):
         path = folder / f'{number + 1}.csv'
         np.savetxt(path, record, '%.9g', ',', header=f't,{bodies}', comments='')
         if trial.thicknesses:
-            arguments += ['--free-layer', f'{trial.thicknesses[number]:.9g}']
+            arguments.append(f'{trial.thicknesses[number]:.9g}')
         arguments.append(str(path))
     return arguments
 
 
-def _identify(arguments: list[str]) -> tuple[dict[str, Any], str]:
-    """Run the command in this process; return what it prints, and why it refuses."""
+def _identify(trial: Trial, arguments: list[str]) -> tuple[dict[str, Any], str]:
+    """Run the command in this process; return its JSON output and its error message."""
     output, errors = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
         try:
-            identify.main(arguments)
+            (free_layers if trial.thicknesses else identify).main(arguments)
         except SystemExit:
             lines = errors.getvalue().strip().splitlines()
-            return {}, lines[-1] if lines else 'without a word'
+            return {}, lines[-1] if lines else 'refused without a message'
     return json.loads(output.getvalue()), ''
 
 
-def _compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Deviation]:
-    """Compare all that was found with what is right."""
-    throws = report.get('throws', [])
-    averages = throws[0]['running_averages'] if len(throws) == 1 else None
-    found = dict(report.get('found', {}))
-    for how, results in (('ejection', report.get('ejection')), ('averages', averages)):
-        found |= {f'{how}.{name}': value for name, value in (results or {}).items()}
+def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Deviation]:
+    """
+    Return the deviations of all fitted parameters and of the first release.
+
+    Near a jump of the ejection time the command reports the release one echo earlier or later as
+    an alternative with its own value and error. The nearer one of the two counts.
+    """
+    results = {name: [value] for name, value in report.get('found', {}).items()}
+    ejection = report.get('ejection') or {}
+    for name in truth:
+        group, _, key = name.partition('.')
+        if group == 'ejection' and key in ejection:
+            releases = [ejection, *ejection.get('alternatives', ())]
+            results[name] = [release[key] for release in releases if key in release]
     deviations = {}
-    for name, value in found.items():
-        if name in truth and value and value['value'] is not None:
-            error = math.inf if value['error'] is None else value['error']
-            deviations[name] = Deviation(value['value'], error, truth[name])
+    for name, values in results.items():
+        if name not in truth:
+            continue
+        candidates = [
+            Deviation(
+                value['value'],
+                math.inf if value['error'] is None else value['error'],
+                truth[name],
+            )
+            for value in values
+            if value and value['value'] is not None
+        ]
+        if candidates:
+            deviations[name] = min(candidates, key=lambda deviation: deviation.errors)
     return deviations

@@ -26,9 +26,8 @@ _COLUMNS = {
     'f, zeta': ('engine.frequency', 'engine.damping_ratio'),
     't_e': ('ejection.time',),
     'V_e, alpha': ('ejection.speed', 'ejection.energy_transfer'),
-    'averages': ('averages.time', 'averages.speed', 'averages.energy_transfer'),
 }
-"""Heads of the columns of coverage, and of what."""
+"""Quantities whose intervals are counted in a column, by the head of the column."""
 
 HEADS = (
     'row', 'rigs', 'refused', 'warned', 'silently wrong', 'all', *_COLUMNS, 'largest', 'slowest',
@@ -45,11 +44,10 @@ def header() -> list[str]:
 
 def line(name: str, verdicts: Sequence[Verdict]) -> str:
     """Write the line of a row."""
-    answered = [verdict for verdict in verdicts if not verdict.refusal]
-    names = sorted({name for verdict in answered for name in verdict.found})
-    model = [each for each in names if not each.startswith('averages')]
+    fitted = [verdict for verdict in verdicts if not verdict.refusal]
+    names = sorted({name for verdict in fitted for name in verdict.results})
     largest = max(
-        ((each.errors, name) for verdict in answered for name, each in verdict.found.items()),
+        ((result.errors, name) for verdict in fitted for name, result in verdict.results.items()),
         default=(0.0, '-'),
     )
     cells = [
@@ -58,8 +56,8 @@ def line(name: str, verdicts: Sequence[Verdict]) -> str:
         str(sum(bool(verdict.refusal) for verdict in verdicts)),
         str(sum(bool(verdict.warnings) for verdict in verdicts)),
         str(sum(verdict.is_silently_wrong for verdict in verdicts)),
-        _coverage(answered, model),
-        *(_coverage(answered, some) for some in _COLUMNS.values()),
+        _coverage(fitted, names),
+        *(_coverage(fitted, quantities) for quantities in _COLUMNS.values()),
         f'{largest[0]:.1f} ({largest[1].removeprefix("ejection.").removeprefix("layer.")})',
         f'{max(verdict.seconds for verdict in verdicts):.1f} s',
     ]
@@ -67,7 +65,7 @@ def line(name: str, verdicts: Sequence[Verdict]) -> str:
 
 
 def summary(verdicts: Sequence[Verdict], clean: Iterable[str]) -> list[str]:
-    """Say how far the goals are reached."""
+    """Compare the numbers of silently wrong trials and of false alarms with their goals."""
     silent = sum(verdict.is_silently_wrong for verdict in verdicts)
     of_clean = [verdict for verdict in verdicts if verdict.row in set(clean)]
     alarms = sum(bool(verdict.alarms) for verdict in of_clean)
@@ -83,11 +81,11 @@ def summary(verdicts: Sequence[Verdict], clean: Iterable[str]) -> list[str]:
 
 
 def _coverage(verdicts: Sequence[Verdict], names: Iterable[str]) -> str:
-    """How many of the 95 % intervals of some quantities hold the truth."""
-    held = [
-        verdict.found[name].is_held
+    """Return the fraction of 95 % intervals that contain the true value."""
+    covered = [
+        verdict.results[name].is_covered
         for verdict in verdicts
         for name in names
-        if name in verdict.found
+        if name in verdict.results
     ]
-    return f'{100.0 * sum(held) / len(held):.0f} %' if held else '-'
+    return f'{100.0 * sum(covered) / len(covered):.0f} %' if covered else '-'

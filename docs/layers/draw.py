@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Compute the tables of `docs/design.md` on loss, large strain and stacks, and draw the best stacks.
+Compute the tables of docs/design.md on loss, large strain and stacks, and draw the best stacks.
 
-`python docs/layers/draw.py` writes both into `docs`; `--output DIR` only draws, elsewhere.
+`python docs/layers/draw.py` updates page and picture; `--output DIR` draws the picture elsewhere.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import math
 from pathlib import Path
-import re
 import sys
 from typing import NamedTuple
 
@@ -37,6 +36,7 @@ from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
+from page import replace_part, table  # noqa: E402, I100
 import style  # noqa: E402
 
 Floats = NDArray[np.float64]
@@ -45,35 +45,40 @@ DOCS = Path(__file__).resolve().parents[1]
 PAGE, PICTURE = DOCS / 'design.md', DOCS / 'layers' / 'stacks.png'
 
 LOW, HIGH = (1e-3, 4.0, 950.0), (0.05, 30.0, 1350.0)
-"""What can be cast: thickness [m], wave speed [m/s] and density [kg/m3] of a sheet."""
+"""Bounds of a cast sheet: thickness [m], wave speed [m/s], density [kg/m3]."""
 
-THICKEST = 0.05
-"""Of a whole stack. [m]"""
+MAX_THICKNESS = 0.05
+"""Largest thickness of a stack. [m]"""
 
 LOSSES = (0.0, 0.02, 0.05, 0.1, 0.2)
-STRAINS = (math.inf, 0.2)
-"""Loss tangents, and largest strains, of the tables. [-]"""
+"""Loss tangents of the table. [-]"""
 
-_SEARCH_CELLS, _CELLS = 32, 256
+STRAINS = (math.inf, 0.2)
+"""Largest strains of the table. [-]"""
+
+_SEARCH_CELLS = 32
+"""Number of cells during the search."""
+
+_CELLS = 256
+"""Number of cells of the results."""
 
 
 class Best(NamedTuple):
-    """A layer that throws best, and what it gives."""
+    """The best layer, and the energy transfer, peak strain and ejection speed of its throw."""
 
     layer: Stack
     energy_transfer: float
     strain: float
     speed: float
-    """Of the ejection. [m/s]"""
 
 
 def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
     """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
     rig = Rig(layer=layer)
-    found = first_throws(**rig.cell_ratios, cells=cells, unresolved='nan')
+    throw = first_throws(**rig.cell_ratios, cells=cells, unresolved='nan')
     scale = rig.engine.speed_scale
-    strain = float(found.peak_strain) * scale / layer.wave_speed
-    return float(found.energy_transfer), strain, float(found.speed) * scale
+    strain = float(throw.peak_strain) * scale / layer.wave_speed
+    return float(throw.energy_transfer), strain, float(throw.speed) * scale
 
 
 def find_best(
@@ -84,7 +89,7 @@ def find_best(
     loss: str = 'kelvin_voigt',
 ) -> Best:
     """
-    Find the stack that throws best; alpha jumps, so the search is global, and by random.
+    Find the best stack by a global random search, because alpha jumps.
 
     Parameters
     ----------
@@ -93,7 +98,7 @@ def find_best(
     max_strain : float
         Largest strain of a sheet. [-]
     loss : str
-        Of all sheets.
+        Loss model of all sheets.
 
     """
     ends = np.reshape([low, high], (2, -1, 4))
@@ -112,9 +117,9 @@ def find_best(
             )
         )
 
-    def lacking(logs: Floats) -> float:
+    def objective(logs: Floats) -> float:
         layer = stack(logs)
-        if layer.thickness > THICKEST:
+        if layer.thickness > MAX_THICKNESS:
             return 0.0
         alpha, strain, _ = thrown(layer, _SEARCH_CELLS)
         if not alpha > 0.0:
@@ -122,21 +127,21 @@ def find_best(
         return -alpha * min(1.0, max_strain / strain) ** 4
 
     bounds = np.log(ends.reshape(2, -1)[:, free]).T
-    found = differential_evolution(
-        lacking, bounds, maxiter=20 * len(bounds), popsize=8, tol=1e-4, rng=1, polish=False
+    result = differential_evolution(
+        objective, bounds, maxiter=20 * len(bounds), popsize=8, tol=1e-4, rng=1, polish=False
     )
-    layer = stack(found.x)
+    layer = stack(result.x)
     return Best(layer, *thrown(layer))
 
 
 def best_of_loss(loss: str, loss_tangent: float) -> Best:
-    """Find the best layer of one material, of the density of gelatin, with a loss."""
+    """Find the best layer of one lossy material with the density of gelatin."""
     low, high = (1e-3, 1.0, 1000.0, loss_tangent), (0.05, 50.0, 1000.0, loss_tangent)
     return find_best(low, high, loss=loss)
 
 
 def best_stacks() -> Iterator[tuple[int, float, Best]]:
-    """Find the best stacks of one, two and three sheets without loss, by their largest strain."""
+    """Find the best lossless stacks of one, two and three sheets for each largest strain."""
     for max_strain in STRAINS:
         for sheets in (1, 2, 3):
             low, high = (*LOW, 0.0), (*HIGH, 0.0)
@@ -144,27 +149,27 @@ def best_stacks() -> Iterator[tuple[int, float, Best]]:
 
 
 def loss_table() -> Iterator[tuple[str, ...]]:
-    """Write what loss costs: the best layer of each loss, and the lossless optimum with it."""
+    """Yield the rows on loss: the lossless optimum and the best layer for each loss tangent."""
     lossless = best_of_loss('kelvin_voigt', 0.0).layer.sheets[0]
     for tangent in LOSSES:
         row = [f'{tangent:g}']
         for loss in ('kelvin_voigt', 'constant'):
             best = best_of_loss(loss, tangent)
             (sheet,), mass = best.layer.sheets, Rig().projectile.mass
-            kept, _, _ = thrown(replace(lossless, loss=loss, loss_tangent=tangent))
+            alpha, _, _ = thrown(replace(lossless, loss=loss, loss_tangent=tangent))
             kappa = sheet.wave_speed / (sheet.thickness * Rig().engine.frequency)
             row += [
-                f'{kept:.3f}', f'{best.energy_transfer:.3f}', f'{mass / sheet.mass:.3f}',
+                f'{alpha:.3f}', f'{best.energy_transfer:.3f}', f'{mass / sheet.mass:.3f}',
                 f'{kappa:.2f}',
             ]
         yield tuple(row)
 
 
 def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str, ...]]:
-    """Write the best stacks, and what becomes of them in materials as they are."""
+    """Yield the rows of the best stacks, with their throw from a real gel."""
     for count, max_strain, best in stacks:
         real = [
-            replace(sheet, elasticity='neo_hookean', loss='constant', loss_tangent=0.05)
+            replace(sheet, stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.05)
             for sheet in best.layer.sheets
         ]
         alpha, strain, _ = thrown(Stack(sheets=tuple(real)))
@@ -178,27 +183,28 @@ def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str
 
 
 def summary(stacks: Sequence[tuple[int, float, Best]]) -> str:
-    """Say what stacks give beside the best single layer."""
+    """Return the gain of stacks over the best single layer."""
     alpha = {(count, most): best.energy_transfer for count, most, best in stacks}
     more = {key: 1e2 * (value / alpha[1, key[1]] - 1.0) for key, value in alpha.items()}
-    free, held = STRAINS
+    free, limited = STRAINS
     return (
-        f'Two sheets throw with {more[2, held]:.0f} % more energy than the best layer of one '
-        f'material, and three with {more[3, held]:.0f} %,\nif no sheet is to be compressed by '
-        f'more than {1e2 * held:g} %; without that limit with {more[2, free]:.0f} % and '
+        f'Two sheets throw with {more[2, limited]:.0f} % more energy than the best layer of one '
+        f'material, and three with {more[3, limited]:.0f} %,\nif no sheet is to be compressed by '
+        f'more than {1e2 * limited:g} %; without that limit with {more[2, free]:.0f} % and '
         f'{more[3, free]:.0f} %.'
     )
 
 
 def text_of(layer: Layer) -> str:
-    """Write the sheets as `layer.stack` takes them."""
+    """Return the sheets in the syntax of the parameter `layer.stack`."""
     return ', '.join(
-        f'{each.thickness:.4g} {each.wave_speed:.4g} {each.density:.4g}' for each in layer.sheets
+        f'{sheet.thickness:.4g} {sheet.wave_speed:.4g} {sheet.density:.4g}'
+        for sheet in layer.sheets
     )
 
 
 def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
-    """Draw the impedance of the best stacks over height, and how they throw over time."""
+    """Draw the impedance of the best stacks over height, and their throws over time."""
     chosen = [(count, best) for count, most, best in stacks if not math.isinf(most)]
     colours = (style.BLACK, style.BLUE, style.RED)
     figure = style.new_figure(
@@ -208,8 +214,8 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
     )
     left, right = figure.subplots(1, 2)
     for (count, best), colour in zip(chosen, colours, strict=True):
-        edges = 1e3 * np.cumsum([0.0, *(each.thickness for each in best.layer.sheets)])
-        levels = [each.impedance for each in best.layer.sheets]
+        edges = 1e3 * np.cumsum([0.0, *(sheet.thickness for sheet in best.layer.sheets)])
+        levels = [sheet.impedance for sheet in best.layer.sheets]
         name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
         rig = Rig(layer=best.layer)
@@ -232,23 +238,6 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
     style.save(figure, path)
 
 
-def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Write a table."""
-    lines = [head, ['---'] * len(head), *rows]
-    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
-
-
-def replace_part(text: str, name: str, part: str) -> str:
-    """Replace what stands between two comments of a page."""
-    pattern = rf'(<!-- {name} -->\n).*?(\n<!-- end -->)'
-    found, count = re.subn(
-        pattern, lambda match: match[1] + part + match[2], text, flags=re.DOTALL
-    )
-    if count != 1:
-        raise ValueError(f'{PAGE} must have one part {name!r}, got {count}')
-    return found
-
-
 LOSS_HEAD = (
     'tan delta', 'Kelvin-Voigt: the lossless optimum', 'the best layer', 'mu', 'kappa',
     'constant: the lossless optimum', 'the best layer', 'mu', 'kappa',
@@ -260,19 +249,19 @@ STACK_HEAD = (
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run it; return exit code 0."""
+    """Update the page and its picture; return 0."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument(
-        '--output', metavar='DIR', type=Path, help='draw there, and leave the page'
+        '--output', metavar='DIR', type=Path, help='draw there, and do not update the page'
     )
-    given = parser.parse_args(args)
+    arguments = parser.parse_args(args)
     stacks = list(best_stacks())
     with style.settings():
-        draw(stacks, PICTURE if given.output is None else given.output / PICTURE.name)
-    if given.output is None:
+        draw(stacks, PICTURE if arguments.output is None else arguments.output / PICTURE.name)
+    if arguments.output is None:
         page = PAGE.read_text(encoding='utf-8')
-        page = replace_part(page, 'loss', markdown(LOSS_HEAD, list(loss_table())))
-        part = f'{summary(stacks)}\n\n{markdown(STACK_HEAD, list(stack_table(stacks)))}'
+        page = replace_part(page, 'loss', table(LOSS_HEAD, list(loss_table())))
+        part = f'{summary(stacks)}\n\n{table(STACK_HEAD, list(stack_table(stacks)))}'
         page = replace_part(page, 'stacks', part)
         PAGE.write_text(page, encoding='utf-8')
     return 0

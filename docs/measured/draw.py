@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Draw the pictures of `docs/measured.md`: a video is made, followed, fitted, and used.
+Draw the pictures of docs/measured.md from a simulated video, its tracks and the fitted rig.
 
-`python docs/measured/draw.py` writes them into `docs/measured`, `--output DIR` elsewhere, and
-`--keep FILE.avi` keeps the video, to try the commands of the page with.
+`python docs/measured/draw.py` writes the pictures to docs/measured, `--output DIR` to another
+folder. `--keep FILE.avi` keeps the video, with which the commands of the page can be tried.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from soft_throw_ros.commands import identify
+from soft_throw_ros.commands import identify, track
 from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
@@ -55,20 +55,34 @@ RIG = Rig(
     layer=Layer(thickness=7e-3, wave_speed=6.9),
     projectile=Projectile(mass=1.2e-3),
 )
-"""What was filmed."""
+"""The rig in the video."""
 
-RATE, PIXEL = 5000.0, 1e-4
-"""Of the camera. [Hz], [m]"""
+RATE = 5000.0
+"""Frame rate of the camera. [Hz]"""
 
-OPTIONS = ('--rate', '5000', '--scale', '0.012', '120', '--thickness', '0.007', '--mass', '0.0012')
+PIXEL = 1e-4
+"""Size of a pixel on the rig. [m]"""
+
+CAMERA = ('--rate', '5000', '--scale', '0.012', '120')
+OPTIONS = ('--one-camera', '--thickness', '0.007', '--mass', '0.0012')
 SHAPE = (300, 64)
-WIRE, WIRE_WIDTH = 100.0, 6.0  # in front of the projectile's way [px]
-START, DURATION = 0.008, 0.045  # of the throw, and of the video [s]
-_COLOURS = 48  # are enough for pictures as these, and make small files
+"""Rows and columns of the video. [px]"""
+
+WIRE, WIRE_WIDTH = 100.0, 6.0
+"""Row and width of a wire in front of the path of the projectile. [px]"""
+
+START = 0.008
+"""Start of the throw. [s]"""
+
+DURATION = 0.045
+"""Duration of the video. [s]"""
+
+_COLOURS = 48
+"""Number of colours, which keeps the files small."""
 
 
 def pictures() -> Iterator[Bytes]:
-    """Take pictures of a throw: three dark spots, and a wire before them, with noise."""
+    """Yield noisy pictures of a throw: three dark spots behind a wire."""
     rng = np.random.default_rng(0)
     time = np.arange(0.0, DURATION, 1.0 / RATE) - START
     path = simulate(RIG, until=DURATION).trajectory(np.maximum(time, 0.0))
@@ -91,7 +105,7 @@ def pictures() -> Iterator[Bytes]:
 
 
 def write_video(path: Path) -> None:
-    """Write them into a video without loss."""
+    """Write the pictures to a lossless video."""
     with av.open(str(path), 'w') as file:
         stream = file.add_stream('ffv1', rate=25)
         stream.height, stream.width = SHAPE
@@ -102,11 +116,12 @@ def write_video(path: Path) -> None:
 
 
 def identified(video: Path, folder: Path) -> tuple[Rig, dict[str, Any]]:
-    """Run the commands of the page; return the rig that is found, and all that is said of it."""
-    parameters = folder / 'my_rig.yaml'
+    """Run the commands of the page; return the fitted rig and the report."""
+    tracks, parameters = folder / 'tracks.csv', folder / 'my_rig.yaml'
+    overlay = ('--overlay', str(folder / 'followed.png'))
+    track.main([str(video), *CAMERA, *overlay, '--output', str(tracks)])
     args = [
-        *('--video', str(video), *OPTIONS, '--json'),
-        *('--overlay', str(folder / 'followed.png'), '--figure', str(folder / 'fit.png')),
+        *(str(tracks), *OPTIONS, '--json', '--figure', str(folder / 'fit.png')),
         *('--output', str(parameters)),
     ]
     printed = io.StringIO()
@@ -115,8 +130,8 @@ def identified(video: Path, folder: Path) -> tuple[Rig, dict[str, Any]]:
     return rig_of(files.read(parameters)), json.loads(printed.getvalue())
 
 
-def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
-    """Draw the energy transfer of all thicknesses of the layer that was found."""
+def draw_better(rig: Rig, report: dict[str, Any], path: Path) -> None:
+    """Draw the energy transfer of the fitted layer for all thicknesses."""
     thicknesses = np.linspace(3e-3, 30e-3, 400)
     figure = style.new_figure(
         'A better layer',
@@ -124,7 +139,7 @@ def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
         height=3.6,
     )
     axes = figure.subplots()
-    error = found['found']['layer.wave_speed']['error']
+    error = report['found']['layer.wave_speed']['error']
     speeds = rig.layer.wave_speed + error * np.array([-1.0, 0.0, 1.0])
     curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds]
     axes.fill_between(
@@ -150,16 +165,16 @@ def draw_better(rig: Rig, found: dict[str, Any], path: Path) -> None:
 
 
 def _energy_transfer(rig: Rig, thicknesses: Floats, speed: float) -> Floats:
-    """Compute alpha of layers of such thicknesses."""
+    """Return the energy transfer of layers with given thicknesses."""
     layers = [
-        changed_rig(rig, {'layer.thickness': float(each), 'layer.wave_speed': float(speed)})
-        for each in thicknesses
+        changed_rig(rig, {'layer.thickness': float(thickness), 'layer.wave_speed': float(speed)})
+        for thickness in thicknesses
     ]
     return first_releases(layers).energy_transfer
 
 
 def main(args: list[str] | None = None) -> int:
-    """Draw all of them; return 0."""
+    """Draw all pictures; return 0."""
     parser = argparse.ArgumentParser(description='Draw the pictures of docs/measured.md.')
     folder = Path(__file__).resolve().parent
     parser.add_argument('--output', metavar='DIR', type=Path, default=folder)
@@ -169,13 +184,13 @@ def main(args: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         video = arguments.keep or Path(temporary) / 'throw.avi'
         write_video(video)
-        rig, found = identified(video, Path(temporary))
+        rig, report = identified(video, Path(temporary))
         with style.settings():
-            draw_better(rig, found, Path(temporary) / 'better.png')
+            draw_better(rig, report, Path(temporary) / 'better.png')
         for name in PICTURES:
             path = arguments.output / f'{name}.png'
-            few = Image.open(Path(temporary) / f'{name}.png').convert('RGB').quantize(_COLOURS)
-            few.save(path, optimize=True)
+            picture = Image.open(Path(temporary) / f'{name}.png').convert('RGB').quantize(_COLOURS)
+            picture.save(path, optimize=True)
             print(path)
     return 0
 

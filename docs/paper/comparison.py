@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The numbers that the paper prints beside those that come out here, and some that it does not."""
+"""The numbers of the paper beside the computed ones, and some that the paper does not give."""
 
 from __future__ import annotations
 
@@ -25,37 +25,39 @@ import limits
 from models import (
     best_layer,
     DAMPING_RATIO,
-    Engine,
-    first_release,
-    Layer,
     period_of_free_layer,
-    Projectile,
     PROJECTILE_DENSITY,
     releases_at,
     releases_of,
     rig_of,
     SERIES,
     Series,
-    simulate,
-    spring_mass,
-    STANDARD_GRAVITY,
     THICKNESSES,
-    Underdamped,
 )
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, STANDARD_GRAVITY
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import first_throws
 
 Floats = NDArray[np.float64]
 
 _LOSS_TANGENT = 0.02
-_LIGHT = 1e-6  # mass ratio of a projectile that does not load the layer
-_NEARLY_LIGHT = 0.02  # the same for cells, whose steps get shorter with it
+"""Loss tangent of the lossy layers. [-]"""
+
+_LIGHT = 1e-6
+"""Mass ratio of a projectile that does not load the layer. [-]"""
+
+_NEARLY_LIGHT = 0.02
+"""The same for cells, whose time step decreases with the mass of the projectile. [-]"""
 
 
 class Published(NamedTuple):
-    """What is printed, the least and the largest value that it allows, and it if it is one."""
+    """A printed text, the range of values that it allows, and its number if it is one."""
 
     text: str
     low: float
@@ -64,7 +66,7 @@ class Published(NamedTuple):
 
 
 def printed(digits: str) -> Published:
-    """Read a number as it is printed: it may be off by half a unit of its last digit."""
+    """Return a printed number, exact to half a unit of its last digit."""
     value, half = float(digits), 0.5 * 10.0 ** -len(digits.partition('.')[2])
     return Published(digits, value - half, value + half, value)
 
@@ -77,15 +79,15 @@ class Row:
     Parameters
     ----------
     quantity, where : str
-        What it is, and where in the paper.
+        Name of the quantity, and its place in the paper.
     paper : Published
-        What is printed there.
+        The printed value.
     ours : float or tuple of float
-        One value, or the least and the largest.
+        Computed value, or smallest and largest computed value.
     digits : int
-        Decimals of ours that are shown.
+        Number of decimals of `ours` in the table.
     why : str
-        Why the two differ, or what is to be known about it.
+        Reason of a difference, or a remark.
 
     """
 
@@ -98,12 +100,12 @@ class Row:
 
     @property
     def agrees(self) -> bool:
-        """Whether all of ours is within what the paper says."""
+        """Whether all computed values are in the range of the paper."""
         return bool(self.paper.low <= np.min(self.ours) and np.max(self.ours) <= self.paper.high)
 
     @property
     def difference(self) -> float | None:
-        """Ours less the paper's, if it is one number there and here."""
+        """Computed minus printed value, if both are one number."""
         if isinstance(self.ours, tuple) or self.paper.value is None:
             return None
         return self.ours - self.paper.value
@@ -111,12 +113,12 @@ class Row:
 
 @functools.lru_cache(maxsize=1)
 def published() -> tuple[Row, ...]:
-    """Compute everything that the paper prints a number for."""
+    """Compute all quantities that the paper gives."""
     return (*_optimum(), *_thin_and_thick(), *_limits(), *_rig())
 
 
 def _optimum() -> tuple[Row, ...]:
-    """Secs. III and IV: the best layer, with projectile and layer equally dense."""
+    """Return the rows of Secs. III and IV: the best layer with equal densities."""
     best = best_layer(0.0)
     x = 1.0 / (1.0 + best.mass_ratio)
     x_rig = 1.3 / (1.3 + best.mass_ratio)
@@ -141,15 +143,15 @@ def _optimum() -> tuple[Row, ...]:
 
 
 def _thin_and_thick() -> tuple[Row, ...]:
-    """Sec. III: the ends of the maps."""
+    """Return the rows of Sec. III: the edges of the maps."""
     plateau = first_release(mass_ratio=_LIGHT, speed_ratio=4.0).energy_transfer
     edge = _end_of_plateau(_LIGHT)
     near = 0.99 * _end_of_plateau(1.0 / 0.99 - 1.0)
     factor, ridge = _ridge(1e-4)
     harmonic = Underdamped.of(Engine(damping_ratio=0.0))
-    leaves = harmonic.peak_velocity_time
-    bare = float((harmonic.velocity(leaves) / harmonic.peak_velocity) ** 2)
-    last = 'of the last release; the first one tends to 0'
+    release = harmonic.peak_velocity_time
+    bare = float((harmonic.velocity(release) / harmonic.peak_velocity) ** 2)
+    remark = 'of the last release; the first one tends to 0'
     return (
         Row('alpha of a thick soft layer, x = 1', 'Secs. III, IV A', printed('4'),
             float(plateau), 4),
@@ -161,19 +163,21 @@ def _thin_and_thick() -> tuple[Row, ...]:
         Row('alpha on it', 'Fig. 4', printed('3.13'), ridge, 4),
         Row('alpha on the axes, C = 0 or x = 0', 'Fig. 3', printed('0'), _alpha_at_axes(), 4,
             'of the first release; the last one tends to 1 for x = 0'),
-        Row('t_e f without a layer', 'Fig. 5', printed('0.25'), leaves * Engine().frequency, 4,
-            last),
-        Row('alpha without a layer', 'Fig. 5', printed('1'), bare, 4, last),
+        Row('t_e f without a layer', 'Fig. 5', printed('0.25'), release * Engine().frequency, 4,
+            remark),
+        Row('alpha without a layer', 'Fig. 5', printed('1'), bare, 4, remark),
     )
 
 
 def _limits() -> tuple[Row, ...]:
-    """Apps. A to C: the massless spring, the free layer, and thick layers."""
+    """Return the rows of Apps. A to C: massless spring, free layer, thick layers."""
     ratio = limits.best_frequency_ratio()
     spring = spring_mass.first_release(frequency_ratio=ratio)
     small, medium, large = 0.01, 0.1, 1e5
     lighter = limits.exact(small).energy_transfer
     rest = limits.exact(medium).angle - 0.5 * math.pi - math.atan(medium)
+    heavy = 100.0
+    late = float(limits.heavy_projectile(heavy).angle)
     return (
         Row('best f0/f of a massless spring', 'App. A, Fig. 7', printed('1.62'), ratio, 4),
         Row('its alpha', 'App. A, Fig. 7', printed('3.13'), float(spring.energy_transfer), 4),
@@ -192,11 +196,14 @@ def _limits() -> tuple[Row, ...]:
             '- e^(-1 - pi/(2 omega tau))'),
         Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', printed('16'),
             float(limits.exact(large).energy_transfer * large**2), 2),
+        Row(f'omega (t_e - t_s) for omega tau = {heavy:g}', 'App. C(ii)',
+            Published('pi - 2/(omega tau) + pi/(omega tau)^2', late - 1e-4, late + 1e-4, late),
+            float(limits.exact(heavy).angle), 4, f'the formula gives {late:.4f}'),
     )
 
 
 def _rig() -> tuple[Row, ...]:
-    """Secs. II and III, App. D: what holds for the paper's rig."""
+    """Return the rows of Secs. II and III and App. D: the rig of the paper."""
     third = SERIES[2]
     change = np.concatenate([_change_by_damping(series) for series in SERIES])
     engines = [Engine(frequency=series.frequency) for series in (third, SERIES[0])]
@@ -216,12 +223,14 @@ def _rig() -> tuple[Row, ...]:
         Row('wave speed in the projectile, c_r (m/s)', 'text', printed('1700'),
             math.sqrt(Projectile().youngs_modulus / PROJECTILE_DENSITY), 0,
             'E_r = 3.6 GPa and 1300 kg/m3, rounded to hundreds'),
+        Row('largest speed of the plate, V_p* (m/s)', 'text', printed('0.8'),
+            SERIES[0].engine_speed, 3, 'A omega with A = 2 mm and 63.2 Hz'),
         *(
             Row(f'c_s/(L_r f) of the {name} series', 'Sec. III, Fig. 5',
                 printed(series.printed), series.speed, 2, why)
             for name, series, why in zip(
                 ('first', 'second', 'third'), SERIES,
-                ('', '', 'misprint: 7.8 m/s, 8.2 mm and 31.1 Hz make 30.6'), strict=True)
+                ('', '', _which_fits(34.5, 30.6)), strict=True)
         ),
         Row('lower frequency of the plate (Hz)', 'App. D',
             Published('31.2 +- 0.1', 31.2 - 0.1, 31.2 + 0.1), third.frequency, 1,
@@ -233,8 +242,62 @@ def _rig() -> tuple[Row, ...]:
     )
 
 
+def _which_fits(*numbers: float) -> str:
+    """Describe the value of each quantity that would give the third series a c_s/(L_r f)."""
+    third = SERIES[2]
+    texts = []
+    for number in numbers:
+        ratio = number / third.speed
+        texts.append(
+            f'{number:g} takes {Layer().wave_speed * ratio:.2f} m/s, or '
+            f'{1e3 * third.projectile_length / ratio:.2f} mm, or {third.frequency / ratio:.2f} Hz'
+        )
+    return (
+        f'{"; ".join(texts)}; the paper has 7.8 +- 0.3 m/s, 8.2 mm and 31.2 +- 0.1 Hz, so 34.5 is '
+        'a misprint'
+    )
+
+
+def table_one() -> list[tuple[str, str, str, str]]:
+    """Return the rows of Table I: quantity, symbol, value of the paper, computed value."""
+    layer, projectile = Layer(), Projectile()
+    lengths = [series.projectile_length for series in SERIES]
+    thinnest, thickest = min(THICKNESSES), max(THICKNESSES)
+    throws = [
+        speed * series.engine_speed
+        for series in SERIES
+        for speed in np.asarray(series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO).speed)
+    ]
+    speeds = sorted({series.engine_speed for series in SERIES})
+
+    def ends(low: float, high: float, digits: int = 1) -> str:
+        return f'{low:.{digits}f} to {high:.{digits}f}'
+
+    return [
+        ('damping ratio of the plate', 'zeta (-)', '0.064', f'{DAMPING_RATIO:g}'),
+        ('density of the projectile', 'rho_r (kg/m3)', '1300', f'{PROJECTILE_DENSITY:g}'),
+        ('density of the layer', 'rho_s (kg/m3)', '1000', f'{layer.density:g}'),
+        ('amplitude of the plate', 'A (mm)', '~2', f'{1e3 * Engine().amplitude:g}'),
+        ('modulus of the projectile', 'E_r (GPa)', '3.6', f'{1e-9 * projectile.youngs_modulus:g}'),
+        ('modulus of the layer', 'E_s (kPa)', '~61', f'{1e-3 * layer.youngs_modulus:.1f}'),
+        ('length of layer and projectile', 'L (mm)', '10.2 to 45.4',
+         ends(1e3 * (thinnest + min(lengths)), 1e3 * (thickest + max(lengths)))),
+        ('length of the projectile', 'L_r (mm)', '8.2 to 16.3',
+         ends(1e3 * min(lengths), 1e3 * max(lengths))),
+        ('thickness of the layer', 'L_s (mm)', '2.0 to 29.1',
+         ends(1e3 * thinnest, 1e3 * thickest)),
+        ('period of the free layer, 2 L_s/c_s', 'T_0 (ms)', '~10',
+         ends(2e3 * thinnest / layer.wave_speed, 2e3 * thickest / layer.wave_speed)),
+        ('ejection speed', 'V_e (m/s)', '~1', ends(min(throws), max(throws), 2)),
+        ('largest speed of the plate, A omega', 'V_p* (m/s)', '~1', ends(*speeds, 3)),
+        ('wave speed in the projectile', 'c_r (m/s)', '1700',
+         f'{math.sqrt(projectile.youngs_modulus / PROJECTILE_DENSITY):.0f}'),
+        ('wave speed in the layer', 'c_s (m/s)', '7.8', f'{layer.wave_speed:g}'),
+    ]
+
+
 class Fact(NamedTuple):
-    """Something that the paper does not say, with our value as text."""
+    """A quantity that the paper does not give, and its computed value as text."""
 
     quantity: str
     ours: str
@@ -242,17 +305,17 @@ class Fact(NamedTuple):
 
 @functools.lru_cache(maxsize=1)
 def beyond() -> tuple[Fact, ...]:
-    """Compute what the paper leaves out and a builder has to know."""
+    """Compute quantities that the paper does not give and that a builder of a rig needs."""
+    layers = {zeta: best_layer(zeta) for zeta in (0.0, DAMPING_RATIO, 0.2)}
     optima = (
         Fact(
             f'best layer for zeta = {zeta:g}, any density',
-            f'mu = {found.mass_ratio:.4f}, kappa = {found.speed_ratio:.4f}: '
-            f't_e f = {found.ejection_phase:.4f}, alpha = {found.energy_transfer:.4f}',
+            f'mu = {layer.mass_ratio:.4f}, kappa = {layer.speed_ratio:.4f}: '
+            f't_e f = {layer.ejection_phase:.4f}, alpha = {layer.energy_transfer:.4f}',
         )
-        for zeta in (0.0, DAMPING_RATIO, 0.2)
-        for found in [best_layer(zeta)]
+        for zeta, layer in layers.items()
     )
-    best = best_layer(0.0)
+    best = layers[0.0]
     lossy = _alpha_with_loss(best.mass_ratio, best.speed_ratio)
     soft_ratio, soft = _best_with_loss()
     thin = releases_of(SERIES[2].rig(THICKNESSES[0], damping_ratio=0.0), periods=3.0)
@@ -281,26 +344,23 @@ def beyond() -> tuple[Fact, ...]:
 
 
 def throws_of_the_rig() -> list[tuple[str, ...]]:
-    """List the throws of the three series from the six layers, with damping and no gravity."""
+    """Return the rows of the three series and six layers, with damping and without gravity."""
     rows = []
     for series in SERIES:
         releases = series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO)
         strains = series.peak_strains(damping_ratio=DAMPING_RATIO)
         for i, thickness in enumerate(THICKNESSES):
             rig = series.rig(thickness, damping_ratio=DAMPING_RATIO)
-            engine = rig.engine
-            phase, speed = (float(part[i]) for part in (releases.ejection_phase, releases.speed))
-            again = len(releases_of(rig, periods=3.0)) - 1
-            values = (
-                f'{engine.frequency:g}', f'{1e3 * series.projectile_length:g}',
+            frequency = rig.engine.frequency
+            phase, speed, alpha = (float(np.asarray(values)[i]) for values in releases)
+            rows.append((
+                f'{frequency:g}', f'{1e3 * series.projectile_length:g}',
                 f'{1e3 * thickness:.1f}', f'{series.x_of(thickness):.3f}',
                 f'{rig.mass_ratio:.3f}', f'{rig.speed_ratio:.2f}',
-                f'{1e3 * rig.crossing_time:.3f}', f'{1e3 * phase / engine.frequency:.2f}',
-                f'{phase:.3f}', f'{speed * engine.speed_scale:.3f}',
-                f'{float(np.asarray(releases.energy_transfer)[i]):.2f}',
-                f'{100.0 * strains[i]:.1f}', f'{again}',
-            )
-            rows.append(values)
+                f'{1e3 * rig.crossing_time:.3f}', f'{1e3 * phase / frequency:.2f}',
+                f'{phase:.3f}', f'{speed * rig.engine.speed_scale:.3f}', f'{alpha:.2f}',
+                f'{100.0 * strains[i]:.1f}', f'{len(releases_of(rig, periods=3.0)) - 1}',
+            ))
     return rows
 
 
@@ -309,45 +369,42 @@ def _range(values: Floats) -> tuple[float, float]:
 
 
 def _strains_at(frequency: float) -> tuple[float, float]:
-    """Return the least and the largest peak strain of the throws at a frequency [%]."""
-    found = [
-        100.0 * series.peak_strains(damping_ratio=0.0)
-        for series in SERIES
-        if series.frequency == frequency
-    ]
-    return _range(np.concatenate(found))
+    """Return the smallest and the largest peak strain of the throws at a frequency [%]."""
+    selected = [series for series in SERIES if series.frequency == frequency]
+    strains = [series.peak_strains(damping_ratio=0.0) for series in selected]
+    return _range(100.0 * np.concatenate(strains))
 
 
 def _end_of_plateau(mass_ratio: float) -> float:
-    """Find the speed ratio at which the release stops being one before the wave's return."""
+    """Return the largest speed ratio whose release is before the return of the wave."""
     low, high = 7.0, 9.0
     while (middle := 0.5 * (low + high)) not in (low, high):
-        found = first_release(mass_ratio=mass_ratio, speed_ratio=middle)
-        low, high = (middle, high) if found.ejection_phase * middle <= 3.0 else (low, middle)
+        phase = first_release(mass_ratio=mass_ratio, speed_ratio=middle).ejection_phase
+        low, high = (middle, high) if phase * middle <= 3.0 else (low, middle)
     return low
 
 
 def _ridge(x: float) -> tuple[float, float]:
-    """Find C / sqrt(x) of the largest energy transfer at a small x, and that."""
+    """Return C / sqrt(x) of the largest energy transfer at a small x, and this transfer."""
 
     def loss(factor: float) -> float:
         return -float(releases_at(x, factor * math.sqrt(x)).energy_transfer)
 
-    found = minimize_scalar(loss, bounds=(9.0, 12.0), method='bounded', options={'xatol': 1e-5})
-    return float(found.x), -float(found.fun)
+    result = minimize_scalar(loss, bounds=(9.0, 12.0), method='bounded', options={'xatol': 1e-5})
+    return float(result.x), -float(result.fun)
 
 
 def _alpha_at_axes() -> float:
-    """Compute the largest energy transfer close to C = 0 and close to x = 0."""
+    """Return the largest energy transfer close to C = 0 and close to x = 0."""
     x = np.array([0.2, 0.5, 0.8, 1e-5, 1e-5])
     c = np.array([0.01, 0.01, 0.01, 3.0, 10.0])
-    # By waves: rounding spoils the last digits of the closed form so close to the axes
+    # Travelling waves, because the closed form loses digits so close to the axes
     throws = first_throws(mass_ratio=(1.0 - x) / x, speed_ratio=c / x)
     return float(np.max(throws.energy_transfer))
 
 
 def _change_by_damping(series: Series) -> Floats:
-    """Compute by how much damping changes the energy transfer from the six layers [%]."""
+    """Return the change of the energy transfer by damping for the six layers [%]."""
     harmonic, damped = (
         np.asarray(series.releases(THICKNESSES, damping_ratio=zeta).energy_transfer)
         for zeta in (0.0, DAMPING_RATIO)
@@ -356,17 +413,15 @@ def _change_by_damping(series: Series) -> Floats:
 
 
 def _fact_of_gravity(frequency: float) -> Fact:
-    """Tell by how much gravity changes t_e and V_e from the six layers."""
+    """Return the changes of t_e and V_e of the six layers by gravity."""
     engine = Engine(frequency=frequency)
     ratio = STANDARD_GRAVITY / (engine.speed_scale * engine.angular_frequency)
     later, slower = [], []
     for series in SERIES:
         if series.frequency == frequency:
             without, under = (
-                series.releases(
-                    THICKNESSES, damping_ratio=DAMPING_RATIO, gravity_ratio=gravity_ratio
-                )
-                for gravity_ratio in (0.0, ratio)
+                series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO, gravity_ratio=gravity)
+                for gravity in (0.0, ratio)
             )
             later += list(100.0 * (under.ejection_phase / without.ejection_phase - 1.0))
             slower += list(100.0 * (1.0 - under.speed / without.speed))
@@ -378,7 +433,7 @@ def _fact_of_gravity(frequency: float) -> Fact:
 
 
 def _fact_of_sag() -> Fact:
-    """Tell how far gravity presses the thickest layer down, by the projectile and by itself."""
+    """Return the static sag of the thickest layer under the projectile and its own weight."""
     layer = Layer(thickness=THICKNESSES[-1])
     longest = max(series.projectile_length for series in SERIES)
     per_length = STANDARD_GRAVITY * layer.thickness / layer.youngs_modulus
@@ -392,7 +447,7 @@ def _fact_of_sag() -> Fact:
 
 
 def _change_by_elasticity() -> float:
-    """Compute the largest relative change of t_e and V_e if the projectile is elastic."""
+    """Return the largest relative change of t_e and V_e by the elasticity of the projectile."""
     changes = []
     for series in SERIES:
         rigid = series.releases(THICKNESSES, damping_ratio=0.0)
@@ -404,15 +459,15 @@ def _change_by_elasticity() -> float:
 
 
 def _alpha_with_loss(mass_ratio: float, speed_ratio: float) -> float:
-    """Compute the energy transfer of a lossy layer, by cells."""
+    """Return the energy transfer of a lossy layer, from cells."""
     rig = rig_of(mass_ratio=mass_ratio, speed_ratio=speed_ratio, loss_tangent=_LOSS_TANGENT)
-    return simulate(rig, model='finite_difference', max_events=1).energy_transfer
+    return simulate(rig, model='cells', max_events=1).energy_transfer
 
 
 def _best_with_loss() -> tuple[float, float]:
-    """Find the speed ratio of the largest energy transfer of a lossy thick layer, and that."""
-    found = minimize_scalar(
+    """Return the best speed ratio of a thick layer with loss, and its energy transfer."""
+    result = minimize_scalar(
         lambda speed_ratio: -_alpha_with_loss(_NEARLY_LIGHT, speed_ratio),
         bounds=(5.0, 6.6), method='bounded', options={'xatol': 0.05},
     )
-    return float(found.x), -float(found.fun)
+    return float(result.x), -float(result.fun)

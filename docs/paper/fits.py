@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Figs. 8 to 10: how the rig's wave speed and the plate's motion are found.
+Figs. 8 to 10: measurement of the wave speed and of the motion of the plate.
 
-The paper's measurements are not at hand. What stands for them is computed, and said to be.
+The measurements of the paper are not available; computed data replace them, as captions say.
 """
 
 from __future__ import annotations
@@ -22,48 +22,43 @@ from __future__ import annotations
 import math
 
 from matplotlib.figure import Figure
-from models import (
-    DAMPING_RATIO,
-    Engine,
-    Layer,
-    THICKNESS_ERROR,
-    THICKNESSES,
-    Underdamped,
-    WAVE_SPEED_ERROR,
-)
+from models import DAMPING_RATIO, THICKNESS_ERROR, THICKNESSES, WAVE_SPEED_ERROR
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
-from style import BLACK, BLUE, GREEN, legend_below, new_figure, ORANGE, RED
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer
+from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED
 
 Floats = NDArray[np.float64]
 
 SLOPE = 0.256
-"""Of T_0 over L_s, as printed; its unit can only be s/m."""
+"""Slope of T_0 over L_s, as printed without a unit, which can only be this one. [s/m]"""
 
-NOISE = 20e-6  # of a measured height of the plate [m]
-RATE = 5000.0  # of the camera [Hz]
+NOISE = 20e-6
+"""Standard deviation of a measured height of the plate. [m]"""
 
-_MILLI = 1e3
+RATE = 5000.0
+"""Frame rate of the camera. [Hz]"""
 
 
 def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Floats:
     """
-    Compute the length of a free layer that is let go from a uniform stretch, less its own.
+    Compute the length change of a free layer that is released from a uniform stretch.
 
     Parameters
     ----------
     time : ndarray
-        [s]
+        Times after the release. [s]
     period : float
-        Of the first mode. [s]
+        Period of the first mode. [s]
     loss_tangent : float
-        At that mode; Kelvin and Voigt's, so that the n-th decays n^2 times as fast. [-]
+        Kelvin-Voigt loss of the first mode; the n-th mode decays n^2 times as fast. [-]
 
     Returns
     -------
     ndarray
-        In units of the first stretch. [-]
+        Length change in units of the first stretch. [-]
 
     """
     odd = np.arange(1.0, 40.0, 2.0)
@@ -73,7 +68,7 @@ def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Float
 
 
 def draw_free_layers() -> Figure:
-    """Draw Figs. 8 and 9: free layers ring, with a period that grows with their thickness."""
+    """Draw Figs. 8 and 9: the ringing of free layers, and its period over their thickness."""
     figure = new_figure(
         'Figs. 8 and 9   App. B: the wave speed, from layers that ring freely',
         'A wave goes there and back in a period $T_0 = 2 L_s / c_s$. The ringing is computed, for '
@@ -86,59 +81,41 @@ def draw_free_layers() -> Figure:
     time = np.linspace(0.0, 22e-3, 1200)
     for thickness, color in zip(THICKNESSES[[1, 3, 5]], (BLUE, ORANGE, GREEN), strict=True):
         period = 2.0 * thickness / speed
-        label = f'$L_s$ = {_MILLI * thickness:.1f} mm'
-        panels[0].plot(_MILLI * time, ringing(time, period), color=color, label=label)
-        panels[0].plot(_MILLI * period, 1.12, 'v', color=color, ms=6)
+        label = f'$L_s$ = {MILLI * thickness:.1f} mm'
+        panels[0].plot(MILLI * time, ringing(time, period), color=color, label=label)
+        panels[0].plot(MILLI * period, 1.12, 'v', color=color, ms=6)
     panels[0].text(0.3, 1.22, 'one period $T_0$:', va='bottom')
-    panels[0].set(
-        title='(a) ringing',
-        xlabel='time $t$ (ms)',
-        ylabel='stretch over first stretch',
-        xlim=(0.0, 22.0),
-        ylim=(-1.15, 1.45),
-    )
-    along = np.array([0.0, 32e-3])
+    panels[0].set(title='(a) ringing', xlabel='time $t$ (ms)', ylabel='stretch over first stretch',
+                  xlim=(0.0, 22.0), ylim=(-1.15, 1.45))
+    thickness = np.array([0.0, 32e-3])
     panels[1].fill_between(
-        _MILLI * along,
-        _MILLI * 2.0 * along / (speed + WAVE_SPEED_ERROR),
-        _MILLI * 2.0 * along / (speed - WAVE_SPEED_ERROR),
-        color='0.85',
-        lw=0,
+        MILLI * thickness, MILLI * 2.0 * thickness / (speed + WAVE_SPEED_ERROR),
+        MILLI * 2.0 * thickness / (speed - WAVE_SPEED_ERROR), color='0.85', lw=0,
         label=f'$c_s$ = {speed:g} $\\pm$ {WAVE_SPEED_ERROR:g} m/s',
     )
     panels[1].plot(
-        _MILLI * along,
-        _MILLI * SLOPE * along,
-        color=RED,
-        ls='--',
+        MILLI * thickness, MILLI * SLOPE * thickness, color=RED, ls='--',
         label=f'paper: $T_0 / L_s$ = {SLOPE:g} s/m, $c_s$ = {2.0 / SLOPE:.2f} m/s',
     )
     panels[1].errorbar(
-        _MILLI * THICKNESSES,
-        _MILLI * 2.0 * THICKNESSES / speed,
-        xerr=_MILLI * THICKNESS_ERROR,
-        fmt='o',
-        color=BLACK,
-        mec='white',
-        ms=7,
-        label="the rig's six layers, computed",
+        MILLI * THICKNESSES, MILLI * 2.0 * THICKNESSES / speed, xerr=MILLI * THICKNESS_ERROR,
+        fmt='o', color=BLACK, mec='white', ms=7, label="the rig's six layers, computed",
     )
-    panels[1].set(
-        title='(b) period',
-        xlabel='thickness $L_s$ (mm)',
-        ylabel='$T_0$ (ms)',
-        xlim=(0.0, 32.0),
-        ylim=(0.0, 8.5),
-    )
+    panels[1].set(title='(b) period', xlabel='thickness $L_s$ (mm)', ylabel='$T_0$ (ms)',
+                  xlim=(0.0, 32.0), ylim=(0.0, 8.5))
     legend_below(figure, *panels, columns=3)
     return figure
 
 
 def plate_track() -> tuple[Floats, Floats]:
-    """Make a track of the plate as a camera would give it: time [s] and height [m]."""
+    """Return a simulated track of the plate with noise: time [s] and height [m]."""
     time = np.arange(-5e-3, 60e-3, 1.0 / RATE)
     height = Underdamped.of(Engine()).position(np.maximum(time, 0.0))
     return time, height + NOISE * np.random.default_rng(0).standard_normal(time.size)
+
+
+def _plate(frequency: float, amplitude: float, damping_ratio: float) -> Underdamped:
+    return Underdamped(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio)
 
 
 def fit_plate(time: Floats, height: Floats) -> tuple[Floats, Floats]:
@@ -152,11 +129,8 @@ def fit_plate(time: Floats, height: Floats) -> tuple[Floats, Floats]:
 
     """
 
-    def model(
-        time: Floats, start: float, frequency: float, amplitude: float, damping: float
-    ) -> Floats:
-        plate = Underdamped(frequency=frequency, amplitude=amplitude, damping_ratio=damping)
-        return plate.position(np.maximum(time - start, 0.0))
+    def model(time: Floats, start: float, *parameters: float) -> Floats:
+        return _plate(*parameters).position(np.maximum(time - start, 0.0))
 
     guess = (0.0, 60.0, 1.8e-3, 0.05)
     bounds = ((-5e-3, 20.0, 1e-4, 0.0), (5e-3, 200.0, 1e-2, 0.9))
@@ -165,7 +139,7 @@ def fit_plate(time: Floats, height: Floats) -> tuple[Floats, Floats]:
 
 
 def draw_plate_fit() -> Figure:
-    """Draw Fig. 10: the plate's motion, the damped step that fits it, and what is left."""
+    """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
     time, height = plate_track()
     (start, frequency, amplitude, damping), errors = fit_plate(time, height)
     figure = new_figure(
@@ -177,30 +151,21 @@ def draw_plate_fit() -> Figure:
         height=5.2,
     )
     panels = figure.subplots(2, 1, sharex=True, height_ratios=(3.0, 1.0))
-    plate = Underdamped(frequency=frequency, amplitude=amplitude, damping_ratio=damping)
+    plate = _plate(frequency, amplitude, damping)
     fine = np.linspace(time[0], time[-1], 1500)
+    panels[0].plot(MILLI * time, MILLI * height, '.', color=BLUE, ms=5,
+                   label='heights of the plate')
     panels[0].plot(
-        _MILLI * time, _MILLI * height, '.', color=BLUE, ms=5, label='heights of the plate'
-    )
-    panels[0].plot(
-        _MILLI * fine,
-        _MILLI * plate.position(np.maximum(fine - start, 0.0)),
-        color=BLACK,
-        lw=1.4,
+        MILLI * fine, MILLI * plate.position(np.maximum(fine - start, 0.0)), color=BLACK, lw=1.4,
         label=f'fit: $f$ = {frequency:.2f} $\\pm$ {errors[1]:.2f} Hz, '
         f'$\\zeta$ = {damping:.4f} $\\pm$ {errors[3]:.4f}, '
-        f'$A$ = {_MILLI * amplitude:.3f} $\\pm$ {_MILLI * errors[2]:.3f} mm',
+        f'$A$ = {MILLI * amplitude:.3f} $\\pm$ {MILLI * errors[2]:.3f} mm',
     )
-    left = height - plate.position(np.maximum(time - start, 0.0))
+    residual = height - plate.position(np.maximum(time - start, 0.0))
     panels[1].axhline(0.0, color=BLACK, lw=0.8)
-    panels[1].plot(_MILLI * time, 1e6 * left, '.', color=BLUE, ms=4)
+    panels[1].plot(MILLI * time, 1e6 * residual, '.', color=BLUE, ms=4)
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
-    panels[1].set(
-        title='(b) residual',
-        ylabel=r'($\mu$m)',
-        xlabel='time $t$ (ms)',
-        xlim=(-5.0, 60.0),
-        ylim=(-90.0, 90.0),
-    )
+    panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
+                  xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))
     legend_below(figure, panels[0], columns=2)
     return figure

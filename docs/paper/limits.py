@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-Two limits: a layer too thick for an echo (App. C), and a layer without mass (App. A, Fig. 7).
+Two limits of the model: a thick layer (App. C) and a massless spring (App. A, Fig. 7).
 
-The projectile on a thick layer is gone before the wave has been down and up again. Then one number
-decides, :math:`\omega \tau`, and what is asked for is the angle :math:`\omega (t_e - t_s)` that
-the plate has behind it when the wave of the release starts there, and the energy transfer factor.
-The plate is harmonic, and there is no gravity.
+The projectile leaves a thick layer before the wave has returned. The throw then depends only on
+:math:`\omega \tau`. Its results are the angle :math:`\omega (t_e - t_s)` of the plate when the
+wave of the release starts there, and the energy transfer factor. The plate is harmonic, without
+gravity.
 """
 
 from __future__ import annotations
@@ -26,15 +26,29 @@ import math
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
-from models import first_releases, spring_mass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
-from style import BLACK, BLUE, broken, GREEN, legend_below, new_figure, ORANGE, PAPER, RED, SKY
+from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import first_releases
+from style import (
+    BLACK,
+    BLUE,
+    broken,
+    GREEN,
+    label_results,
+    legend_below,
+    new_figure,
+    ORANGE,
+    PAPER,
+    RED,
+    SKY,
+)
 
 Floats = NDArray[np.float64]
 
-_SPEED_RATIO = 1.0  # any below 4 will do: half a plate period is over before the wave returns
+_SPEED_RATIO = 1.0
+"""Any value below 4: the wave must return after half a plate period. [-]"""
 
 
 class ThickLayer(NamedTuple):
@@ -45,7 +59,7 @@ class ThickLayer(NamedTuple):
 
 
 def exact(omega_tau: ArrayLike) -> ThickLayer:
-    """Compute both without approximation, for given :math:`omega tau`."""
+    r"""Return the exact results for given :math:`\omega \tau`."""
     mass_ratio = np.asarray(omega_tau) * _SPEED_RATIO / (2.0 * math.pi)
     releases = first_releases(mass_ratio=mass_ratio, speed_ratio=_SPEED_RATIO)
     angle = 2.0 * math.pi * (np.asarray(releases.ejection_phase) - 1.0 / _SPEED_RATIO)
@@ -54,7 +68,7 @@ def exact(omega_tau: ArrayLike) -> ThickLayer:
 
 def light_projectile(omega_tau: ArrayLike) -> ThickLayer:
     r"""
-    Approximate both for small :math:`\omega \tau`: App. C(i), corrected.
+    Return the approximation for small :math:`\omega \tau`: App. C(i), corrected.
 
     Notes
     -----
@@ -69,7 +83,7 @@ def light_projectile(omega_tau: ArrayLike) -> ThickLayer:
 
 def light_projectile_as_printed(omega_tau: ArrayLike) -> ThickLayer:
     r"""
-    Approximate both as App. C(i) is printed: with another sign, without 1/e, and with 2 for 4.
+    Return App. C(i) as printed: another sign, no factor 1/e, and 2 instead of 4.
 
     Notes
     -----
@@ -83,13 +97,13 @@ def light_projectile_as_printed(omega_tau: ArrayLike) -> ThickLayer:
 
 
 def heavy_projectile(omega_tau: ArrayLike) -> ThickLayer:
-    r"""Approximate both for large :math:`\omega \tau`, App. C(ii): the plate is back at rest."""
+    r"""Return the approximation for large :math:`\omega \tau`, App. C(ii)."""
     omega_tau = np.asarray(omega_tau, dtype=np.float64)
-    return ThickLayer(np.full(omega_tau.shape, math.pi), 16.0 / omega_tau**2)
+    return ThickLayer(math.pi - 2.0 / omega_tau + math.pi / omega_tau**2, 16.0 / omega_tau**2)
 
 
 def draw_thick_layer() -> Figure:
-    """Draw releases before the wave returns."""
+    """Draw App. C: releases before the wave returns."""
     figure = new_figure(
         'App. C   Released from a thick layer before the wave comes back',
         r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
@@ -111,24 +125,17 @@ def draw_thick_layer() -> Figure:
         (light_projectile, BLUE, '--', r'App. C(i) for small $\omega\tau$, corrected'),
         (light_projectile_as_printed, RED, ':', 'the same as printed'),
     ):
-        found = approximate(near)
-        panels[0].plot(near, found.angle / math.pi, color=color, ls=style, label=label)
-        panels[1].plot(near, found.energy_transfer, color=color, ls=style, label=label)
+        values = approximate(near)
+        panels[0].plot(near, values.angle / math.pi, color=color, ls=style, label=label)
+        panels[1].plot(near, values.energy_transfer, color=color, ls=style, label=label)
     large = wide[wide > 3.0]
     label = r'App. C(ii) for large $\omega\tau$: $16/(\omega\tau)^2$'
-    panels[2].plot(
-        large, heavy_projectile(large).energy_transfer, color=GREEN, ls='--', label=label
-    )
+    heavy = heavy_projectile(large).energy_transfer
+    panels[2].plot(large, heavy, color=GREEN, ls='--', label=label)
     panels[0].set(title='(a) when', ylabel=r'$\omega\,(t_e - t_s)\,/\,\pi$', ylim=(0.45, 1.05))
     panels[1].set(title='(b) how much', ylabel=r'energy transfer $\alpha$', ylim=(0.0, 4.2))
-    panels[2].set(
-        title='(c) over a wide range',
-        ylabel=r'energy transfer $\alpha$',
-        xscale='log',
-        yscale='log',
-        xlim=(0.02, 200.0),
-        ylim=(3e-4, 10.0),
-    )
+    panels[2].set(title='(c) over a wide range', ylabel=r'energy transfer $\alpha$', xscale='log',
+                  yscale='log', xlim=(0.02, 200.0), ylim=(3e-4, 10.0))
     for axes in panels:
         axes.set_xlabel(r'$\omega\tau$')
     for axes in panels[:2]:
@@ -139,10 +146,10 @@ def draw_thick_layer() -> Figure:
 
 
 def best_frequency_ratio() -> float:
-    """Find the f_0 / f of a massless spring that transfers the most energy, from (A4)."""
+    """Return the best frequency ratio f_0 / f of a massless spring, from Eq. (A4)."""
 
     def slope(q: float) -> float:
-        """Compute the logarithmic derivative of the speed."""
+        """Return the logarithmic derivative of the speed."""
         angle = 2.0 * math.pi / (q + 1.0)
         return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
 
@@ -150,7 +157,7 @@ def best_frequency_ratio() -> float:
 
 
 def draw_spring() -> Figure:
-    """Draw Fig. 7: the massless spring, and layers with less and less mass beside it."""
+    """Draw Fig. 7: the massless spring, and layers with different masses."""
     figure = new_figure(
         'Fig. 7   App. A: the massless spring, and layers that have mass',
         'What is left of a layer much lighter than the projectile; lighter projectiles gain more '
@@ -168,15 +175,10 @@ def draw_spring() -> Figure:
         panels[0].plot(ratio, broken(layer.ejection_phase), color=color, label=label)
         panels[1].plot(ratio, broken(layer.energy_transfer), color=color, label=label)
     best = best_frequency_ratio()
-    for axes, values in (
-        (panels[0], spring.ejection_phase),
-        (panels[1], spring.energy_transfer),
-    ):
+    for axes, values in zip(panels, (spring.ejection_phase, spring.energy_transfer), strict=True):
         axes.plot(ratio, values, color=BLACK, ls='--', label=r'spring: $\mu \to \infty$')
         axes.axvline(best, color='0.7', lw=0.8, zorder=0)
-        axes.set(xlabel='$f_0 / f$', xlim=(0.0, 5.0))
-    panels[0].set(title='(a) ejection time', ylabel='$t_e f$', ylim=(0.0, 1.2))
-    panels[1].set(title='(b) energy transfer factor', ylabel=r'$\alpha$', ylim=(0.0, 4.4))
+    label_results(panels, phase_end=1.2, xlabel='$f_0 / f$', xlim=(0.0, 5.0))
     panels[1].plot(1.62, 3.13, **PAPER, label=r'paper: $f_0/f$ = 1.62, $\alpha$ = 3.13')
     legend_below(figure, panels[1], columns=3)
     return figure

@@ -11,53 +11,122 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figs. 3, 4, 6 and 11, and where re-contacts are: all over thickness and wave speed."""
+"""Figs. 3, 4, 6 and 11 and the map of re-contacts: results over thickness and wave speed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import functools
+from typing import Any, Literal
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from models import best_layer, DAMPING_RATIO, FirstRelease, releases_at, releases_of, rig_of
+from models import best_layer, DAMPING_RATIO, releases_at, releases_of, rig_of, SERIES
 import numpy as np
 from numpy.typing import NDArray
-from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, show_map, X_LABEL
+from soft_throw_ros.core.closed_form import FirstRelease
+from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, RED, X_LABEL
 
 Floats = NDArray[np.float64]
 
 POINTS = 420
-"""Of a map along each axis: about one a dot."""
+"""Number of points of a map along each axis, about one per dot."""
 
-HIGHEST = 14.0
+C_END = 14.0
 """Upper end of C."""
+
+GRID = (np.arange(POINTS) + 0.5) / POINTS, C_END * (np.arange(POINTS) + 0.5) / POINTS
+"""Points of a map along x and along C."""
 
 _PHASES = np.arange(0.0, 1.21, 0.05)
 _TRANSFERS = np.arange(0.0, 4.41, 0.2)
 _CROSSINGS = np.arange(1.0, 10.1, 1.0)
 _CHANGES = (-15.0, -10.0, -6.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 6.0, 10.0, 15.0)
-
-_PLACES_OF_LABELS = (
+_CONTOUR_LABELS = (
     (0.85, 3.0), (0.72, 4.6), (0.66, 9.0), (0.53, 9.8), (0.43, 10.6), (0.35, 11.4), (0.3, 12.2),
 )
-
-PLACES = (np.arange(POINTS) + 0.5) / POINTS, HIGHEST * (np.arange(POINTS) + 0.5) / POINTS
-"""Of a map, along x and along C."""
 
 
 @functools.lru_cache(maxsize=2)
 def landscape(damping_ratio: float) -> FirstRelease:
-    """Compute the map of the paper: equal densities, no gravity, first releases; (x, C)."""
-    x, c = PLACES
+    """Compute the first releases of the paper's map over (x, C)."""
+    x, c = GRID
     return releases_at(x[:, None], c, damping_ratio=damping_ratio)
 
 
-def crossings_until_release() -> Floats:
-    """Return t_e / t_s over the map, with the harmonic plate."""
-    x, c = PLACES
-    return np.asarray(landscape(0.0).ejection_phase * c / x[:, None])
+def _show(
+    figure: Figure,
+    axes: Axes,
+    title: str,
+    values: Any,
+    label: str,
+    levels: Sequence[float] | Floats,
+    colours: str,
+    *,
+    extend: Literal['neither', 'both', 'max'] = 'neither',
+    ticks: Sequence[float] | None = None,
+    grid: tuple[Floats, Floats] = GRID,
+) -> None:
+    """Show values of shape (x, C) as bands of colour between levels, with a colour bar."""
+    bands = mpl.colormaps[colours]
+    half_steps = [0.5 * (points[1] - points[0]) for points in grid]
+    extent = [
+        end for points, half in zip(grid, half_steps, strict=True)
+        for end in (points[0] - half, points[-1] + half)
+    ]
+    image = axes.imshow(
+        np.asarray(values).T, origin='lower', aspect='auto', interpolation='nearest',
+        extent=tuple(extent), cmap=bands, norm=BoundaryNorm(levels, bands.N, extend=extend),
+    )
+    figure.colorbar(image, ax=axes, label=label, ticks=ticks, pad=0.01)
+    _label(axes, title)
+
+
+def _label(axes: Axes, title: str) -> None:
+    axes.set(title=title, xlim=(0.0, 1.0), ylim=(0.0, C_END), xlabel=X_LABEL, ylabel=C_LABEL)
+    axes.label_outer()
+
+
+def _show_phase(figure: Figure, axes: Axes, releases: FirstRelease) -> None:
+    title = '(a) ejection time in plate periods'
+    _show(figure, axes, title, releases.ejection_phase, '$t_e f$', _PHASES, 'magma', extend='max')
+
+
+def _show_transfer(
+    figure: Figure, axes: Axes, releases: FirstRelease, *, contours: bool = True
+) -> None:
+    alpha = np.asarray(releases.energy_transfer)
+    _show(figure, axes, '(b) energy transfer factor', alpha, r'$\alpha$', _TRANSFERS, 'cividis')
+    if contours:
+        lines = axes.contour(
+            *GRID, alpha.T, levels=[1.0, 2.0, 3.0, 4.0], colors='black', linewidths=0.8
+        )
+        axes.clabel(lines, fmt='%g')
+
+
+def _draw_series(axes: Axes) -> None:
+    """Draw the three series: layers of one material and any thickness lie on one line."""
+    for series, style in zip(SERIES, ('-', '--', '-.'), strict=True):
+        axes.plot(
+            [0.0, 1.0], [series.speed, 0.0], ls=style, lw=1.4, color='white',
+            antialiased=False,  # smooth edges increase the size of the file by half
+            path_effects=[withStroke(linewidth=2.6, foreground=BLACK)],
+            label=f'series: $C = (1 - x)\\,c_s/L_r f$ = {series.speed:.3g} $(1 - x)$',
+        )
+
+
+def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str = '+') -> None:
+    """Mark the layer with the largest energy transfer."""
+    best = best_layer(damping_ratio)
+    x = 1.0 / (1.0 + best.mass_ratio)
+    c = best.speed_ratio * x
+    axes.plot(
+        x, c, marker, mfc='none', mec=BLACK, mew=1.4, ms=6, ls='none', zorder=6,
+        label=rf'{label}: $\alpha$ = {best.energy_transfer:.3f} at ({x:.3f}, {c:.3f})',
+    )
 
 
 def draw_maps() -> Figure:
@@ -72,40 +141,26 @@ def draw_maps() -> Figure:
     _show_phase(figure, panels[0], landscape(0.0))
     _show_transfer(figure, panels[1], landscape(0.0))
     axes = panels[1]
-    along = np.linspace(0.0, 0.3, 100)
+    x = np.linspace(0.0, 0.3, 100)
     axes.plot(
-        along,
-        10.2 * np.sqrt(along),
-        color=PAPER['color'],
-        ls='--',
+        x, 10.2 * np.sqrt(x), color=RED, ls='--',
         path_effects=[withStroke(linewidth=3.5, foreground='white')],
         label=r'paper: ridge $C = 10.2\sqrt{x}$ for small $x$',
     )
     axes.plot(
-        [1.0, 1.0],
-        [0.0, 7.9],
-        color=PAPER['color'],
-        lw=5.0,
-        solid_capstyle='butt',
-        clip_on=False,
+        [1.0, 1.0], [0.0, 7.9], color=RED, lw=5.0, solid_capstyle='butt', clip_on=False,
         label=r'paper: $\alpha$ = 4 at $x$ = 1 up to $C$ = 7.9',
     )
     axes.plot(0.8, 6.7, **PAPER, label=r'paper: $\alpha$ = 4.12 at (0.8, 6.7)')
     _mark_optimum(axes, 0.0, 'largest of all')
-    legend_below(figure, axes, columns=2)
+    for axes in panels:
+        _draw_series(axes)
+    legend_below(figure, panels[1], columns=2)
     return figure
 
 
-def best_over_c(x: Floats) -> tuple[Floats, Floats]:
-    """Find the C of the largest energy transfer at every x, and that."""
-    c = np.linspace(0.02, HIGHEST, 2800)
-    alpha = np.asarray(releases_at(x[:, None], c).energy_transfer)
-    best = alpha.argmax(axis=1)
-    return c[best], alpha[np.arange(x.size), best]
-
-
 def draw_best() -> Figure:
-    """Draw Fig. 4: the best C, and the largest alpha that it gives, against x."""
+    """Draw Fig. 4: the best C for every x, and its energy transfer."""
     figure = new_figure(
         'Fig. 4   Sec. III: the best wave speed for every thickness',
         'Equal densities, harmonic plate, first release. Where the line is broken, another peak '
@@ -113,25 +168,23 @@ def draw_best() -> Figure:
         height=4.4,
     )
     panels = figure.subplots(1, 2)
-    x = np.linspace(0.002, 0.998, 499)
-    c, alpha = best_over_c(x)
-    panels[0].plot(x, broken(c), color=BLUE, lw=2.0, label='largest over $C$')
-    panels[1].plot(x, alpha, color=BLUE, lw=2.0, label='largest over $C$')
-    along = np.linspace(0.0, 0.25, 100)
-    ridge = r'paper, small $x$: $C = 10.2\sqrt{x}$, $\alpha$ = 3.13'
-    panels[0].plot(along, 10.2 * np.sqrt(along), color=PAPER['color'], ls='--', label=ridge)
-    panels[1].plot(along, np.full(along.shape, 3.13), color=PAPER['color'], ls='--')
-    best = r'paper: $x$ = 0.8, $C$ = 6.7, $\alpha$ = 4.12'
-    panels[0].plot(0.8, 6.7, **PAPER, label=best)
-    panels[1].plot(0.8, 4.12, **PAPER)
-    end = PAPER | {'marker': 'o', 'markersize': 7}
-    label = r'paper: $x$ = 1, $\alpha$ = 4 up to $C$ = 7.9'
-    panels[0].plot(1.0, 7.9, **end, clip_on=False, label=label)
-    panels[1].plot(1.0, 4.0, **end, clip_on=False)
+    x, c = np.linspace(0.002, 0.998, 499), np.linspace(0.02, C_END, 2800)
+    alpha = np.asarray(releases_at(x[:, None], c).energy_transfer)
+    best_c = broken(c[alpha.argmax(axis=1)])
+    ridge_x, end = np.linspace(0.0, 0.25, 100), PAPER | {'marker': 'o', 'markersize': 7}
+    for axes, best, ridge, optimum, limit in (
+        (panels[0], best_c, 10.2 * np.sqrt(ridge_x), 6.7, 7.9),
+        (panels[1], alpha.max(axis=1), np.full(ridge_x.shape, 3.13), 4.12, 4.0),
+    ):
+        axes.plot(x, best, color=BLUE, lw=2.0, label='largest over $C$')
+        axes.plot(ridge_x, ridge, color=RED, ls='--',
+                  label=r'paper, small $x$: $C = 10.2\sqrt{x}$, $\alpha$ = 3.13')
+        axes.plot(0.8, optimum, **PAPER, label=r'paper: $x$ = 0.8, $C$ = 6.7, $\alpha$ = 4.12')
+        axes.plot(1.0, limit, **end, clip_on=False,
+                  label=r'paper: $x$ = 1, $\alpha$ = 4 up to $C$ = 7.9')
+        axes.set(xlabel=X_LABEL, xlim=(0.0, 1.0))
     panels[0].set(title='(a) best wave speed', ylabel=C_LABEL, ylim=(0.0, 9.0))
     panels[1].set(title='(b) largest energy transfer factor', ylabel=r'$\alpha$', ylim=(3.0, 4.3))
-    for axes in panels:
-        axes.set(xlabel=X_LABEL, xlim=(0.0, 1.0))
     legend_below(figure, panels[0], columns=2)
     return figure
 
@@ -146,24 +199,15 @@ def draw_crossings() -> Figure:
         height=5.3,
     )
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    crossings = crossings_until_release()
-    x, c = PLACES
-    image = show_map(
-        panels[0], x, c, crossings, levels=_CROSSINGS, colours='viridis', extend='max'
-    )
-    figure.colorbar(image, ax=panels[0], label='$t_e / t_s$', pad=0.01)
-    _label(panels[0], '(a) ejection time in crossings')
+    x, c = GRID
+    crossings = np.asarray(landscape(0.0).ejection_phase * c / x[:, None])
+    _show(figure, panels[0], '(a) ejection time in crossings', crossings, '$t_e / t_s$',
+          _CROSSINGS, 'viridis', extend='max')
     _show_transfer(figure, panels[1], landscape(0.0), contours=False)
     for axes in panels:
-        lines = axes.contour(
-            x,
-            c,
-            crossings.T,
-            levels=_CROSSINGS[1:8],
-            colors='white',
-            linewidths=[1.0, 2.0, 1.0, 2.0, 1.0, 1.0, 1.0],
-        )
-        axes.clabel(lines, fmt='%g', fontsize=9, manual=_PLACES_OF_LABELS)
+        lines = axes.contour(x, c, crossings.T, levels=_CROSSINGS[1:8], colors='white',
+                             linewidths=[1.0, 2.0, 1.0, 2.0, 1.0, 1.0, 1.0])
+        axes.clabel(lines, fmt='%g', fontsize=9, manual=_CONTOUR_LABELS)
     panels[0].plot([], [], color='0.6', lw=2.0, label=r'$t_e$ = 3 $t_s$ and 5 $t_s$')
     panels[1].plot(0.8, 6.7, **PAPER, label=r'paper: $\alpha$ = 4.12 between 3 $t_s$ and 5 $t_s$')
     legend_below(figure, *panels, columns=2)
@@ -171,7 +215,7 @@ def draw_crossings() -> Figure:
 
 
 def draw_damped_maps() -> Figure:
-    """Draw Fig. 11: the same for the damped plate, and what damping changes."""
+    """Draw Fig. 11: the maps with a damped plate, and the changes caused by damping."""
     figure = new_figure(
         'Fig. 11   App. D: the maps of Fig. 3 with a damped plate',
         rf'$\zeta$ = {DAMPING_RATIO:g}, equal densities, first release. '
@@ -182,35 +226,29 @@ def draw_damped_maps() -> Figure:
     harmonic, damped = landscape(0.0), landscape(DAMPING_RATIO)
     _show_phase(figure, panels[0, 0], damped)
     _show_transfer(figure, panels[0, 1], damped)
-    for axes, title, before, after in (
-        (panels[1, 0], '(c) change of $t_e$', harmonic.ejection_phase, damped.ejection_phase),
-        (
-            panels[1, 1],
-            r'(d) change of $\alpha$',
-            harmonic.energy_transfer,
-            damped.energy_transfer,
-        ),
+    for axes, title, name in zip(
+        panels[1], ('(c) change of $t_e$', r'(d) change of $\alpha$'),
+        ('ejection_phase', 'energy_transfer'), strict=True,
     ):
-        change = 100.0 * (np.asarray(after) / before - 1.0)
-        image = show_map(axes, *PLACES, change, levels=_CHANGES, colours='PuOr_r', extend='both')
-        figure.colorbar(image, ax=axes, label='change by damping (%)', ticks=_CHANGES, pad=0.01)
-        _label(axes, title)
+        change = 100.0 * (np.asarray(getattr(damped, name)) / getattr(harmonic, name) - 1.0)
+        _show(figure, axes, title, change, 'change by damping (%)', _CHANGES, 'PuOr_r',
+              extend='both', ticks=_CHANGES)
     for axes in panels.flat:
         _mark_optimum(axes, 0.0, 'harmonic optimum', marker='o')
         _mark_optimum(axes, DAMPING_RATIO, 'damped optimum', marker='D')
+    _draw_series(panels[0, 1])
     legend_below(figure, panels[0, 1], columns=2)
     return figure
 
 
 def recontacts_at(x: float, c: float) -> tuple[int, float]:
-    """Count re-contacts within 2.5 plate periods, and return the alpha of the last release."""
-    rig = rig_of(mass_ratio=(1.0 - x) / x, speed_ratio=c / x)
-    found = releases_of(rig, periods=2.5)
-    return len(found) - 1, found[-1][1] ** 2
+    """Return the number of re-contacts in 2.5 plate periods and the alpha of the last release."""
+    releases = releases_of(rig_of(mass_ratio=(1.0 - x) / x, speed_ratio=c / x), periods=2.5)
+    return len(releases) - 1, releases[-1][1] ** 2
 
 
 def draw_recontacts() -> Figure:
-    """Draw where the layer catches up with the projectile, and what that gives."""
+    """Draw the number of re-contacts and the energy transfer of the last release."""
     figure = new_figure(
         'After the release   Where the layer catches up with the projectile',
         'Equal densities, harmonic plate that goes on, no gravity. Slow waves, well within $C$ < '
@@ -219,72 +257,18 @@ def draw_recontacts() -> Figure:
         height=5.0,
     )
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    x, c = (np.arange(100) + 0.5) / 100, HIGHEST * (np.arange(140) + 0.5) / 140
-    found = np.array([[recontacts_at(each, at) for at in c] for each in x])
-    count, last = found[..., 0], found[..., 1]
+    x, c = grid = (np.arange(100) + 0.5) / 100, C_END * (np.arange(140) + 0.5) / 140
+    results = np.array([[recontacts_at(xi, ci) for ci in c] for xi in x])
+    count, last = results[..., 0], results[..., 1]
     blues = ListedColormap(['#f2f2f2', '#9ecae1', '#4292c6', '#08519c', '#041f4a'])
     image = panels[0].pcolormesh(
         x, c, np.minimum(count, 4.0).T, cmap=blues, vmin=-0.5, vmax=4.5, shading='nearest'
     )
     bar = figure.colorbar(image, ax=panels[0], label='contacts after the release', pad=0.01)
     bar.set_ticks(range(5), labels=['0', '1', '2', '3', '> 3'])
-    image = show_map(panels[1], x, c, last, levels=_TRANSFERS, colours='cividis', extend='max')
-    figure.colorbar(image, ax=panels[1], label=r'$\alpha$', pad=0.01)
+    _label(panels[0], '(a) how often')
+    _show(figure, panels[1], r'(b) $\alpha$ of the last release', last, r'$\alpha$', _TRANSFERS,
+          'cividis', extend='max', grid=grid)
     again = np.where(count > 0.0, 1.0, 0.0)
     panels[1].contour(x, c, again.T, levels=[0.5], colors='white', linewidths=0.8)
-    for axes, title in zip(
-        panels, ('(a) how often', r'(b) $\alpha$ of the last release'), strict=True
-    ):
-        _label(axes, title)
     return figure
-
-
-def _show_phase(figure: Figure, axes: Axes, shown: FirstRelease) -> None:
-    image = show_map(
-        axes,
-        *PLACES,
-        np.asarray(shown.ejection_phase),
-        levels=_PHASES,
-        colours='magma',
-        extend='max',
-    )
-    figure.colorbar(image, ax=axes, label='$t_e f$', pad=0.01)
-    _label(axes, '(a) ejection time in plate periods')
-
-
-def _show_transfer(
-    figure: Figure, axes: Axes, shown: FirstRelease, *, contours: bool = True
-) -> None:
-    alpha = np.asarray(shown.energy_transfer)
-    image = show_map(axes, *PLACES, alpha, levels=_TRANSFERS, colours='cividis')
-    figure.colorbar(image, ax=axes, label=r'$\alpha$', pad=0.01)
-    if contours:
-        lines = axes.contour(
-            *PLACES, alpha.T, levels=[1.0, 2.0, 3.0, 4.0], colors='black', linewidths=0.8
-        )
-        axes.clabel(lines, fmt='%g')
-    _label(axes, '(b) energy transfer factor')
-
-
-def _label(axes: Axes, title: str) -> None:
-    axes.set(title=title, xlim=(0.0, 1.0), ylim=(0.0, HIGHEST), xlabel=X_LABEL, ylabel=C_LABEL)
-    axes.label_outer()
-
-
-def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str = '+') -> None:
-    """Mark where the energy transfer is largest."""
-    best = best_layer(damping_ratio)
-    x = 1.0 / (1.0 + best.mass_ratio)
-    c = best.speed_ratio * x
-    axes.plot(
-        x,
-        c,
-        marker,
-        mfc='none',
-        mec=BLACK,
-        mew=1.4,
-        ms=6,
-        ls='none',
-        zorder=6,
-        label=rf'{label}: $\alpha$ = {best.energy_transfer:.3f} at ({x:.3f}, {c:.3f})',
-    )

@@ -11,67 +11,47 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""
-The paper's rig and its throws: all that the figures take from the package.
-
-Without gravity, as all figures of the paper.
-"""
+"""The rig of the paper and its throws, without gravity as in all figures of the paper."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from scipy.optimize import minimize
-from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, FirstRelease
-from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate, Throw
 from soft_throw_ros.core.wave_stepper import WaveStepper
-
-__all__ = [
-    'STANDARD_GRAVITY',
-    'Engine',
-    'FirstRelease',
-    'Layer',
-    'Projectile',
-    'Rig',
-    'Throw',
-    'Underdamped',
-    'first_release',
-    'first_releases',
-    'simulate',
-    'spring_mass',
-]
 
 Floats = NDArray[np.float64]
 
 THICKNESSES: Floats = np.array([2.0, 5.6, 9.5, 16.8, 23.4, 29.1]) * 1e-3
-"""Of the paper's layers. [m]"""
+"""Thicknesses of the layers. [m]"""
 
 DAMPING_RATIO = 0.064
-"""Of the paper's plate (App. D). [-]"""
+"""Damping ratio of the plate (App. D). [-]"""
 
 PROJECTILE_DENSITY = 1300.0
-"""Of the paper's projectiles. [kg/m3]"""
+"""Density of the projectiles. [kg/m3]"""
 
-# What the paper gives as errors
+# Standard deviations that the paper gives
 WAVE_SPEED_ERROR = 0.3  # [m/s]
 THICKNESS_ERROR = 0.1e-3  # [m]
 FREQUENCY_ERROR = 0.1  # [Hz]
-DAMPING_ERROR = 0.003
+DAMPING_ERROR = 0.003  # [-]
 
 _DRAWS = 2000
+"""Number of random rigs from which error bars are computed."""
 
 
 class Optimum(NamedTuple):
-    """The layer that transfers most energy, and what it does."""
+    """The layer that transfers most energy, and its throw."""
 
     mass_ratio: float
     speed_ratio: float
@@ -81,28 +61,30 @@ class Optimum(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def best_layer(damping_ratio: float) -> Optimum:
-    """Find the largest energy transfer over all layers; it is released between 3 and 5 t_s."""
+    """Find the layer with the largest energy transfer, whose release is between 3 and 5 t_s."""
 
-    def loss(ratios: Floats) -> float:
-        found = first_release(
+    def release_from(ratios: Floats) -> FirstRelease:
+        return first_release(
             mass_ratio=ratios[0], speed_ratio=ratios[1], damping_ratio=damping_ratio
         )
-        return -float(found.energy_transfer)
+
+    def loss(ratios: Floats) -> float:
+        return -float(release_from(ratios).energy_transfer)
 
     start, precision = (0.25, 8.4), {'xatol': 1e-7, 'fatol': 1e-13}
-    mu, kappa = minimize(loss, start, method='Nelder-Mead', options=precision).x
-    best = first_release(mass_ratio=mu, speed_ratio=kappa, damping_ratio=damping_ratio)
-    return Optimum(mu, kappa, float(best.ejection_phase), float(best.energy_transfer))
+    ratios = minimize(loss, start, method='Nelder-Mead', options=precision).x
+    best = release_from(ratios)
+    return Optimum(*ratios, float(best.ejection_phase), float(best.energy_transfer))
 
 
 def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> FirstRelease:
-    """Compute first releases over the paper's axes, projectile and layer equally dense."""
+    """Compute first releases over the axes of the paper, with equal densities."""
     x, c = np.broadcast_arrays(np.asarray(x, dtype=np.float64), c)
     return first_releases(mass_ratio=(1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio)
 
 
 def rig_of(*, mass_ratio: float, speed_ratio: float, loss_tangent: float = 0.0) -> Rig:
-    """Make a rig with a harmonic plate of two ratios."""
+    """Return a rig with a harmonic plate from its ratios."""
     layer = Layer(loss_tangent=loss_tangent)
     return Rig(
         engine=Engine(frequency=1.0 / (speed_ratio * layer.crossing_time), damping_ratio=0.0),
@@ -113,7 +95,7 @@ def rig_of(*, mass_ratio: float, speed_ratio: float, loss_tangent: float = 0.0) 
 
 
 def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
-    """Return phase t_e f and speed over A w of every release in some plate periods."""
+    """Return phase t_e f and speed over A omega of all releases within a number of periods."""
     stepper = WaveStepper(rig, field_points=2)
     stepper.advance_to(periods / rig.engine.frequency + 4.0 * rig.crossing_time)
     return [
@@ -123,9 +105,8 @@ def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Errors:
-    """How far a value may be below and above the predicted one: shape (2, n), as error bars."""
+class Errors(NamedTuple):
+    """Lengths of error bars below and above the predicted values, shape (2, layers)."""
 
     x: Floats
     ejection_phase: Floats
@@ -140,11 +121,11 @@ class Series:
     Parameters
     ----------
     frequency : float
-        Of the plate. [Hz]
+        Frequency of the plate. [Hz]
     projectile_length : float
-        [m]
+        Length of the projectile. [m]
     printed : str
-        What the paper prints for `speed`.
+        Value of `speed` in the paper.
 
     """
 
@@ -154,16 +135,21 @@ class Series:
 
     @property
     def speed(self) -> float:
-        """:math:`c_s / (L_r f)`, by which the paper tells its series apart [-]."""
+        """:math:`c_s / (L_r f)`, which identifies the series in the paper [-]."""
         return Layer().wave_speed / (self.projectile_length * self.frequency)
 
+    @property
+    def engine_speed(self) -> float:
+        """Largest speed of the plate without damping, A omega [m/s]."""
+        return Engine(frequency=self.frequency).speed_scale
+
     def x_of(self, thickness: ArrayLike) -> Floats:
-        """Tell where layers are on the paper's axis :math:`x = L_s / (L_s + L_r)` [-]."""
+        """Return :math:`x = L_s / (L_s + L_r)`, the axis of the paper [-]."""
         thickness = np.asarray(thickness, dtype=np.float64)
         return np.asarray(thickness / (thickness + self.projectile_length))
 
     def thickness_of(self, x: ArrayLike) -> Floats:
-        """Tell how thick a layer at x is [m]."""
+        """Return the thickness of a layer at x [m]."""
         x = np.asarray(x, dtype=np.float64)
         return np.asarray(self.projectile_length * x / (1.0 - x))
 
@@ -181,7 +167,7 @@ class Series:
         )
 
     def ratios(self, thickness: ArrayLike) -> tuple[Floats, Floats]:
-        """Return mass and speed ratio."""
+        """Return the mass ratio and the speed ratio of layers."""
         thickness = np.asarray(thickness, dtype=np.float64)
         mass_ratio = PROJECTILE_DENSITY / Layer().density * self.projectile_length / thickness
         return mass_ratio, Layer().wave_speed / (thickness * self.frequency)
@@ -198,47 +184,38 @@ class Series:
             gravity_ratio=gravity_ratio,
         )
 
+    def _throws(self, damping_ratio: float, **options: Any) -> list[Throw]:
+        """Simulate the throws from the six layers up to the first release."""
+        rigs = [self.rig(thickness, damping_ratio=damping_ratio) for thickness in THICKNESSES]
+        return [simulate(rig, max_events=1, **options) for rig in rigs]
+
     def elastic_throws(self, *, damping_ratio: float) -> list[Throw]:
-        """Throw from the six layers as the paper's simulation does, Eqs. (2)-(3)."""
-        return [
-            simulate(
-                self.rig(thickness, damping_ratio=damping_ratio),
-                model='finite_difference_elastic',
-                max_events=1,
-            )
-            for thickness in THICKNESSES
-        ]
+        """Simulate the throws as in the paper, Eqs. (2)-(3), with an elastic projectile."""
+        return self._throws(damping_ratio, model='cells_elastic')
 
     def peak_strains(self, *, damping_ratio: float) -> Floats:
-        """Compute the largest strains in the six layers up to the first release [-]."""
-        return np.array(
-            [
-                simulate(
-                    self.rig(thickness, damping_ratio=damping_ratio), max_events=1
-                ).peak_strain
-                for thickness in THICKNESSES
-            ]
-        )
+        """Return the largest strains in the six layers up to the first release [-]."""
+        return np.array([throw.peak_strain for throw in self._throws(damping_ratio)])
 
     def errors(self, *, damping_ratio: float) -> Errors:
         """
-        Compute what the uncertainties of the rig make of the throws from the six layers.
+        Compute the uncertainties of the throws from the six layers.
 
         Notes
         -----
-        Of wave speed, thickness, frequency and, if there is any, damping, with the standard
-        deviations that the paper gives. Where times jump, errors do not simply add up; so this
-        takes random rigs, always the same ones, and the 16 % and 84 % quantiles.
+        Wave speed, thickness, frequency and a nonzero damping ratio have the standard deviations
+        of the paper. Jumps of the release time forbid linear propagation, so the bars are the
+        16 % and 84 % quantiles of random rigs, which are the same in every run.
 
         """
-        drawn = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
-        thickness = THICKNESSES + THICKNESS_ERROR * drawn[0]
+        deviations = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
+        thickness = THICKNESSES + THICKNESS_ERROR * deviations[0]
         mass_ratio, speed_ratio = self.ratios(thickness)
-        speed_ratio = speed_ratio * (1.0 + WAVE_SPEED_ERROR / Layer().wave_speed * drawn[1])
-        thrown = first_releases(
+        speed_ratio = speed_ratio * (1.0 + WAVE_SPEED_ERROR / Layer().wave_speed * deviations[1])
+        releases = first_releases(
             mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio / (1.0 + FREQUENCY_ERROR / self.frequency * drawn[2]),
-            damping_ratio=damping_ratio + (DAMPING_ERROR * drawn[3] if damping_ratio else 0.0),
+            speed_ratio=speed_ratio / (1.0 + FREQUENCY_ERROR / self.frequency * deviations[2]),
+            damping_ratio=damping_ratio + bool(damping_ratio) * DAMPING_ERROR * deviations[3],
         )
         expected = self.releases(THICKNESSES, damping_ratio=damping_ratio)
 
@@ -248,8 +225,8 @@ class Series:
 
         return Errors(
             x=around(self.x_of(thickness), self.x_of(THICKNESSES)),
-            ejection_phase=around(thrown.ejection_phase, expected.ejection_phase),
-            energy_transfer=around(thrown.energy_transfer, expected.energy_transfer),
+            ejection_phase=around(releases.ejection_phase, expected.ejection_phase),
+            energy_transfer=around(releases.energy_transfer, expected.energy_transfer),
         )
 
 
@@ -258,12 +235,12 @@ SERIES = (
     Series(frequency=63.2, projectile_length=8.2e-3, printed='15.1'),
     Series(frequency=31.1, projectile_length=8.2e-3, printed='34.5'),
 )
-"""Those of the paper; the last is its third set."""
+"""The series of the paper, in its order."""
 
 
 def period_of_free_layer(cells: int) -> float:
-    """Compute the longest period of a bar that is free at both ends, in crossings."""
-    # Masses at the ends are half a cell's; scaled so that the matrix is symmetric
+    """Return the longest period of a bar that is free at both ends, in crossings."""
+    # The end cells have half the mass; the scaled matrix is symmetric
     mass = np.ones(cells + 1)
     mass[[0, -1]] = 0.5
     stiffness = np.full(cells + 1, 2.0)

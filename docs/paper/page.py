@@ -11,45 +11,28 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The page `docs/paper.md`: all figures, and the paper's numbers beside ours."""
+"""Tables of the pages in docs, which stand between two comments of a page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-import math
+from collections.abc import Iterable, Sequence
+import re
 
-from comparison import beyond, published, Row, throws_of_the_rig
-from models import best_layer
+from comparison import beyond, published, Row, table_one, throws_of_the_rig
 
 
-def write_page(figures: str) -> str:
-    """
-    Write the page.
-
-    Parameters
-    ----------
-    figures : str
-        Markdown of the figures.
-
-    Returns
-    -------
-    str
-        Markdown.
-
-    """
-    rows = (
-        (row.quantity, row.where, row.paper.text, _ours(row), _difference(row), _why(row))
+def update_page(page: str) -> str:
+    """Return the page `docs/paper.md` with its tables computed again."""
+    rows = [
+        (row.quantity, row.where, row.paper.text, _ours(row), _difference(row), _reason(row))
         for row in published()
-    )
-    best = best_layer(0.0)
-    return _TEMPLATE.format(
-        figures=figures,
-        published=_table(('quantity', 'where', 'paper', 'ours', 'difference', 'why'), rows),
-        throws=_table(_HEADS, throws_of_the_rig()),
-        beyond=_table(('quantity', 'ours'), beyond()),
-        right=math.exp(-2.0 / best.mass_ratio),
-        wrong=math.exp(-4.0 * math.pi * best.mass_ratio / best.speed_ratio),
-    )
+    ]
+    heads = ('quantity', 'where', 'paper', 'ours', 'difference', 'why')
+    page = replace_part(page, 'published', table(heads, rows))
+    page = replace_part(page, 'table one', table(('quantity', 'symbol', 'paper', 'ours'),
+                                                 table_one()))
+    page = replace_part(page, 'throws', table(_HEADS, throws_of_the_rig()))
+    return replace_part(page, 'beyond', table(('quantity', 'ours'), beyond()))
 
 
 _HEADS = (
@@ -70,58 +53,24 @@ def _difference(row: Row) -> str:
     return '0' if float(text) == 0.0 else text
 
 
-def _why(row: Row) -> str:
+def _reason(row: Row) -> str:
     if not row.agrees:
         return row.why
     return f'as printed; {row.why}' if row.why else 'as printed'
 
 
-def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = [header, tuple('---' for _ in header), *rows]
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [heads, ['---'] * len(heads), *rows]
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
 
 
-_TEMPLATE = """\
-# The paper, computed again
-
-The figures of "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022),
-that the models can make, and the numbers that it prints beside ours. All is computed by
-`make figures`, whose scripts are in [paper](paper); what the paper says is red.
-
-What is known of the paper here are its equations, its numbers and what its figures show, not its
-pictures and not its measurements. So a figure has the number of the paper's and shows the same
-quantities over the same axes, in an arrangement of our own. Where the paper has measured points,
-there are computed ones, and the caption says so. The paper's Table I is not at hand either; the
-table of throws below has what the models give for the same rig.
-
-Unless it says otherwise: no gravity, no loss, a rigid projectile, and the first release. As in the
-paper, x = L_s/(L_s + L_r) and C = c_s/(L_s + L_r)f. What decides is mu = m/(rho_s S L_s)
-and kappa = c_s/(L_s f); t_s = L_s/c_s is one crossing of the layer, tau = mu t_s, and
-alpha = (V_e/V_p*)^2.
-
-{figures}
-## Its numbers
-
-"As printed" means: within half a unit of the last digit, or within the range that is given.
-
-{published}
-
-## The throws of the rig
-
-Three series and six layers, with A = 2 mm, zeta = 0.064, no gravity: first releases, the largest
-strain up to them, and how often the layer catches up with the projectile afterwards.
-
-{throws}
-
-## What it does not say
-
-{beyond}
-
-## Misprints beside those in the table
-
-- The strain at the contact goes from compression to tension at the release, so du/dy from negative
-  to positive; a sentence has it the other way round.
-- V_m(3 t_s) has the factor e^(-2 t_s/tau), not e^(-2 omega tau): at the optimum {right:.4f}, not
-  {wrong:.2f}.
-- The last term of Eq. (14) lacks the factor 2 A omega.
-"""
+def replace_part(page: str, name: str, part: str) -> str:
+    """Return a page with other text between the comments `<!-- name -->` and `<!-- end -->`."""
+    pattern = rf'(<!-- {name} -->\n).*?(\n<!-- end -->)'
+    result, count = re.subn(
+        pattern, lambda match: match[1] + part + match[2], page, flags=re.DOTALL
+    )
+    if count != 1:
+        raise ValueError(f'the page must have one part {name!r}, got {count}')
+    return result

@@ -11,25 +11,37 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figs. 5 and 12: the three series of throws, harmonic and damped."""
+"""Figs. 5 and 12: the three series of throws with a harmonic and a damped plate."""
 
 from __future__ import annotations
 
 from matplotlib.figure import Figure
-from models import DAMPING_RATIO, Engine, releases_of, SERIES, Series, THICKNESSES
+from models import DAMPING_RATIO, releases_of, SERIES, Series, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
-from style import BLUE, broken, GREEN, legend_below, new_figure, ORANGE, PAPER, X_LABEL
+from soft_throw_ros.core.rig import Engine
+from style import (
+    BLUE,
+    broken,
+    GREEN,
+    label_results,
+    legend_below,
+    new_figure,
+    ORANGE,
+    PAPER,
+    RED,
+    X_LABEL,
+)
 
 Floats = NDArray[np.float64]
 
-_LOOKS = tuple(zip(SERIES, (BLUE, ORANGE, GREEN), ('o', 's', '^'), strict=True))
+_STYLES = tuple(zip(SERIES, (BLUE, ORANGE, GREEN), ('o', 's', '^'), strict=True))
 
 THIN: Floats = np.geomspace(0.6e-3, 3e-3, 41)
-"""Layers that may touch the projectile again. [m]"""
+"""Thicknesses of layers that may touch the projectile again. [m]"""
 
 X: Floats = np.linspace(0.005, 0.995, 1189)
-"""Where curves are computed. Nearer to 0, with damping, there are too many crossings to add up."""
+"""Points of the curves. Below 0.005 a damped throw takes too many crossings to add up."""
 
 
 def draw_series() -> Figure:
@@ -42,13 +54,13 @@ def draw_series() -> Figure:
         height=5.6,
     )
     panels = figure.subplots(1, 2, sharex=True)
-    for series, color, marker in _LOOKS:
+    for series, color, marker in _STYLES:
         _draw_one(panels, series, 0.0, color, marker)
         _draw_last_releases(panels, series, color)
     label = r'paper: no layer, $t_e f$ = 0.25, $\alpha$ = 1'
     for axes, value in zip(panels, (0.25, 1.0), strict=True):
         axes.plot(0.0, value, **PAPER, clip_on=False, label=label)
-    _label(panels)
+    label_results(panels, phase_end=0.9, xlabel=X_LABEL, xlim=(0.0, 1.0))
     legend_below(figure, panels[1], columns=2)
     return figure
 
@@ -56,49 +68,39 @@ def draw_series() -> Figure:
 def _draw_one(
     panels: NDArray[np.object_], series: Series, damping_ratio: float, color: str, marker: str
 ) -> None:
-    """Draw a series: the curve and the six layers."""
+    """Draw the curve of a series and the points of the six layers."""
     curve = series.releases(series.thickness_of(X), damping_ratio=damping_ratio)
-    points = series.elastic_throws(damping_ratio=damping_ratio)
+    throws = series.elastic_throws(damping_ratio=damping_ratio)
     errors = series.errors(damping_ratio=damping_ratio)
     label = (
         f'$f$ = {series.frequency:g} Hz, $L_r$ = {1e3 * series.projectile_length:g} mm: '
         f'$c_s / L_r f$ = {series.speed:.3g} (paper: {series.printed})'
     )
-    phases = [throw.ejection_time * series.frequency for throw in points]
-    transfers = [throw.energy_transfer for throw in points]
-    for axes, line, middle, error in (
+    phases = [throw.ejection_time * series.frequency for throw in throws]
+    transfers = [throw.energy_transfer for throw in throws]
+    for axes, line, points, error in (
         (panels[0], curve.ejection_phase, phases, errors.ejection_phase),
         (panels[1], curve.energy_transfer, transfers, errors.energy_transfer),
     ):
         axes.plot(X, broken(line), color=color, lw=1.4)
         axes.errorbar(
-            series.x_of(THICKNESSES),
-            middle,
-            xerr=errors.x,
-            yerr=error,
-            fmt=marker,
-            color=color,
-            mec='white',
-            ms=7,
-            elinewidth=1.2,
-            capsize=2.5,
-            label=label,
+            series.x_of(THICKNESSES), points, xerr=errors.x, yerr=error, fmt=marker, color=color,
+            mec='white', ms=7, elinewidth=1.2, capsize=2.5, label=label,
         )
 
 
 def _draw_last_releases(panels: NDArray[np.object_], series: Series, color: str) -> None:
-    """Dot the last release of thin layers where it is not the first."""
+    """Dot the last release of thin layers with several releases."""
     for thickness in THIN:
-        rig = series.rig(thickness, damping_ratio=0.0)
-        found = releases_of(rig, periods=3.0)
-        if len(found) > 1:
-            phase, speed = found[-1]
+        releases = releases_of(series.rig(thickness, damping_ratio=0.0), periods=3.0)
+        if len(releases) > 1:
+            phase, speed = releases[-1]
             for axes, value in zip(panels, (phase, speed**2), strict=True):
                 axes.plot(series.x_of(thickness), value, '.', color=color, ms=4)
 
 
 def draw_damped_series() -> Figure:
-    """Draw Fig. 12: the same for the damped plate, and how far the layers are strained."""
+    """Draw Fig. 12: the series with the damped plate, and the largest strain of the layers."""
     figure = new_figure(
         'Fig. 12   App. D: the same with the damped plate of the rig',
         rf'$\zeta$ = {DAMPING_RATIO:g}, first release; thin lines: harmonic plate (Fig. 5). '
@@ -108,24 +110,17 @@ def draw_damped_series() -> Figure:
         height=5.6,
     )
     panels = figure.subplots(1, 3)
-    for series, color, marker in _LOOKS:
+    for series, color, marker in _STYLES:
         harmonic = series.releases(series.thickness_of(X), damping_ratio=0.0)
-        for axes, values in zip(panels, harmonic[::2], strict=False):
-            axes.plot(X, broken(values), color=color, lw=0.6)
+        panels[0].plot(X, broken(harmonic.ejection_phase), color=color, lw=0.6)
+        panels[1].plot(X, broken(harmonic.energy_transfer), color=color, lw=0.6)
         _draw_one(panels, series, DAMPING_RATIO, color, marker)
         strains = 100.0 * series.peak_strains(damping_ratio=DAMPING_RATIO)
         panels[2].plot(series.x_of(THICKNESSES), strains, marker, color=color, mec='white', ms=7)
-    panels[2].axhline(10.0, color=PAPER['color'], ls='--', label='paper: below 10 %')
+    panels[2].axhline(10.0, color=RED, ls='--', label='paper: below 10 %')
     panels[2].set(
         title='(c) largest strain', ylabel='strain (%)', ylim=(0.0, 22.0), yticks=range(0, 21, 5)
     )
-    _label(panels)
+    label_results(panels, phase_end=0.9, xlabel=X_LABEL, xlim=(0.0, 1.0))
     legend_below(figure, panels[1], panels[2], columns=2)
     return figure
-
-
-def _label(panels: NDArray[np.object_]) -> None:
-    panels[0].set(title='(a) ejection time', ylabel='$t_e f$', ylim=(0.0, 0.9))
-    panels[1].set(title='(b) energy transfer factor', ylabel=r'$\alpha$', ylim=(0.0, 4.4))
-    for axes in panels:
-        axes.set(xlabel=X_LABEL, xlim=(0.0, 1.0))

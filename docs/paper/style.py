@@ -11,25 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How the figures look, and how they become files."""
+"""Common style of the figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-import contextlib
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import matplotlib as mpl
+from matplotlib import style
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's colours, which everybody can tell apart
+# Colours of Okabe and Ito, which colour-blind readers can distinguish
 BLACK = '#000000'
 BLUE = '#0072b2'
 ORANGE = '#e69f00'
@@ -38,21 +36,19 @@ RED = '#d55e00'
 SKY = '#56b4e9'
 
 WIDTH = 8.4
-"""Of every figure: at 150 dots an inch it fills a page of GitHub, where letters are 9 pt. [in]"""
+"""Width of every figure: fills a page of GitHub at 150 dots per inch. [in]"""
 
-# Axes that several figures have
+MILLI = 1e3
+"""Number of millimetres in a metre, and of milliseconds in a second."""
+
 X_LABEL = '$x = L_s/(L_s+L_r)$'
 C_LABEL = '$C = c_s/(L_s+L_r)f$'
 
 PAPER: dict[str, Any] = {
-    'color': RED,
-    'marker': '*',
-    'markersize': 14,
-    'markeredgecolor': 'white',
-    'linestyle': 'none',
-    'zorder': 5,
+    'color': RED, 'marker': '*', 'markersize': 14, 'markeredgecolor': 'white',
+    'linestyle': 'none', 'zorder': 5,
 }
-"""How a number of the paper is marked."""
+"""Marker of a number that the paper gives."""
 
 _SETTINGS: Any = {
     'axes.axisbelow': True,
@@ -69,76 +65,52 @@ _SETTINGS: Any = {
 }
 
 
-@contextlib.contextmanager
-def settings() -> Iterator[None]:
-    """Have figures look the same in here, whatever the user has set."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(_SETTINGS)
-        yield
+def settings() -> AbstractContextManager[None]:
+    """Return a context in which figures do not depend on the settings of the user."""
+    return style.context(_SETTINGS, after_reset=True)
 
 
 def new_figure(title: str, caption: str, *, height: float) -> Figure:
-    """Make an empty figure with a title line, in bold, and a caption of a line or two."""
+    """Return an empty figure with a bold title and a caption of one or two lines."""
     figure = Figure(figsize=(WIDTH, height), layout='constrained')
     bold = title.replace(' ', r'\ ').replace(':', '{:}')
-    figure.suptitle(
-        rf'$\mathbf{{{bold}}}$' + f'\n{caption}',
-        x=0.01,
-        ha='left',
-        fontsize='medium',
-        linespacing=1.4,
-    )
+    text = rf'$\mathbf{{{bold}}}$' + f'\n{caption}'
+    figure.suptitle(text, x=0.01, ha='left', fontsize='medium', linespacing=1.4)
     return figure
 
 
-def legend_below(figure: Figure, *axes: Axes, columns: int) -> None:
-    """Put what is labelled in some axes below all of them, where it hides nothing."""
-    labelled: dict[str, Any] = {}
-    for part in axes:
-        handles, labels = part.get_legend_handles_labels()
-        labelled.update(zip(labels, handles, strict=True))
+def legend_below(figure: Figure, *panels: Axes, columns: int) -> None:
+    """Add one legend for the labels of some panels below all panels."""
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(),
+                                                           strict=True)}
     figure.legend(
-        list(labelled.values()), list(labelled), loc='outside lower center', ncols=columns
+        list(handles.values()), list(handles), loc='outside lower center', ncols=columns
     )
+
+
+def label_results(
+    panels: NDArray[np.object_], *, phase_end: float, **options: Any
+) -> None:
+    """Label two panels as ejection time and energy transfer, and set options of all panels."""
+    panels[0].set(title='(a) ejection time', ylabel='$t_e f$', ylim=(0.0, phase_end))
+    panels[1].set(title='(b) energy transfer factor', ylabel=r'$\alpha$', ylim=(0.0, 4.4))
+    for axes in panels:
+        axes.set(**options)
 
 
 def broken(values: ArrayLike) -> Floats:
-    """Return a copy with NaN where it jumps, so that a line ends there and begins anew."""
-    cut = np.array(values, dtype=np.float64)
-    steps = np.abs(np.diff(cut))
-    beside = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 4, mode='edge'), 9)
-    most = np.ptp(np.quantile(cut, (0.1, 0.9)))
-    cut[1:][steps > 4.0 * np.median(beside, axis=1) + 2e-3 * most] = np.nan
-    return cut
-
-
-def show_map(
-    axes: Axes,
-    across: Floats,
-    up: Floats,
-    values: Floats,
-    *,
-    levels: Sequence[float] | Floats,
-    colours: str,
-    extend: Literal['neither', 'both', 'max'] = 'neither',
-) -> Any:
-    """Show values of shape (across, up) in bands of colour between levels."""
-    half_x, half_y = 0.5 * (across[1] - across[0]), 0.5 * (up[1] - up[0])
-    bands = mpl.colormaps[colours]
-    return axes.imshow(
-        values.T,
-        origin='lower',
-        aspect='auto',
-        interpolation='nearest',
-        extent=(across[0] - half_x, across[-1] + half_x, up[0] - half_y, up[-1] + half_y),
-        cmap=bands,
-        norm=BoundaryNorm(levels, bands.N, extend=extend),
-    )
+    """Return a copy with NaN at jumps, where a line is interrupted."""
+    copy = np.array(values, dtype=np.float64)
+    steps = np.abs(np.diff(copy))
+    nearby = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 4, mode='edge'), 9)
+    spread = np.ptp(np.quantile(copy, (0.1, 0.9)))
+    copy[1:][steps > 4.0 * np.median(nearby, axis=1) + 2e-3 * spread] = np.nan
+    return copy
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, the same bytes every time."""
+    """Write a figure as PNG, without the version of matplotlib, so that bytes do not change."""
     with settings():
-        # `Software` would name the version of matplotlib
         figure.savefig(path, metadata={'Software': None}, pil_kwargs={'optimize': True})

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figs. 1 and 2, one throw as a strip of pictures and against time, and the README's picture."""
+"""Figs. 1 and 2 and the picture of the README: one throw as a strip and over time."""
 
 from __future__ import annotations
 
@@ -22,56 +22,62 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from models import DAMPING_RATIO, Rig, SERIES, simulate, Throw, Underdamped
+from models import DAMPING_RATIO, SERIES
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
-from style import BLACK, BLUE, GREEN, legend_below, new_figure, WIDTH
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throw import simulate, Throw
+from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, WIDTH
 
 Floats = NDArray[np.float64]
 
-PLATE = BLACK
-PROJECTILE = BLUE
-BARE = GREEN
+PLATE, PROJECTILE, BARE = BLACK, BLUE, GREEN
+"""Colours of the plate, the projectile on the layer, and the projectile on the bare plate."""
 
 _THICKNESS = 16.8e-3
-_END = 0.016  # [s]
-_MILLI = 1e3
-_GAP = 1.5  # between projectile and middle [mm]
+"""Thickness of the layer of Figs. 1 and 2. [m]"""
+
+_END = 0.016
+"""End of the time axis of Fig. 2. [s]"""
+
+_GAP = 1.5
+"""Distance of a projectile from the middle of a panel of Fig. 1. [mm]"""
 
 
 @functools.lru_cache(maxsize=1)
 def shown_throw() -> Throw:
-    """Throw the short projectile at the higher frequency from the layer of Figs. 1 and 2."""
+    """Simulate the throw of Figs. 1 and 2: short projectile, higher frequency."""
     return simulate(SERIES[1].rig(_THICKNESS, damping_ratio=DAMPING_RATIO), until=_END)
 
 
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
-    """Compute heights of material points of the layer, and its strain there: (time, points)."""
+    """Return heights and strains of material points of the layer, shape (time, points)."""
     fields = throw.fields(time, points=points)
     rest = fields.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
     return rest + cumulative_trapezoid(fields.velocity, time, axis=0, initial=0.0), fields.strain
 
 
 def _time_of_peak_strain(throw: Throw) -> float:
-    """Find when the layer is strained most before the release, to the step of the strip."""
+    """Return the time of the largest strain before the release, to 0.01 ms."""
     time = np.arange(0.0, throw.ejection_time, 1e-5)
     strain = np.abs(throw.fields(time, points=97).strain)
     return float(time[strain.max(axis=1).argmax()])
 
 
 def bare_flight(throw: Throw, time: Floats) -> Floats:
-    """Compute how high the plate alone lifts and throws: with it, and then at its top speed."""
+    """Return the height of a projectile that leaves the bare plate at its largest speed."""
     motion = Underdamped.of(throw.rig.engine)
-    leaves = motion.peak_velocity_time
-    flight = np.maximum(time - leaves, 0.0)
-    lifted = motion.position(np.minimum(time, leaves))
-    flown = motion.peak_velocity * flight - 0.5 * throw.rig.gravity * flight**2
-    return np.asarray(lifted + flown)
+    release = motion.peak_velocity_time
+    flight = np.maximum(time - release, 0.0)
+    start = motion.position(np.minimum(time, release))
+    rise = motion.peak_velocity * flight - 0.5 * throw.rig.gravity * flight**2
+    return np.asarray(start + rise)
 
 
 def draw_states() -> Figure:
-    """Draw Fig. 1: what the throw looks like, beside one from the bare plate."""
+    """Draw Fig. 1: the throw at six moments, beside one from the bare plate."""
     throw = shown_throw()
     rig = throw.rig
     release = throw.ejection_time
@@ -87,19 +93,19 @@ def draw_states() -> Figure:
     figure = new_figure(
         'Fig. 1   A projectile on the bare plate, and one on a soft layer',
         f"The paper's rig: $f$ = {rig.engine.frequency:g} Hz, $\\zeta$ = "
-        f'{rig.engine.damping_ratio:g}, $A$ = {_MILLI * rig.engine.amplitude:g} mm, $L_s$ = '
-        f'{_MILLI * rig.layer.thickness:g} mm, $L_r$ = {_MILLI * rig.projectile.length:g} mm. '
+        f'{rig.engine.damping_ratio:g}, $A$ = {MILLI * rig.engine.amplitude:g} mm, $L_s$ = '
+        f'{MILLI * rig.layer.thickness:g} mm, $L_r$ = {MILLI * rig.projectile.length:g} mm. '
         'To scale.',
         height=3.15,
     )
     panels = figure.subplots(1, len(moments), sharex=True, sharey=True)
     time = np.linspace(0.0, _END, 1601)
     heights, strain = heights_of_layer(throw, time, points=41)
-    shown = np.searchsorted(time, [moment for moment, _ in moments])
-    limit = 100.0 * np.abs(strain[shown]).max()
-    for axes, (moment, what), row in zip(panels, moments, shown, strict=True):
+    rows = np.searchsorted(time, [moment for moment, _ in moments])
+    limit = 100.0 * np.abs(strain[rows]).max()
+    for axes, (moment, name), row in zip(panels, moments, rows, strict=True):
         image = _draw_state(axes, throw, moment, heights[row], strain[row], limit)
-        axes.set_title(f'{what}\n$t$ = {_MILLI * moment:.1f} ms', fontsize='small', loc='center')
+        axes.set_title(f'{name}\n$t$ = {MILLI * moment:.1f} ms', fontsize='small', loc='center')
         axes.set(xlim=(-15.5, 15.5), ylim=(-1.5, 37.5), xticks=[], aspect='equal')
         axes.spines[['bottom', 'left']].set_visible(False)
         axes.tick_params(left=False)
@@ -108,52 +114,37 @@ def draw_states() -> Figure:
     panels[0].set_ylabel('height $z$ (mm)')
     panels[0].text(-7.5, 9.5, 'on the\nplate', ha='center', fontsize='small', color=BARE)
     panels[0].text(7.5, 26.3, 'on the\nlayer', ha='center', fontsize='small', color=PROJECTILE)
-    figure.colorbar(
-        image,
-        ax=list(panels),
-        label='strain of the layer (%)',
-        location='bottom',
-        shrink=0.5,
-        aspect=40,
-        pad=0.02,
-    )
+    figure.colorbar(image, ax=list(panels), label='strain of the layer (%)', location='bottom',
+                    shrink=0.5, aspect=40, pad=0.02)
     return figure
 
 
 def _draw_state(
     axes: Axes, throw: Throw, moment: float, heights: Floats, strain: Floats, limit: float
 ) -> QuadMesh:
-    """Draw plate, layer and both projectiles at a moment, strain in percent up to a limit."""
+    """Draw plate, layer and both projectiles at a moment; the limit of colours is in percent."""
     rig = throw.rig
-    width = _MILLI * rig.layer.diameter
-    plate = _MILLI * float(Underdamped.of(rig.engine).position(moment))
+    width = MILLI * rig.layer.diameter
+    plate = MILLI * float(Underdamped.of(rig.engine).position(moment))
+    edges = np.array([_GAP, _GAP + width])
     image = axes.pcolormesh(
-        np.array([_GAP, _GAP + width]),
-        _MILLI * heights,
-        50.0 * (strain[:-1] + strain[1:])[:, None],
-        cmap='PuOr',
-        vmin=-limit,
-        vmax=limit,
+        edges, MILLI * heights, 50.0 * (strain[:-1] + strain[1:])[:, None], cmap='PuOr',
+        vmin=-limit, vmax=limit,
     )
-    axes.plot(
-        [_GAP, _GAP, _GAP + width, _GAP + width],
-        _MILLI * heights[[0, -1, -1, 0]],
-        color='0.35',
-        lw=0.8,
-    )
+    axes.plot(edges[[0, 0, 1, 1]], MILLI * heights[[0, -1, -1, 0]], color='0.35', lw=0.8)
     path = throw.trajectory(np.array([moment]))
     for left, bottom, color in (
         (_GAP, float(path.projectile_position[0]), PROJECTILE),
         (-_GAP - width, float(bare_flight(throw, np.array([moment]))[0]), BARE),
     ):
-        size = (width, _MILLI * rig.projectile.length)
-        axes.add_patch(Rectangle((left, _MILLI * bottom), *size, color=color, lw=0))
+        size = (width, MILLI * rig.projectile.length)
+        axes.add_patch(Rectangle((left, MILLI * bottom), *size, color=color, lw=0))
     axes.add_patch(Rectangle((-15.0, plate - 1.2), 30.0, 1.2, color=PLATE, lw=0))
     return image
 
 
 def draw_traces() -> Figure:
-    """Draw Fig. 2: positions and velocities of plate and projectile against time."""
+    """Draw Fig. 2: positions and velocities of plate and projectile over time."""
     throw = shown_throw()
     figure = new_figure(
         'Fig. 2   The same throw against time',
@@ -167,47 +158,35 @@ def draw_traces() -> Figure:
     path = throw.trajectory(time)
     thickness = throw.rig.layer.thickness
     bare = time >= Underdamped.of(throw.rig.engine).peak_velocity_time
-    loose = time >= throw.ejection_time
-    panels[0].plot(
-        _MILLI * time[loose],
-        _MILLI * (path.top_position - thickness)[loose],
-        color='0.5',
-        lw=1.2,
-        label='top of the layer',
+    free = time >= throw.ejection_time
+    panels[0].plot(MILLI * time[free], MILLI * (path.top_position - thickness)[free], color='0.5',
+                   lw=1.2, label='top of the layer')
+    lines = (
+        (path.plate_position, path.projectile_position - thickness, bare_flight(throw, time)),
+        (path.plate_velocity, path.projectile_velocity,
+         np.full(time.shape, throw.peak_plate_speed)),
     )
-    for axes, plate, projectile, alone in (
-        (
-            panels[0],
-            _MILLI * path.plate_position,
-            _MILLI * (path.projectile_position - thickness),
-            _MILLI * bare_flight(throw, time),
-        ),
-        (
-            panels[1],
-            path.plate_velocity,
-            path.projectile_velocity,
-            np.full(time.shape, throw.peak_plate_speed),
-        ),
-    ):
+    for axes, scale, (plate, projectile, alone) in zip(panels, (MILLI, 1.0), lines, strict=True):
         dashed = {'color': BARE, 'ls': '--', 'label': 'projectile on bare plate'}
-        axes.plot(_MILLI * time[bare], alone[bare], **dashed)
-        axes.plot(_MILLI * time, plate, color=PLATE, lw=2.0, label='plate')
-        axes.plot(_MILLI * time, projectile, color=PROJECTILE, lw=2.6, label='projectile on layer')
-        axes.axvline(_MILLI * throw.ejection_time, color='0.5', lw=0.9, ls=':')
-        axes.set_xlim(0.0, _MILLI * _END)
+        axes.plot(MILLI * time[bare], scale * alone[bare], **dashed)
+        axes.plot(MILLI * time, scale * plate, color=PLATE, lw=2.0, label='plate')
+        axes.plot(MILLI * time, scale * projectile, color=PROJECTILE, lw=2.6,
+                  label='projectile on layer')
+        axes.axvline(MILLI * throw.ejection_time, color='0.5', lw=0.9, ls=':')
+        axes.set_xlim(0.0, MILLI * _END)
     panels[0].set(title='(a) positions', ylabel='height from rest (mm)', ylim=(-2.0, 16.5))
     panels[1].set(
         title='(b) velocities', xlabel='time $t$ (ms)', ylabel='velocity (m/s)', ylim=(-0.75, 1.75)
     )
-    _mark_crossings(panels, _MILLI * throw.rig.crossing_time)
+    _mark_crossings(panels, MILLI * throw.rig.crossing_time)
     _quote_release(panels[1], throw)
     legend_below(figure, panels[0], columns=4)
     return figure
 
 
 def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
-    """Draw a line at every whole crossing [ms], and say which in the first panel."""
-    for k in range(1, int(_MILLI * _END / crossing) + 1):
+    """Draw a line at every whole crossing [ms], labelled in the first panel."""
+    for k in range(1, int(MILLI * _END / crossing) + 1):
         for axes in panels:
             axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
         name = '$t_s$' if k == 1 else f'${k}\\,t_s$'
@@ -215,13 +194,11 @@ def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
 
 
 def _quote_release(axes: Axes, throw: Throw) -> None:
-    """Say how fast the projectile leaves, and how fast the plate is at most."""
+    """Label the release and the largest speed of the plate."""
     axes.annotate(
-        f'$t_e$ = {_MILLI * throw.ejection_time:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
+        f'$t_e$ = {MILLI * throw.ejection_time:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
         rf'$\alpha = (V_e / V_p^*)^2$ = {throw.energy_transfer:.3f}',
-        xy=(_MILLI * throw.ejection_time, throw.ejection_speed),
-        xytext=(1.2, 1.3),
-        va='center',
+        xy=(MILLI * throw.ejection_time, throw.ejection_speed), xytext=(1.2, 1.3), va='center',
         arrowprops={'arrowstyle': '->', 'color': '0.3'},
     )
     fastest = throw.peak_plate_speed
@@ -230,7 +207,7 @@ def _quote_release(axes: Axes, throw: Throw) -> None:
 
 
 def draw_throw() -> Figure:
-    """Draw the README's picture: a throw of the default rig, with what happens in the layer."""
+    """Draw the picture of the README: a throw of the default rig, with the strain of the layer."""
     rig = Rig()
     throw = simulate(rig, until=0.022)
     time = np.linspace(0.0, 0.022, 1101)
@@ -243,35 +220,29 @@ def draw_throw() -> Figure:
     limit = 100.0 * np.abs(strain).max()
     corners = 0.5 * (strain[:-1] + strain[1:])
     image = axes.pcolormesh(
-        np.broadcast_to(_MILLI * time[:, None], heights.shape),
-        _MILLI * heights,
-        50.0 * (corners[:, :-1] + corners[:, 1:]),
-        cmap=mpl.colormaps['PuOr'].resampled(48),  # bands make the file half as large
-        vmin=-limit,
-        vmax=limit,
-        rasterized=True,
+        np.broadcast_to(MILLI * time[:, None], heights.shape), MILLI * heights,
+        50.0 * (corners[:, :-1] + corners[:, 1:]), vmin=-limit, vmax=limit, rasterized=True,
+        cmap=mpl.colormaps['PuOr'].resampled(48),  # bands halve the size of the file
     )
     figure.colorbar(image, label='strain of the layer (%)', pad=0.01)
     for material in (24, 48, 72):
-        axes.plot(_MILLI * time, _MILLI * heights[:, material], color='0.35', lw=0.6)
-    axes.plot(_MILLI * time, _MILLI * heights[:, -1], color='0.35', lw=1.0)
-    axes.plot(_MILLI * time, _MILLI * path.plate_position, color=PLATE, lw=2.5)
-    lower = _MILLI * path.projectile_position
-    upper = lower + _MILLI * rig.projectile.length
-    axes.fill_between(_MILLI * time, lower, upper, color=PROJECTILE, alpha=0.85)
-    # The same projectile lying on the plate itself leaves at the plate's largest speed
+        axes.plot(MILLI * time, MILLI * heights[:, material], color='0.35', lw=0.6)
+    axes.plot(MILLI * time, MILLI * heights[:, -1], color='0.35', lw=1.0)
+    axes.plot(MILLI * time, MILLI * path.plate_position, color=PLATE, lw=2.5)
+    lower = MILLI * path.projectile_position
+    upper = lower + MILLI * rig.projectile.length
+    axes.fill_between(MILLI * time, lower, upper, color=PROJECTILE, alpha=0.85)
+    # A projectile on the bare plate leaves at the largest speed of the plate
     after = time >= Underdamped.of(rig.engine).peak_velocity_time
     bare = rig.layer.thickness + bare_flight(throw, time[after])
-    axes.plot(_MILLI * time[after], _MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
-    axes.axvline(_MILLI * release, color='0.5', lw=0.8, ls=':')
+    axes.plot(MILLI * time[after], MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
+    axes.axvline(MILLI * release, color='0.5', lw=0.8, ls=':')
     axes.annotate(
-        f'leaves at $t_e$ = {_MILLI * release:.2f} ms\n'
+        f'leaves at $t_e$ = {MILLI * release:.2f} ms\n'
         f'with $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
         rf'$\alpha = (V_e/V_p^*)^2$ = {throw.energy_transfer:.2f}',
-        xy=(_MILLI * release, _MILLI * throw.first_release.position),
-        xytext=(3.4, 39.0),
-        ha='center',
-        arrowprops={'arrowstyle': '->', 'color': '0.3'},
+        xy=(MILLI * release, MILLI * throw.first_release.position), xytext=(3.4, 39.0),
+        ha='center', arrowprops={'arrowstyle': '->', 'color': '0.3'},
     )
     for text, x, y, color, angle in (
         ('projectile', 13.6, 32.2, 'white', 27.0),
@@ -280,10 +251,5 @@ def draw_throw() -> Figure:
         ('plate', 19.3, -0.3, PLATE, 0.0),
     ):
         axes.text(x, y, text, color=color, rotation=angle, rotation_mode='anchor')
-    axes.set(
-        xlabel='time $t$ (ms)',
-        ylabel='height $z$ (mm)',
-        xlim=(0.0, 22.0),
-        ylim=(-1.0, 47.0),
-    )
+    axes.set(xlabel='time $t$ (ms)', ylabel='height $z$ (mm)', xlim=(0.0, 22.0), ylim=(-1.0, 47.0))
     return figure

@@ -11,35 +11,34 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Design a throw: the right layer, what it takes to reach a height, and landscapes."""
+"""Design a throw: choose a layer, an amplitude or a motion of the plate, and draw landscapes."""
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import sys
 
-from soft_throw_ros.commands.output import run_command
+from soft_throw_ros.commands.output import CommandParser, run_command
 
-# Name: module, the functions in it that add arguments and run, and what it is for. Only the module
-# that is asked for is imported, for they are slow to load.
+# Name: module, its functions that add arguments and run, and the purpose. Only the module of the
+# requested task is imported, because the modules load slowly.
 TASKS = {
     'recommend': (
         'design_search', 'add_recommend_arguments', 'run_recommend', 'recommend a layer'
     ),
     'aim': (
         'design_search', 'add_aim_arguments', 'run_aim',
-        'find what it takes to reach a height or speed',
+        'find the amplitude that reaches a height or speed',
     ),
-    'motion': ('design_motion', 'add_arguments', 'run', 'design how the plate moves'),
+    'motion': ('design_motion', 'add_arguments', 'run', 'optimise the motion of the plate'),
     'map': ('design_map', 'add_arguments', 'run', 'map ejection time and energy over two axes'),
 }
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the task that the first argument names with the others; return its exit code."""
+    """Run the task named by the first argument with the other arguments; return its exit code."""
     args = sys.argv[1:] if args is None else args
-    parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
+    parser = CommandParser(description=__doc__, allow_abbrev=False)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
     for name, (*_, purpose) in TASKS.items():
         tasks.add_parser(

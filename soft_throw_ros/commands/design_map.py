@@ -28,47 +28,54 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
+    model_name,
     new_file,
     open_executor,
     read_settings,
     WorkersLostError,
 )
 from soft_throw_ros.commands.output import naming, print_text, require, slow_notice
-from soft_throw_ros.commands.rerun_output import (
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.core.models import MODELS
+from soft_throw_ros.design.landscape import (
+    AXES,
+    check_axis,
+    compute_landscape,
+    Landscape,
+    Release,
+    RESULTS,
+)
+from soft_throw_ros.recording.rerun_output import (
     check_viewer,
     new_stream,
     PORT,
     save_recording,
     send_recording,
 )
-from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.design.landscape import (
-    AXES,
-    check_axis,
-    compute_landscape,
-    Landscape,
-    MODELS,
-    Release,
-    RESULTS,
-)
-from soft_throw_ros.recording.viewer import HOST, ViewerError
+from soft_throw_ros.recording.rerun_viewer import HOST, ViewerError
 from tqdm import tqdm
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     import rerun as rr
 
 Floats = NDArray[np.float64]
 
 _POINTS = 256
+"""Default number of points of an axis. [-]"""
 
-_SHOW_TIME = 20.0  # for a viewer to take a map [s]
+_DPI = 150
+"""Resolution of the picture. [pixel/inch]"""
+
+_SHOW_TIME = 20.0
+"""Longest time to send a map to a viewer. [s]"""
 
 _RANGES = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
-"""What is mapped if a ratio is given by its name alone."""
+"""Ranges of ratios that are given by name alone."""
 
 _UNITS = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
-"""Units of axes that pictures have in another size."""
+"""Units of axes in pictures, where they differ from SI, and the factors from SI."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,31 +85,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '[--rerun] [--workers N | --dask ADDRESS] [--config FILE] [--thickness M ...]'
     )
     parser.epilog = (
-        'An axis is NAME=LOW:HIGH, followed by :COUNT and :log as you like: '
+        'An axis is NAME=LOW:HIGH, optionally followed by :COUNT and :log: '
         f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}; the first four need no range.'
     )
     add = parser.add_argument
-    add('axes', metavar='AXIS', nargs='*', help="two of them (default: the paper's, x and C)")
+    add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
     add(
-        '--model', choices=MODELS, metavar='NAME',
+        '--model', choices=tuple(MODELS), metavar='NAME', type=model_name,
         help=f'one of {", ".join(MODELS)} '
-        '(default travelling_wave, or finite_difference with loss)',
+        '(default travelling_wave, or cells with loss)',
     )
-    add('--release', choices=get_args(Release), default='first', help='which one (default first)')
+    add(
+        '--release', choices=get_args(Release), default='first',
+        help='first or last release of a throw (default first)',
+    )
     add(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
-        help='.npz (NumPy), .nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
+        help='.nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
     )
     add(
         '--rerun', action='store_true',
-        help=f'show it in a viewer of Rerun, that at {HOST}:{PORT} if there is one',
+        help=f'show the map in Rerun: in the viewer at {HOST}:{PORT}, or in a new one',
     )
     add_executor_options(parser)
     add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute and hand over the map; return 0, 130 after Ctrl-C, or 1 if workers are gone."""
+    """Compute, save and show the map; return 0, 130 after Ctrl-C, or 1 if workers are lost."""
     rig = rig_of(read_settings(arguments))
     names = arguments.axes or ['x', 'C']
     if len(names) != 2:
@@ -122,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
             landscape = compute_landscape(
                 rig,
                 axes,
-                model=arguments.model or ('finite_difference' if has_cells else 'travelling_wave'),
+                model=arguments.model or ('cells' if has_cells else 'travelling_wave'),
                 release=arguments.release,
                 executor=executor,
                 progress=bar.update,
@@ -145,19 +155,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _read_axis(text: str) -> tuple[str, Floats]:
-    """Read NAME=LOW:HIGH:COUNT:log, of which the last two may be missing, or a ratio's name."""
-    name, _, rest = text.partition('=')
+    """Parse NAME=LOW:HIGH, optionally followed by :COUNT and :log, or the name of a ratio."""
+    name, _, value_range = text.partition('=')
     if name not in AXES:
-        raise ValueError(f'no axis is named {name!r}; there are: {", ".join(AXES)}')
-    parts = (rest or _RANGES.get(name, '')).split(':')
-    is_log = parts[-1] == 'log'
+        raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
+    fields = (value_range or _RANGES.get(name, '')).split(':')
+    is_log = fields[-1] == 'log'
     try:
-        low, high, *count = parts[: len(parts) - is_log]
+        low, high, *count = fields[: len(fields) - is_log]
         bounds = float(low), float(high)
         (points,) = map(int, count) if count else (_POINTS,)
     except ValueError:
         raise ValueError(
-            f'an axis is {name}=LOW:HIGH, followed by :COUNT and :log as you like, got {text!r}'
+            f'an axis is {name}=LOW:HIGH, optionally followed by :COUNT and :log, got {text!r}'
         ) from None
     if not bounds[0] < bounds[1]:
         raise ValueError(f'{name} must go from a lower to a higher value, got {text!r}')
@@ -170,30 +180,30 @@ def _read_axis(text: str) -> tuple[str, Floats]:
 
 
 def _summary(landscape: Landscape) -> Iterator[str]:
-    """Tell the largest energy transfer and where it is, in a few lines."""
+    """Describe the largest energy transfer and its position in a few lines."""
     size = ' x '.join(str(values.size) for values in landscape.axes.values())
     yield f'{size} throws, {landscape.release} release by {landscape.model}'
     optimum = landscape.optimum
     if optimum is None:
-        yield 'the projectile leaves nowhere'
+        yield 'the projectile is released nowhere on the map'
     else:
-        place = ', '.join(
+        position = ', '.join(
             f'{name} {value:.5g} {AXES[name].unit}'.rstrip()
             for name, value in zip(landscape.axes, optimum.place, strict=True)
         )
         yield (
-            f'largest alpha {optimum.energy_transfer:.4f} at {place}; '
+            f'largest alpha {optimum.energy_transfer:.4f} at {position}; '
             f't_e f {optimum.ejection_phase:.4f}'
         )
     lost = int(np.isnan(landscape.energy_transfer).sum())
     if lost:
-        yield f'{lost} throws without a release, or with one that cannot be told'
+        yield f'{lost} throws without a release, or with one that the model cannot resolve'
     if landscape.left_out:
-        yield f'left out by this model: {", ".join(landscape.left_out)}'
+        yield f'neglected by this model: {", ".join(landscape.left_out)}'
 
 
 class _Shown(NamedTuple):
-    """An axis as it is drawn: its values in a unit of handy size, which is SI times `factor`."""
+    """An axis for drawing; `values` are SI values times `factor`, in a convenient unit."""
 
     title: str
     values: Floats
@@ -212,45 +222,41 @@ class _Shown(NamedTuple):
             shown.append(cls(title, factor * values, factor))
         return shown
 
-    @property
-    def scale(self) -> str:
-        """How its values are spaced, for matplotlib."""
-        values = self.values
-        is_log = values.size > 2 and values[0] > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-9
-        return 'log' if is_log else 'linear'
 
-
-def draw(landscape: Landscape, path: Path) -> None:
-    """Draw both results of a map side by side into a PNG file, with optimum and rig."""
+def draw(landscape: Landscape) -> Figure:
+    """Draw both results of a map side by side, with optimum and rig."""
     from matplotlib.figure import Figure
+    from soft_throw_ros.recording.charts import draw_map, MapAxis
 
-    shown = _Shown.of(landscape)
+    x, y = (MapAxis(axis.title, axis.values) for axis in _Shown.of(landscape))
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    # Both maps of colours grow evenly in lightness, whatever the eyes
+    # The lightness of both colour maps grows evenly, for colour-blind readers, too.
     for panel, name, colours in zip(panels, RESULTS, ('magma', 'viridis'), strict=True):
-        quantity, highest = RESULTS[name], _highest(landscape, name)
-        image = panel.pcolormesh(
-            *(axis.values for axis in shown), getattr(landscape, name).T, cmap=colours, vmin=0.0,
-            vmax=highest, shading='nearest',
+        quantity = RESULTS[name]
+        draw_map(
+            panel,
+            (x, y),
+            getattr(landscape, name),
+            label=f'{quantity.meaning.lower()} {quantity.symbol}',
+            colours=colours,
+            highest=_highest(landscape, name),
+            marks=_marks(landscape),
         )
-        label = f'{quantity.meaning.lower()} {quantity.symbol}'
-        figure.colorbar(image, label=label, extend='neither' if highest is None else 'max')
-        panel.set(facecolor='0.75')
-        for letter, axis in zip('xy', shown, strict=True):
-            limits = (axis.values[0], axis.values[-1])
-            panel.set(**{
-                f'{letter}scale': axis.scale, f'{letter}label': axis.title, f'{letter}lim': limits
-            })
-        for marker, (title, *place) in zip('o*', _marks(landscape), strict=False):
-            panel.plot(*place, marker, mfc='white', mec='black', ms=9, ls='', label=title)
     figure.suptitle(_title(landscape), fontsize='medium')
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2,
         facecolor='0.5', labelcolor='white',
     )
+    return figure
+
+
+def _draw_file(landscape: Landscape, path: Path) -> None:
+    """Draw a landscape into a PNG file."""
+    from soft_throw_ros.recording.charts import to_png
+
     with atomic_file(path) as unfinished:
-        figure.savefig(unfinished, format='png', dpi=150, metadata={'Software': None})
+        unfinished.write_bytes(to_png(draw(landscape), dpi=_DPI))
 
 
 def _record(landscape: Landscape, path: Path) -> None:
@@ -261,47 +267,39 @@ def _record(landscape: Landscape, path: Path) -> None:
 
 
 def _view(landscape: Landscape) -> None:
-    """Show a landscape in the viewer that is there, or in one that stays."""
+    """Show a landscape in a running viewer, or in a new one that outlives the command."""
     stream = new_stream()
     send_recording(stream, PORT, partial(_send, landscape, stream), within=_SHOW_TIME)
     stream.disconnect()
 
 
 def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
-    """Draw a landscape into a recording of Rerun."""
-    from soft_throw_ros.recording import rerun_canvas
+    """Log the picture of a landscape, and its values as tensors, into a recording of Rerun."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+    from soft_throw_ros.recording.charts import to_png
 
-    x, y = (
-        rerun_canvas.MapAxis(title=axis.title, values=axis.values) for axis in _Shown.of(landscape)
-    )
-    rerun_canvas.draw_landscape(
-        stream,
-        name=str(landscape.attributes['title']),
-        axes=(x, y),
-        panels=[
-            rerun_canvas.MapPanel(
-                name=name,
-                title=quantity.meaning,
-                symbol=quantity.symbol,
-                values=getattr(landscape, name),
-                highest=_highest(landscape, name),
-            )
-            for name, quantity in RESULTS.items()
-        ],
-        marks=[(right, up, title) for title, right, up in _marks(landscape)],
-    )
+    stream.send_recording_name(str(landscape.attributes['title']))
+    image = rr.EncodedImage(contents=to_png(draw(landscape), dpi=_DPI), media_type='image/png')
+    stream.log('/map', image, static=True)
+    names = [axis.title for axis in _Shown.of(landscape)]
+    for name in RESULTS:
+        tensor = rr.Tensor(getattr(landscape, name), dim_names=names)
+        stream.log(f'/values/{name}', tensor, static=True)
+    view = rrb.Spatial2DView(origin='/map', name='Landscape')
+    stream.send_blueprint(rrb.Blueprint(view, collapse_panels=True))
 
 
 def _highest(landscape: Landscape, name: str) -> float | None:
-    """Say where the colours of a result end; None is at its largest value."""
+    """Return the upper end of the colour scale of a result, None for its largest value."""
     if name == 'ejection_phase' and landscape.optimum is not None:
-        # some are so late that all others look alike
+        # A few very late releases would leave all others the same colour.
         return float(np.nanpercentile(landscape.ejection_phase, 95.0))
     return None
 
 
 def _title(landscape: Landscape) -> str:
-    """Name model and release, and of the rig what is no axis and counts."""
+    """Name the model, the release, and the values of the rig that are no axes."""
     rig = landscape.rig
     fixed = [
         f'{AXES[name].symbol} = {value:g} {TWIN.by_name[name].unit}'.rstrip()
@@ -317,18 +315,18 @@ def _title(landscape: Landscape) -> str:
 
 
 def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
-    """Give title and place of the highest point and of the rig, as far as they are on the map."""
+    """Yield title and position of the rig and of the optimum, if they are on the map."""
     marks = [('this rig', landscape.place(landscape.rig))]
     optimum, symbol = landscape.optimum, RESULTS['energy_transfer'].symbol
     if optimum is not None:
         marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.place))
     x, y = _Shown.of(landscape)
-    for title, place in marks:
-        right, up = x.factor * place[0], y.factor * place[1]
+    for title, position in marks:
+        right, up = x.factor * position[0], y.factor * position[1]
         if x.values[0] <= right <= x.values[-1] and y.values[0] <= up <= y.values[-1]:
             yield title, right, up
 
 
 _WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
-    '.npz': Landscape.save, '.nc': Landscape.save, '.png': draw, '.rrd': _record,
+    '.nc': Landscape.save, '.png': _draw_file, '.rrd': _record,
 }

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Design how the plate moves: what that gives, as a table, and the motion for a controller."""
+"""Design the motion of the plate: a table of predictions, and the motion for a controller."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
@@ -38,20 +39,20 @@ from soft_throw_ros.commands.output import (
     to_json,
     write_columns,
 )
-from soft_throw_ros.commands.rerun_output import new_stream, save_recording
 from soft_throw_ros.configuration import motions, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion
-from soft_throw_ros.design.motion_design import MotionDesign, Vary
+from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.requests import motion_answer
+from soft_throw_ros.recording.rerun_output import new_stream, save_recording
 import yaml
 
 _VARY = replace(
     TWIN.by_name['recommendation.vary'],
     default='motion',
-    meaning='What of the layer may be changed besides the motion',
-    choices=get_args(Vary),
+    meaning='Part of the layer that may change besides the motion',
+    choices=get_args(MotionVary),
 )
 _LIMITS = (
     'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
@@ -74,17 +75,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--json', action='store_true', help='print one object: SI units, full precision')
     add(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
-        help='.csv (what --motion reads), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
+        help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
         'or .rrd (recording of Rerun)',
     )
-    asked = [f'recommendation.{name}' for name in _LIMITS]
-    assert set(asked) <= set(RECOMMENDATION_OPTIONS)
-    add_options(parser, asked, title='what the actuator and the layer may do', entries=[_VARY])
+    names = [f'recommendation.{name}' for name in _LIMITS]
+    assert set(names) <= set(RECOMMENDATION_OPTIONS)
+    add_options(parser, names, title='limits of the actuator and the layer', entries=[_VARY])
     add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Design a motion, print what it gives, and write it; return 0."""
+    """Design a motion, print its predictions, and write it to files; return 0."""
     settings = read_settings(arguments)
     with slow_notice('design'):
         vary = vars(arguments).get('recommendation.vary', _VARY.default)
@@ -93,18 +94,22 @@ def run(arguments: argparse.Namespace) -> int:
             with naming(path), atomic_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
     if arguments.json:
-        asked = {name: settings[name] for name in settings if name in OPTIONS}
-        print_text(to_json({'parameters': asked, 'motion': design}))
+        parameters = {name: settings[name] for name in settings if name in OPTIONS}
+        motion = {**vars(design), 'summary': motion_summary(design)}
+        print_text(to_json({'parameters': parameters, 'motion': motion}))
         return 0
-    lines = [design.summary, '', *_table(design, settings['max_strain'])]
+    lines = [motion_summary(design), '', *_table(design, settings['max_strain'])]
     if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
-        lines.append('The plate may do what it does now: --plate-speed and others change that.')
+        lines.append(
+            'The limits of the plate are those of the present motion; set others by '
+            '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
+        )
     print_text('\n'.join(lines) + '\n')
     return 0
 
 
 def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
-    """Write all cases side by side."""
+    """Return the lines of a table that compares all cases."""
     rigs = {**design.others, 'best': design.rig, 'both': design.rig}
     columns: dict[str, Mapping[str, float] | None] = {}
     for name, throw in design.throws.items():
@@ -112,12 +117,12 @@ def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
         if name == 'best' and 'both' in design.throws:
             columns[_HEADS[name]] = vars(throw)
             continue
-        does = PlateLimits.of(rig.engine)
+        peaks = PlateLimits.of(rig.engine)
         columns[_HEADS.get(name, name)] = {
             **vars(throw),
-            'plate_speed': does.speed,
-            'plate_acceleration': does.acceleration,
-            'plate_travel': does.travel,
+            'plate_speed': peaks.speed,
+            'plate_acceleration': peaks.acceleration,
+            'plate_travel': peaks.travel,
         }
     yield from write_columns(columns)
     beyond = [
@@ -159,7 +164,7 @@ def _write_trajectory(design: MotionDesign, path: Path) -> None:
 
 
 def _curves(design: MotionDesign) -> Iterator[tuple[str, np.ndarray, PlateMotion]]:
-    """Give a title, the times, and the motion of each case; all end at one time."""
+    """Yield title, times and motion of each case, all up to the same end time."""
     end = max(design.motion.end_time, 1.2 * design.ejection_time)
     for name, motion in design.motions.items():
         throw = design.throws['both' if name == 'best' and 'both' in design.throws else name]
@@ -167,7 +172,7 @@ def _curves(design: MotionDesign) -> Iterator[tuple[str, np.ndarray, PlateMotion
 
 
 def draw(design: MotionDesign, path: Path) -> None:
-    """Draw how the plate moves in each case, height and velocity, into a PNG file."""
+    """Draw height and velocity of the plate in each case into a PNG file."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.6, 4.2), layout='constrained')
@@ -187,12 +192,12 @@ def draw(design: MotionDesign, path: Path) -> None:
         textcoords='offset points', xytext=(-4, 0), ha='right',
     )
     above.legend(frameon=False, title='motion: ejection speed', fontsize='small', loc='lower left')
-    figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
+    figure.suptitle(motion_summary(design).replace('; ', '\n'), fontsize='medium')
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
 
 
 def _record(design: MotionDesign, path: Path) -> None:
-    """Write the motions side by side as a recording of Rerun; the best one stands out."""
+    """Write the motions side by side as a recording of Rerun; highlight the best one."""
     import rerun as rr
     import rerun.blueprint as rrb
     from soft_throw_ros.recording.rerun_canvas import BLUE, GREEN, GREY, ORANGE, THROW_TIME, WHITE
@@ -202,16 +207,16 @@ def _record(design: MotionDesign, path: Path) -> None:
 
     def draw_curves() -> None:
         views = []
-        for what, name in (('position', 'Height (m)'), ('velocity', 'Velocity (m/s)')):
+        for quantity, name in (('position', 'Height (m)'), ('velocity', 'Velocity (m/s)')):
             for number, (title, times, motion) in enumerate(curves):
-                entity, colour, width = f'plate/{what}/{number}', colours[number % 4], 1.5
+                entity, colour, width = f'plate/{quantity}/{number}', colours[number % 4], 1.5
                 if number == len(curves) - 1:
                     colour, width = WHITE, 3.0
                 style = rr.SeriesLines(colors=colour, names=title, widths=width)
                 stream.log(entity, style, static=True)
-                scalars = rr.Scalars.columns(scalars=getattr(motion, what)(times))
+                scalars = rr.Scalars.columns(scalars=getattr(motion, quantity)(times))
                 stream.send_columns(entity, [rr.TimeColumn(THROW_TIME, duration=times)], scalars)
-            views.append(rrb.TimeSeriesView(origin=f'plate/{what}', name=name))
+            views.append(rrb.TimeSeriesView(origin=f'plate/{quantity}', name=name))
         stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(*views), collapse_panels=True))
 
     save_recording(stream, path, draw_curves)

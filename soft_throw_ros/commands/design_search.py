@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recommend a layer, or aim a throw, and print what is found as a table or as JSON."""
+"""Recommend a layer, or aim a throw, and print the answer as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import get_args
 
+from soft_throw_ros.commands.design_texts import remarks_of, summary_of, uncertainty_text, UNITS
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
@@ -36,30 +37,30 @@ from soft_throw_ros.commands.output import (
     write_columns,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
+from soft_throw_ros.configuration.objectives import OBJECTIVES
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import Aim
-from soft_throw_ros.design.evaluate import last_release
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
-from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
-from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED, UNITS, WITHIN
-from soft_throw_ros.design.uncertainty import prediction_uncertainty
+from soft_throw_ros.design.requests import Answer, answer
+from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED_LOSS
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 NOT_REACHED = 1
 """Exit code if the target of an aim is out of reach."""
 
 Columns = dict[str, Mapping[str, float] | None]
-"""Predictions by the heads of their columns."""
+"""Predictions by the titles of their columns."""
 
 _OBJECTIVE = replace(
     TWIN.by_name['recommendation.objective'],
-    meaning='What to look for: the most energy per throw, in the worst case of the uncertainties, '
-    'or in the worst of several throws',
-    choices=('peak', 'robust', 'versatile'),
+    meaning=f'Objective: {"; ".join(OBJECTIVES.values())}',
+    choices=tuple(OBJECTIVES),
 )
 _VARY = replace(
     TWIN.by_name['recommendation.vary'],
-    meaning='What of the layer may be changed; a pick from the library changes all of it',
+    meaning='Part of the layer that may change; a choice from the library changes the whole layer',
     choices=get_args(Vary),
 )
 
@@ -74,7 +75,7 @@ def add_recommend_arguments(parser: argparse.ArgumentParser) -> None:
         '[--vary thickness|wave_speed|both|library] [--json] [--config FILE] [--thickness M ...]'
     )
     without = ('max_amplitude', 'target_height', 'target_speed', *_OF_MOTIONS)
-    _add_arguments(parser, 'what is asked of the layer', without, _OBJECTIVE, _VARY)
+    _add_arguments(parser, 'request', without, _OBJECTIVE, _VARY)
 
 
 def add_aim_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +87,7 @@ def add_aim_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
     without = ('objective', 'quantile', 'masses', 'frequencies', *_OF_MOTIONS)
-    _add_arguments(parser, 'what is aimed at, and with what', without)
+    _add_arguments(parser, 'target and means', without)
 
 
 def _add_arguments(
@@ -95,75 +96,81 @@ def _add_arguments(
     parser.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
-    asked = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(without)]
-    add_options(parser, asked, title=title, entries=entries)
+    names = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(without)]
+    add_options(parser, names, title=title, entries=entries)
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
 
 
 def run_recommend(arguments: argparse.Namespace) -> int:
-    """Recommend, and print it; return 0. What is refused is a ValueError."""
+    """Print a recommendation; return 0, or raise ValueError for a bad request."""
     settings = read_settings(arguments)
     if settings['recommendation.objective'] == 'aim':
         raise ValueError(
-            "recommendation.objective 'aim' is what `design aim` is for; give --objective"
+            "recommendation.objective 'aim' needs the command `design aim`; give --objective"
         )
-    _answer(settings, 'recommendation', _recommendation_lines, arguments.json)
+    _print_answer(settings, 'recommendation', _recommendation_lines, arguments.json)
     return 0
 
 
 def run_aim(arguments: argparse.Namespace) -> int:
-    """Aim, and print it; return 0, or `NOT_REACHED`. What is refused is a ValueError."""
+    """Print an aim; return 0 or `NOT_REACHED`, or raise ValueError for a bad request."""
     settings = read_settings(arguments)
     targets = {'recommendation.target_height', 'recommendation.target_speed'}
-    # A file that aims has its target; of others it would be the default.
+    # Only a file with the objective 'aim' has a target; otherwise an option must give it.
     if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & targets:
-        raise ValueError('nothing to aim at: give --target-height M or --target-speed M/S')
+        raise ValueError('no target: give --target-height M or --target-speed M/S')
     settings['recommendation.objective'] = 'aim'
-    best = _answer(settings, 'aim', _aim_lines, arguments.json)
+    best = _print_answer(settings, 'aim', _aim_lines, arguments.json)
     return 0 if isinstance(best, Aim) and best.is_reached else NOT_REACHED
 
 
-def _answer(
+def _print_answer(
     settings: Settings,
     name: str,
     lines: Callable[[Settings, Answer], Iterator[str]],
     as_json: bool,
 ) -> Answer:
-    """Find what is asked for, and print it."""
+    """Compute a recommendation or an aim, print the result, and return it."""
     with slow_notice('design'):
         best = answer(settings)
+        summary = summary_of(best, rig_of(settings), settings)
         if as_json:
-            asked = {
+            parameters = {
                 key: value
                 for key, value in settings.items()
                 if key in OPTIONS or key.startswith(('recommendation.', 'uncertainty.'))
             }
-            uncertainty = prediction_uncertainty(best.rig, uncertainties_of(settings)).values()
-            text = to_json({'parameters': asked, name: best, 'uncertainty': uncertainty})
+            uncertainties = Uncertainties.from_settings(settings)
+            uncertainty = prediction_uncertainty(best.rig, uncertainties).values()
+            text = to_json({
+                'parameters': parameters,
+                name: {**vars(best), 'summary': summary},
+                'uncertainty': uncertainty,
+            })
         else:
-            text = '\n'.join([best.summary, '', *lines(settings, best)]) + '\n'
+            text = '\n'.join([summary, '', *lines(settings, best)]) + '\n'
     print_text(text)
     return best
 
 
 def _table(settings: Settings, best: Answer, columns: Columns) -> Iterator[str]:
-    """Write predictions side by side, and how far the proposed one may be off."""
+    """Write predictions side by side, and the intervals of the proposed throw."""
     yield from write_columns(columns)
     beyond = [
         head.replace('_', ' ')
-        for head, each in columns.items()
-        if each and each['peak_strain'] > settings['max_strain']
+        for head, prediction in columns.items()
+        if prediction and prediction['peak_strain'] > settings['max_strain']
     ]
     if beyond:
         yield strain_warning(settings['max_strain'], ', '.join(beyond))
-    uncertainty = prediction_uncertainty(best.rig, uncertainties_of(settings))
-    yield f'From what is uncertain (--uncertain-...): {uncertainty.describe()}'
+    uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
+    yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
 
 
 def _aim_lines(settings: Settings, best: Answer) -> Iterator[str]:
-    """Put the throw as it is, the aimed one, and that with the layer as it is side by side."""
-    assert isinstance(best, Aim)  # as it is the objective
+    """Compare the present throw, the aimed one, and the aimed one with the present layer."""
+    assert isinstance(best, Aim)  # because the objective is 'aim'
     rig = rig_of(settings)
     columns: Columns = {'now': None}
     try:
@@ -171,31 +178,31 @@ def _aim_lines(settings: Settings, best: Answer) -> Iterator[str]:
         reached = {'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height}
         columns['now'] = {**vars(now), **reached}
     except ThrowUnresolvedError:
-        pass  # it does not throw
+        pass  # the present rig does not throw
     columns['aimed' if best.is_reached else 'the_most'] = vars(best)
     if best.rig.layer != rig.layer:
         try:
-            other = answer({**settings, 'recommendation.vary': 'amplitude'})
-            if isinstance(other, Aim) and other.is_reached:
-                columns['with_this_layer'] = vars(other)
+            with_present_layer = answer({**settings, 'recommendation.vary': 'amplitude'})
+            if isinstance(with_present_layer, Aim) and with_present_layer.is_reached:
+                columns['with_this_layer'] = vars(with_present_layer)
         except ThrowUnresolvedError:
-            pass  # this layer throws with no amplitude
+            pass  # the present layer throws with no amplitude
     yield from _table(settings, best, columns)
 
 
 def _recommendation_lines(settings: Settings, best: Answer) -> Iterator[str]:
-    """Put the layer as it is beside the recommended ones; say how much parameters matter."""
-    assert isinstance(best, Recommendation)  # as it is no aim
+    """Compare the present layer with the recommended ones; list the sensitivities."""
+    assert isinstance(best, Recommendation)  # because the objective is not 'aim'
     columns: Columns = {'now': vars(best.now) if best.now else None, 'recommended': vars(best)}
-    for name in ('thickness', 'wave_speed', 'both'):
-        other = getattr(best, f'by_{name}')
-        if name != best.vary and other is not None:
-            columns[f'by_{name}'] = vars(other)
+    for name in ('thickness', 'wave_speed'):
+        alternative = getattr(best, f'by_{name}')
+        if name != best.vary and alternative is not None:
+            columns[f'by_{name}'] = vars(alternative)
     yield from _table(settings, best, columns)
     yield ''
     yield (
-        f'around the recommended layer{"best":>11}{f"{100.0 * WITHIN:g} % lost at":>22}'
-        f'{f"{100.0 * TOLERATED:g} % within +-":>18}{"1 % more":>12}'
+        f'around the recommended layer{"best":>11}{f"{100.0 * TOLERATED_LOSS:g} % within +-":>18}'
+        f'{"1 % more":>12}'
     )
     yield from map(_sensitivity_line, best.sensitivities)
     if best.candidates:
@@ -203,15 +210,13 @@ def _recommendation_lines(settings: Settings, best: Answer) -> Iterator[str]:
         yield from ('', f'{"from the library":{width}}{"mm":>6}{"score":>11}')
         for item in best.candidates:
             yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'
-    yield from ('', best.remarks)
+    yield from ('', remarks_of(best))
 
 
 def _sensitivity_line(item: Sensitivity) -> str:
     unit, scale = UNITS[item.name]
-    span = f'{scale * item.low:.4g} ... {scale * item.high:.4g}'
     title = item.name.replace('_', ' ')
-    edge = f'  (falls off an edge with {item.edge})' if item.edge else ''
     return (
-        f'{title:22}{unit:>6}{scale * item.value:11.4g}{span:>22}{scale * item.tolerance:18.2g}'
-        f'{item.elasticity:+10.2f} %{edge}'
+        f'{title:22}{unit:>6}{scale * item.value:11.4g}{scale * item.tolerance:18.2g}'
+        f'{item.sensitivity:+10.2f} %'
     )

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw what was fitted: data, model, residuals."""
+"""Figures of a fit: data, model and residuals."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.identification.ejection import Ejection
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.ringing import CommonValue, Ringing
-from soft_throw_ros.identification.throw_analysis import Ejection
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.identification.video import SpaceTime
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's colours, which everybody can tell apart
+# Colours of Okabe and Ito, which colour-blind readers can distinguish
 _COLOURS = {'plate': '#000000', 'projectile': '#0072b2', 'layer': '#d55e00'}
 _DATA: dict[str, Any] = {'ls': '', 'marker': '.', 'ms': 4.0, 'alpha': 0.5, 'mew': 0.0}
 _MILLI, _MICRO = 1e3, 1e6
-_PERIODS = 2.5  # of the plate that are shown large, and ...
-_RISES = 2.2  # times its rise
-_POINTS = 2000  # of the model
-_MOST = 6  # throws or layers that are drawn, one over the other
+_PERIODS = 2.5  # length of the enlarged section [plate periods]
+_RISES = 2.2  # height of the enlarged section, as a multiple of the rise of the plate
+_POINTS = 2000  # number of points of a curve of the model
+_MOST = 6  # largest number of throws or layers in one figure
 
 
 def draw_throws(
@@ -53,13 +53,13 @@ def draw_throws(
     Parameters
     ----------
     found : RigFit
-        Of these tracks.
+        The fit of the tracks.
     ejection : Ejection or None
-        Of the model.
+        First release of the model.
     summary : sequence of str
-        To stand above.
+        Lines above the figure.
     path : Path
-        Of a PNG, PDF or SVG file.
+        Name of a PNG, PDF or SVG file.
 
     """
     residuals = {id(each.track): each for each in found.fit.residuals}
@@ -114,7 +114,7 @@ def draw_throws(
 def draw_layers(
     layers: Sequence[tuple[float, Ringing]], speed: CommonValue, thickness_error: float, path: Path
 ) -> None:
-    """Draw how free layers ring, and their periods over their thicknesses [m]."""
+    """Draw the ringing of free layers, and their periods over their thicknesses [m]."""
     figure = _figure(9.6, 6.0)
     panels = figure.subplot_mosaic(
         [['ring', 'line'], ['left', 'apart']], height_ratios=[2.6, 1.0], sharex=False

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Tracks from files: CSV, bags with messages JointState, and videos.
+Tracks from files: CSV, and bags with messages JointState.
 
-What to read, and how, is said by the options of the command `identify`.
+The options of `add_track_options` choose the bodies, columns and units.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import replace
+import io
 import math
 from pathlib import Path
-import sys
 
 import numpy as np
-from soft_throw_ros.commands.identify_video import read_layer_video, read_throw_video
-from soft_throw_ros.commands.output import naming
+from soft_throw_ros.commands.options import any_number, positive
+from soft_throw_ros.commands.output import CommandParser, naming
+from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.track_csv import read_csv
+from soft_throw_ros.identification.track_csv import read_csv, UNITS
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     find_throws,
@@ -43,27 +45,50 @@ from soft_throw_ros.identification.tracks import (
     Track,
     TrackError,
 )
-from soft_throw_ros.identification.video import is_video, SpaceTime
+from soft_throw_ros.identification.video import is_video
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import JointStateReader, MessageError
 
-_BODIES = ('plate', 'projectile')
-_TYPE = 'sensor_msgs/msg/JointState'
-_PREFERRED = ('/measured_joint_states', '/joint_states')
-"""How topics end that are read before others: what is measured, then what the twin says."""
+_MAX_BYTES = 1 << 26
+"""Size of a CSV file [byte]: minutes of two tracks at 10 kHz."""
 
-_MAX_FALSE_THROWS = 10  # that a record of one may be taken for because of its noise
-_ONE_MOTION = 1.5  # times the noise that one motion leaves of a record at most, if it is of one
+_PREFERRED = tuple(
+    topic.at('').name for topic in (TWIN_TOPICS.measured_joint_states, TWIN_TOPICS.joint_states)
+)
+"""Endings of topics by preference: measured positions come before positions of a twin."""
+
+_MAX_FALSE_THROWS = 10  # number of throws up to which noise may have split a record of one throw
+_ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of the noise
 
 
-def read_throws(path: str, arguments: argparse.Namespace) -> list[ThrowTracks]:
-    """Read the throws of a CSV file, a bag or a video; a ValueError names file and line."""
-    if path in arguments.video:
-        tracks = read_throw_video(path, arguments)
-    elif Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
-        tracks = _read_bag(path, arguments.topic)
+def add_track_options(parser: CommandParser) -> None:
+    """Add the options for reading tracks; `read_throws` and `read_layer` use them."""
+    add = parser.add_argument
+    add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
+    add(
+        '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
+    )
+    add(
+        '--from', dest='start', metavar='S', type=any_number, default=-math.inf,
+        help='ignore samples before this time',
+    )
+    add(
+        '--to', dest='end', metavar='S', type=any_number, default=math.inf,
+        help='ignore samples after this time',
+    )
+    add('--topic', help='topic to read from bags, if several have a plate')
+
+
+def read_throws(path: str, arguments: argparse.Namespace, notes: list[str]) -> list[ThrowTracks]:
+    """
+    Read the throws of a CSV file or a bag; a ValueError names file and line.
+
+    A sentence about each defect of the tracks is appended to the notes.
+    """
+    if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
+        tracks = _read_bag(path, arguments.topic, notes)
     else:
-        tracks = _read_csv(path, _BODIES, arguments.unit)
+        tracks = _read_csv(path, JOINTS, arguments.unit)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
     tracks = {body: _with_noise(track, arguments) for body, track in tracks.items()}
@@ -71,7 +96,26 @@ def read_throws(path: str, arguments: argparse.Namespace) -> list[ThrowTracks]:
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
     with _naming(whole.name):
         whole = whole.between(arguments.start, arguments.end)
+        whole = _without_lone_samples(whole, notes)
         return [throw for part in split_at_breaks(whole) for throw in _throws_of(part)]
+
+
+def _without_lone_samples(record: ThrowTracks, notes: list[str]) -> ThrowTracks:
+    """Remove isolated samples, and note their number."""
+
+    def leave_out(track: Track) -> Track:
+        lone = track.is_lone
+        if not lone.any() or (~lone).sum() < FEWEST:
+            return track
+        first, last = track.time[lone][[0, -1]]
+        notes.append(
+            f'{record.name}: {lone.sum()} samples from {first:g} s to {last:g} s are far apart, '
+            'as those with late stamps; they are left out'
+        )
+        # the noise is estimated anew: a height that goes with a late stamp may be anything
+        return replace(track, time=track.time[~lone], position=track.position[~lone])
+
+    return record.apply(leave_out)
 
 
 def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
@@ -81,15 +125,9 @@ def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
     return split_into_throws(record)
 
 
-def read_layer(
-    path: str, arguments: argparse.Namespace
-) -> tuple[tuple[Track, Track], SpaceTime | None]:
-    """Read bottom and top of a free layer; of a video, too, the line they were followed along."""
-    line = None
-    if is_video(path):
-        tracks, line = read_layer_video(path, arguments)
-    else:
-        tracks = _read_csv(path, ('bottom', 'top'), arguments.unit)
+def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
+    """Read bottom and top of a free layer from a CSV file."""
+    tracks = _read_csv(path, ('bottom', 'top'), arguments.unit)
     if 'top' not in tracks:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
     with _naming(path):
@@ -97,12 +135,12 @@ def read_layer(
             _with_noise(tracks[end], arguments).between(arguments.start, arguments.end)
             for end in ('bottom', 'top')
         )
-    return (bottom, top), line
+    return bottom, top
 
 
 @contextlib.contextmanager
 def _naming(name: str) -> Iterator[None]:
-    """Name the file of which tracks are refused."""
+    """Add the name of the file to errors of its tracks."""
     try:
         yield
     except TrackError as error:
@@ -114,12 +152,15 @@ def _with_noise(track: Track, arguments: argparse.Namespace) -> Track:
 
 
 def _read_csv(path: str, bodies: Sequence[str], unit: str) -> dict[str, Track]:
-    with naming(path), Path(path).open(encoding='utf-8-sig', newline='') as file:
-        return read_csv(file, path, bodies, unit=unit)
+    if is_video(path):
+        raise TrackError(f'{path}: is a video; first convert it to tracks with soft-throw track')
+    with naming(path):
+        text = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig')
+    return read_csv(io.StringIO(text, newline=''), path, bodies, unit=unit)
 
 
 def _is_one_motion(record: ThrowTracks) -> bool:
-    """Tell whether one motion explains a record that noise makes look like several throws."""
+    """Return whether one motion explains a record that noise seems to split into throws."""
     try:
         residual = fit_plate(record.plate).fit.residuals[0]
     except FitError:
@@ -127,13 +168,13 @@ def _is_one_motion(record: ThrowTracks) -> bool:
     return residual.rms < _ONE_MOTION * record.plate.noise
 
 
-def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
-    """Read plate and projectile from the topic that was asked for, or the best of a bag."""
+def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:
+    """Read plate and projectile from the requested topic, or from the preferred one of a bag."""
     heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
     readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
     unreadable: Counter[str] = Counter()
     with BagReader(path) as reader:
-        names = {channel.topic for channel in reader.channels if channel.type == _TYPE}
+        names = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
         for message in reader.messages(names):
             name = message.channel.topic
             try:
@@ -143,11 +184,11 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
                 continue
             # some may be of other joints, as of the plate alone
             seen = dict(zip(values.names, values.position))  # noqa: B905  or without positions
-            row = [seen.get(body, math.nan) for body in _BODIES]
+            row = [seen.get(body, math.nan) for body in JOINTS]
             heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
         damage = reader.damage
     if damage:
-        print(f'identify: {damage}; what can be read is taken', file=sys.stderr)
+        notes.append(f'{damage}; the readable messages are used')
     found = sorted(
         name
         for name, rows in heights.items()
@@ -163,14 +204,11 @@ def _read_bag(path: str, topic: str | None) -> dict[str, Track]:
             f'that have: {", ".join(found) or "none"}' + (' (choose with --topic)' * bool(found))
         )
     if count := unreadable[best[0]]:
-        print(
-            f'identify: {path}: {count} messages on {best[0]!r} are no {_TYPE}, and left out',
-            file=sys.stderr,
-        )
+        notes.append(f'{path}: {count} messages on {best[0]!r} are no {JOINT_STATE}, and left out')
     rows = sorted(heights[best[0]].items())
     time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])
     tracks = {}
-    for body, each in zip(_BODIES, np.array([row for _, row in rows]).T, strict=True):
+    for body, each in zip(JOINTS, np.array([row for _, row in rows]).T, strict=True):
         is_seen = np.isfinite(each)
         if is_seen.sum() >= FEWEST:
             tracks[body] = Track(time=time[is_seen], position=each[is_seen])

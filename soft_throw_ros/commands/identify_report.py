@@ -11,32 +11,36 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What an identification found: as a table, as JSON, and as a parameter file of the twin."""
+"""Results of an identification: as a table, as JSON, and as a parameter file of the twin."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
+import sys
 
-from soft_throw_ros.commands.output import to_json
+from soft_throw_ros.commands.options import new_file
+from soft_throw_ros.commands.output import CommandParser, naming, print_text, to_json
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
 from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.identification.answer import Answer, GOOD_ENOUGH
+from soft_throw_ros.identification.ejection import Ejection
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.model_choice import LayerModel
 from soft_throw_ros.identification.rig_fit import RigFit
-from soft_throw_ros.identification.throw_analysis import Ejection
 
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
-_MAX_NAMES = 4  # of sources in a parameter file
-_MAX_OUTLIERS = 4  # of a track that are listed one by one
-_MAX_TRACKS = 8  # that have a row of their own; if there are more, the worst of them
+_MAX_NAMES = 4  # largest number of sources listed in a parameter file
+_MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed individually
+_MAX_TRACKS = 8  # largest number of tracks in the table; the worst ones come first
 _NAME_WIDTH = 24
-_NOISY = 0.7  # of an error that is noise, from which on nothing else is said of it
-_LARGE_PART = 0.3  # of an error, from which on it is said what it comes from
-_UNITS_OF_TERMS = {'projectile.delay': 's', 'projectile.sticking': 's'}
+_NOISY = 0.7  # share of noise in an error, above which no other source is listed
+_LARGE_PART = 0.3  # share of an error, above which its source is listed
+_UNITS_OF_TERMS = {'projectile.delay': 's'}
 
 EJECTION_ROWS = (
     ('time', 'ejection time t_e', 's'),
@@ -49,24 +53,28 @@ EJECTION_ROWS = (
 @dataclass(frozen=True, kw_only=True)
 class IdentificationReport:
     """
-    What was found.
+    Result of an identification.
 
     Parameters
     ----------
     sources : tuple of str
-        The throws, or files, it was found in.
+        Names of the throws or files.
     found : mapping of str to Estimate
-        Parameters of the twin.
+        Fitted parameters of the twin.
     held : mapping of str to float
-        Those that were taken to be known.
+        Parameters that the fit assumed as known.
     chosen : mapping of str to str
-        Those that are no numbers, and are otherwise than somebody said.
+        Chosen models that differ from the request.
+    answer : tuple of str
+        Lines that come first.
     lines : tuple of str
-        More for people.
+        Further lines of the printed report.
     data : mapping
-        The same for programs: whatever JSON has a form for.
+        The content of `lines` for programs, in types that JSON can represent.
+    notes : tuple of str
+        Defects of the tracks, such as missing samples or messages.
     warnings : tuple of str
-        What there is to doubt.
+        Reasons to doubt the result.
 
     """
 
@@ -74,14 +82,17 @@ class IdentificationReport:
     found: Mapping[str, Estimate]
     held: Mapping[str, float] = field(default_factory=dict)
     chosen: Mapping[str, str] = field(default_factory=dict)
+    answer: tuple[str, ...] = ()
     lines: tuple[str, ...]
     data: Mapping[str, object]
+    notes: tuple[str, ...] = ()
     warnings: tuple[str, ...]
 
     def table(self) -> str:
-        """Write it for people to read."""
+        """Return the report as text."""
         width = max(map(len, PARAMETERS))
-        lines = [f'{name:{width}}  {text}' for name, text in self._estimates()]
+        lines = [*self.answer, ''] if self.answer else []
+        lines += [f'{name:{width}}  {text}' for name, text in self._estimates()]
         for name, value in self.held.items():
             unit, factor = _handy_unit(unit_of(name))
             text = f'{factor * value:.6g} {unit}'.rstrip()
@@ -90,19 +101,20 @@ class IdentificationReport:
         return '\n'.join([*lines, '', *self.lines]) + '\n'
 
     def json(self) -> str:
-        """Write it for programs to read, in SI units."""
+        """Return the report as JSON, in SI units."""
         found = {
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
         }
-        parts = {'sources': self.sources, 'found': found, 'held': self.held}
-        return to_json({**parts, 'chosen': self.chosen, **self.data, 'warnings': self.warnings})
+        parts: dict[str, object] = {'sources': self.sources, 'found': found, 'held': self.held}
+        parts |= {'chosen': self.chosen, **self.data, 'notes': self.notes}
+        return to_json({**parts, 'warnings': self.warnings})
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
         for name, value in self.found.items():
             yield name, with_unit(value, unit_of(name))
 
     def put_into(self, settings: Settings) -> Settings:
-        """Put what was found into settings of the twin, or raise ParameterError."""
+        """Return settings of the twin with the fitted parameters; may raise ParameterError."""
         request: dict[str, Value] = {
             name: float(f'{value.value:.8g}') for name, value in self.found.items()
         }
@@ -117,8 +129,18 @@ class IdentificationReport:
                 f'found, but not for the twin: {error}{hint}', *error.names
             ) from None
 
+    def finish(self, settings: Settings, arguments: argparse.Namespace, command: str) -> None:
+        """Write the parameter file on request, and print the report, notes and warnings."""
+        identified = self.put_into(settings)
+        if arguments.output:
+            with naming(arguments.output):
+                self.write(identified, arguments.output)
+        print_text(self.json() if arguments.json else self.table())
+        for message in (*self.notes, *self.warnings):
+            print(f'{command}: {message}', file=sys.stderr)
+
     def write(self, settings: Settings, path: Path) -> None:
-        """Write what describes the rig, and whatever else is not as it is by default."""
+        """Write the parameters of the rig, and all others that differ from their defaults."""
         kept = {
             entry.name: settings[entry.name]
             for entry in TWIN.entries
@@ -131,8 +153,19 @@ class IdentificationReport:
         title = [f'Identified from {", ".join(names)}:']
         title += [f'{name} {text}' for name, text in self._estimates()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
-        with atomic_file(path) as unfinished:  # whoever reads it meanwhile finds the one before
+        with atomic_file(path) as unfinished:  # readers see the old file meanwhile
             files.write(unfinished, kept, title='\n'.join(title))
+
+
+def add_report_options(parser: CommandParser) -> None:
+    """Add the options for the output of a report; `IdentificationReport.finish` reads them."""
+    add = parser.add_argument
+    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
+    add(
+        '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
+        help='picture of data, fit and residuals to draw',
+    )
+    add('--json', action='store_true', help='print one object: SI units')
 
 
 def unit_of(name: str) -> str:
@@ -141,7 +174,7 @@ def unit_of(name: str) -> str:
 
 
 def _handy_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which tables have what is in a unit of SI, and SI times what it is."""
+    """Return the unit of tables for an SI unit, and the factor from SI."""
     return _UNITS_IN_TABLES.get(unit, (unit, 1.0))
 
 
@@ -152,7 +185,7 @@ def with_unit(value: Estimate, unit: str) -> str:
 
 
 def budget_lines(found: RigFit) -> Iterator[str]:
-    """Say what else the fit has found, and of what an error is made that is not mere noise."""
+    """Yield the nuisance parameters of the fit, and all large sources of error besides noise."""
     for name, value in found.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
     for name, ends in found.intervals.items():
@@ -164,30 +197,66 @@ def budget_lines(found: RigFit) -> Iterator[str]:
             continue
         parts = found.fit.budget(name)
         total = math.sqrt(sum(part**2 for part in parts.values()))
-        large = {n: part for n, part in parts.items() if part > _LARGE_PART * total}
         if parts['noise'] < _NOISY * total:
-            shown, factor = _handy_unit(unit_of(name))
-            listed = ', '.join(
-                f'{n} {factor * part:.2g}'
-                for n, part in sorted(large.items(), key=lambda item: -item[1])
-            )
-            yield f'error of {name}: {factor * total:.2g} {shown}'.rstrip() + f', by {listed}'
+            yield _budget_line(name, total, unit_of(name), parts)
+
+
+def _budget_line(name: str, error: float, unit: str, parts: Mapping[str, float]) -> str:
+    """Return a line with the largest contributions to an error, all in SI units."""
+    shown, factor = _handy_unit(unit)
+    total = math.sqrt(sum(part**2 for part in parts.values()))
+    listed = ', '.join(
+        f'{source} {factor * part:.2g}'
+        for source, part in sorted(parts.items(), key=lambda item: -item[1])
+        if part > _LARGE_PART * total
+    )
+    return f'error of {name}: {factor * error:.2g} {shown}'.rstrip() + f', by {listed}'
+
+
+def answer_lines(answer: Answer, found: RigFit, ejection: Ejection) -> Iterator[str]:
+    """Yield the wave speeds and the verdict."""
+    speed, at_rest = answer.effective_wave_speed, answer.rest_wave_speed
+    amplitude = 1e3 * found.rig.engine.amplitude
+    yield (
+        f'{"effective wave speed":{_NAME_WIDTH}} {with_unit(speed, "m/s")} '
+        f'({100.0 * speed.error / speed.value:.2g} %), at the amplitude of {amplitude:.3g} mm'
+    )
+    reason = f', limited by {answer.limited_by}' if answer.limited_by else ''
+    if answer.limited_by == 'layer.stiffening':
+        reason = (
+            ', limited by the unknown stiffening; fit a throw at half the amplitude as well '
+            'to narrow it'
+        )
+    yield f'{"wave speed at rest":{_NAME_WIDTH}} {with_unit(at_rest, "m/s")}{reason}'
+    verdict = (
+        'good enough to choose a layer' if answer.is_good_enough
+        else 'not good enough to choose a layer'
+    )
+    if found.fit.is_mismatch:
+        verdict += ', because the model leaves out something'
+    elif ejection.alternatives:
+        verdict += '; another number of echoes is possible, see below'
+    elif not answer.is_good_enough:
+        verdict += f' ({100.0 * GOOD_ENOUGH:g} %); soft-throw plan ranks the next throws'
+    yield (
+        f'{"energy transfer":{_NAME_WIDTH}} {ejection.energy_transfer} '
+        f'(known to {100.0 * answer.energy_transfer_error:.2g} %): {verdict}'
+    )
 
 
 def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
-    """Write a table of how well kinds of layers explain the throws."""
+    """Return a table that compares the fits of different models of the layer."""
     if layers:
         yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
     for each in layers:
-        note = '' if each.is_fitted else '  to first order'
         yield (
             f'{each.name:{_NAME_WIDTH}} {each.chi2:12.1f} {each.chi2 / each.dof:8.3f} '
-            f'{each.criterion:+8.1f}{note}'
+            f'{each.criterion:+8.1f}'
         )
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:
-    """Say how well tracks are fitted, and what was left out."""
+    """Yield the quality of the fit of each track, and its outliers."""
     yield (
         f'chi squared {fit.chi2:.1f} for {fit.dof} degrees of freedom '
         f'({fit.reduced_chi2:.3f} each)'
@@ -219,7 +288,7 @@ def fit_lines(fit: Fit) -> Iterator[str]:
 
 
 def fit_data(fit: Fit) -> dict[str, object]:
-    """Name what JSON tells of a fit."""
+    """Return the JSON data of a fit."""
     return {
         'names': fit.names,
         'values': fit.values,
@@ -242,17 +311,26 @@ def fit_data(fit: Fit) -> dict[str, object]:
     }
 
 
-def ejection_lines(columns: Mapping[str, Ejection]) -> Iterator[str]:
-    """Write ejections side by side."""
+def ejection_lines(ejection: Ejection) -> Iterator[str]:
+    """Yield a table of the first release, and its alternatives beyond a jump."""
     yield ''
-    yield ' ' * 22 + ''.join(f'{name:>26}' for name in columns)
     for key, label, unit in EJECTION_ROWS:
-        cells = (with_unit(getattr(each, key), unit) for each in columns.values())
-        yield f'{label:22}' + ''.join(f'{cell:>26}' for cell in cells)
+        yield f'{label:{_NAME_WIDTH}} {with_unit(getattr(ejection, key), unit)}'
+    for other in ejection.alternatives:
+        count = 'one echo' if abs(other.echoes) == 1 else f'{abs(other.echoes)} echoes'
+        yield (
+            f'or, with {100.0 * other.probability:.0f} %, {count} '
+            f'{"later" if other.echoes > 0 else "earlier"}: t_e {with_unit(other.time, "s")}, '
+            f'V_e {with_unit(other.speed, "m/s")}, alpha {other.energy_transfer}'
+        )
+    parts = ejection.time_budget
+    if parts['tracks'] < _NOISY * math.sqrt(sum(part**2 for part in parts.values())):
+        yield _budget_line('ejection time', ejection.time.error, 's', parts)
 
 
-def ejection_data(ejection: Ejection | None) -> dict[str, Estimate] | None:
-    """Name what JSON tells of an ejection."""
+def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:
+    """Return the JSON data of an ejection."""
     if ejection is None:
         return None
-    return {key: getattr(ejection, key) for key, _, _ in EJECTION_ROWS}
+    data: dict[str, object] = {key: getattr(ejection, key) for key, _, _ in EJECTION_ROWS}
+    return {**data, 'alternatives': ejection.alternatives, 'time_budget': ejection.time_budget}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Options that commands share: the parameters of a rig, and who does the work of a sweep."""
+"""Options that commands share: parameters of a rig, worker processes, file names."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ import signal
 
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration.table import float_of
 
 
 class WorkersLostError(RuntimeError):
-    """Those who do the work are gone."""
+    """The worker processes have ended unexpectedly."""
 
 
 def _option(name: str) -> str:
-    """Name the option of a parameter by its last part."""
+    """Return the option of a parameter: the last part of its name, with a prefix."""
     group, _, last = name.rpartition('.')
     if name == 'layer.name':
         return '--layer'
@@ -50,28 +51,28 @@ OPTIONS = {
     for entry in TWIN.entries
     if entry.is_of_rig and entry.name != 'model'
 }
-"""The parameters that describe a rig, and what their options are called."""
+"""Options of the parameters that describe a rig, by the names of the parameters."""
 
 RECOMMENDATION_OPTIONS = _group('recommendation')
-"""Those that say what is asked of a layer."""
+"""Options of the objective and the limits of a recommendation."""
 
 UNCERTAINTY_OPTIONS = _group('uncertainty')
-"""Those that say how far a rig may be off."""
+"""Options of the uncertainties of a rig."""
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
-    meaning='How the plate moves: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), or '
-    'as a file tells, CSV of time and height or a bag',
+    meaning='Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), or '
+    'a recorded motion from a file (CSV of time and height, or a bag)',
     choices=(),
     kind="'underdamped', 'harmonic' or the path of a file",
 )
-"""As an option: nobody measures a plate while a command runs."""
+"""The option `--motion`; the value `measured` is missing, since commands have no sensors."""
 
 _NEEDED = {
     '.rrd': ('rerun', 'rerun'),
     **dict.fromkeys(('.png', '.pdf', '.svg'), ('plot', 'matplotlib')),
 }
-"""What is needed for files of some endings: an extra of the package, and a module."""
+"""Extra of this package and module that are required to write a file, by suffix."""
 
 _ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
 
@@ -81,8 +82,26 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
-    title, text = 'parameters of the rig', 'as those of the twin; each replaces what the file says'
+    title, text = 'parameters of the rig', 'as for the twin; options override the file'
     add_options(parser, OPTIONS, title=title, description=text)
+
+
+def model_name(text: str) -> str:
+    """Return the name of a model; print a warning if `text` is a deprecated name."""
+    return str(TWIN.without_deprecated({'model': text}, files.print_warning)['model'])
+
+
+def _former_option(
+    option: str, new_option: str, convert: Callable[[str], Value]
+) -> Callable[[str], Value]:
+    """Return the type of a deprecated option, which prints a warning."""
+    def value_of(text: str) -> Value:
+        files.print_warning(
+            f'{option} is deprecated and will be refused from the next release on: '
+            f'use {new_option}'
+        )
+        return convert(text)
+    return value_of
 
 
 def add_options(
@@ -94,9 +113,9 @@ def add_options(
     entries: Iterable[Entry] = (),
 ) -> None:
     """
-    Add a group with an option for each of some parameters; `read_settings` reads them.
+    Add a group with one option per parameter; `read_settings` reads them.
 
-    `entries` stand for rows of the table of parameters where a command takes less than these.
+    `entries` replace rows of the table of parameters if a command accepts fewer values.
 
     """
     special = {entry.name: entry for entry in (_MOTION, *entries)}
@@ -104,6 +123,7 @@ def add_options(
     for name in names:
         entry = special.get(name, TWIN.by_name[name])
         is_text = isinstance(entry.default, str)
+        convert: Callable[[str], Value] = str if is_text else number_or_text
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
             values = entry.default if isinstance(entry.default, tuple) else (entry.default,)
@@ -113,33 +133,42 @@ def add_options(
             dest=name,
             metavar=entry.unit.upper() or ('NAME' if is_text else 'NUMBER'),
             nargs='+' if isinstance(entry.default, tuple) else None,
-            type=str if is_text else number_or_text,
+            type=convert,
             choices=entry.choices or None,
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
+        for option in (_option(old) for old, new in TWIN.deprecated.items() if new == name):
+            group.add_argument(
+                option,
+                dest=name,
+                type=_former_option(option, _ALL_OPTIONS[name], convert),
+                choices=entry.choices or None,
+                default=argparse.SUPPRESS,
+                help=argparse.SUPPRESS,
+            )
 
 
 def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     """
-    Return complete settings: the defaults, what the file says, what the options say.
+    Return complete settings: the defaults, overridden by the file, overridden by the options.
 
-    A file may say that the plate is measured; then the motion by `engine.*` is taken.
+    If the plate of the file is measured, use the motion of `engine.*` instead.
 
     Raises
     ------
     ParameterError
-        Naming the option, or file and line, of a value that is refused.
+        If a value is refused; the message names the option, or the file and line.
 
     """
-    given = vars(arguments)
-    request = {name: given[name] for name in _ALL_OPTIONS if name in given}
+    values = vars(arguments)
+    request = {name: values[name] for name in _ALL_OPTIONS if name in values}
     motion = request.get('engine.motion', 'harmonic')
     if motion in TWIN.by_name['engine.motion'].choices[2:]:
         raise ParameterError(f'argument --motion: must be {_MOTION.kind}, got {motion!r}')
     if motion not in TWIN.by_name['engine.motion'].choices:
         request |= {'engine.motion': 'file', 'engine.motion_file': motion}
-    settings = files.read(given['config']) if 'config' in given else TWIN.defaults()
+    settings = files.read(values['config']) if 'config' in values else TWIN.defaults()
     try:
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
@@ -154,28 +183,28 @@ def _shortly(value: Value) -> str:
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """Add `--workers` and `--dask`; `open_executor` reads them."""
-    who = parser.add_mutually_exclusive_group()
-    who.add_argument(
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
         '--workers', metavar='N', type=count, default=1,
-        help='share the work out among N processes (default 1: this one)',
+        help='number of worker processes (default 1: this process)',
     )
-    who.add_argument(
+    group.add_argument(
         '--dask', metavar='ADDRESS',
-        help='have the workers of a Dask scheduler do it, such as tcp://10.0.0.1:8786',
+        help='use the workers of a Dask scheduler, such as tcp://10.0.0.1:8786',
     )
 
 
 @contextlib.contextmanager
 def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
     """
-    Give what does the work, as the options say: an executor, or None for this very process.
+    Yield the executor that the options select, or None for this process.
 
     Raises
     ------
     ValueError
-        If there is no such scheduler, or Dask is not installed.
+        If the scheduler does not answer, or Dask is not installed.
     WorkersLostError
-        If the work cannot go on: a process was killed, or the scheduler is gone.
+        If a worker process was killed, or the connection to the scheduler is lost.
 
     """
     if arguments.dask is not None:
@@ -184,8 +213,8 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
     elif arguments.workers == 1:
         yield None
     else:
-        # Started anew, since threads do not survive a fork, and all at once, with Ctrl-C blocked:
-        # they inherit that, and so it is answered here alone. They finish the block they are at.
+        # Spawn, because threads do not survive a fork. Start all workers while SIGINT is blocked:
+        # they inherit the mask, so only this process handles Ctrl-C. Workers finish their block.
         spawn = multiprocessing.get_context('spawn')
         with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as executor:
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -196,42 +225,56 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
                 yield executor
             except BrokenExecutor:
                 raise WorkersLostError(
-                    'a worker process was killed, perhaps for want of memory'
+                    'a worker process was killed, perhaps because memory ran out'
                 ) from None
 
 
 def number_or_text(text: str) -> float | str:
-    """Read a number if it is one; what it may be is for the table of parameters to say."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    """Parse a number; return any other text unchanged, for the table of parameters to check."""
+    value = float_of(text)
+    return text if value is None else value
+
+
+def any_number(text: str) -> float:
+    """Parse a number, as an argparse type."""
+    value = float_of(text)
+    if value is None or math.isnan(value):
+        raise argparse.ArgumentTypeError(f'must be a number, got {text!r}')
+    return value
 
 
 def count(text: str) -> int:
-    """Read a whole number above 0, as argparse has it."""
-    if not text.isdecimal() or int(text) < 1:
+    """Parse a whole number above 0, as an argparse type."""
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
         raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
     return int(text)
 
 
 def positive(text: str) -> float:
-    """Read a number above 0, as argparse has it."""
-    value = number_or_text(text)
-    if not isinstance(value, float) or not 0.0 < value < math.inf:
+    """Parse a finite number above 0, as an argparse type."""
+    value = float_of(text)
+    if value is None or not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'must be finite and positive, got {text}')
     return value
 
 
+def not_negative(text: str) -> float:
+    """Parse a finite number that is 0 or more, as an argparse type."""
+    value = float_of(text)
+    if value is None or not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'must be finite and not negative, got {text}')
+    return value
+
+
 def new_file(*endings: str) -> Callable[[str], Path]:
-    """Return what reads the name of a file, and refuses one that could not be written."""
+    """Return an argparse type for the names of writable files."""
 
     def read(text: str) -> Path:
         path = Path(text)
         if endings and path.suffix not in endings:
-            raise argparse.ArgumentTypeError(f'must end on {", ".join(endings)}, got {text!r}')
+            raise argparse.ArgumentTypeError(f'must end with {", ".join(endings)}, got {text!r}')
         if not path.absolute().parent.is_dir():
-            raise argparse.ArgumentTypeError(f'{text}: there is no folder {path.parent}')
+            raise argparse.ArgumentTypeError(f'{text}: folder {path.parent} not found')
         if endings and path.suffix in _NEEDED:
             try:
                 require(text, *_NEEDED[path.suffix])
@@ -258,7 +301,7 @@ def _open_dask(address: str) -> Iterator[Executor]:
             yield executor
         except KilledWorker:
             raise WorkersLostError(
-                'the same work has killed several Dask workers, perhaps for want of memory'
+                'the same task has killed several Dask workers, perhaps because memory ran out'
             ) from None
         except CancelledError:
-            raise WorkersLostError(f'the Dask scheduler at {address} is gone') from None
+            raise WorkersLostError(f'lost the Dask scheduler at {address}') from None

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What commands have in common on their way out: refusals, notices, tables and JSON."""
+"""Output that commands share: errors, notices, tables and JSON."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ import itertools
 import json
 import math
 import os
+import re
 import sys
 import threading
 from typing import NamedTuple, NoReturn
@@ -31,73 +32,79 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
 
-_WIDTH = 12  # of a column of numbers
+_WIDTH = 12  # width of a column of numbers [characters]
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser of command lines that prints errors without the usage, which may fill a screen."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print an error of usage and exit with 2."""
+        self.refuse(message, is_usage=True)
+
+    def refuse(self, message: str, *, is_usage: bool) -> NoReturn:
+        """Print an error in one line, after an error of usage a hint to --help; exit with 2."""
+        text = ' '.join(message.splitlines())  # a quoted argument may contain line ends
+        hint = f'{self.prog}: see --help for all options\n' if is_usage else ''
+        self.exit(2, f'{self.prog}: error: {text}\n{hint}')
 
 
 def run_command(
-    parser: argparse.ArgumentParser,
+    parser: CommandParser,
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
 ) -> int:
     """
-    Parse arguments and run a command with them.
+    Parse the arguments of a command and run it.
 
     Parameters
     ----------
-    parser : ArgumentParser
-        Of the command.
+    parser : CommandParser
+        Parser of the command.
     run : callable
-        Returns the exit code; a ValueError is a refusal.
+        Function that runs the command and returns the exit code. A ValueError from it is
+        reported as an error of usage.
     args : list of str, optional
-        Those of the process by default.
+        Arguments; those of the process by default.
 
     Raises
     ------
     SystemExit
-        With exit code 2 if something is refused, after a line that says what.
+        With exit code 2 after printing an error.
 
     """
-    error_of = parser.error
-
-    def refuse(text: str) -> NoReturn:
-        error_of(
-            ' '.join(text.splitlines())
-        )  # an argument that is quoted may have line ends in it
-
-    parser.error = refuse  # type: ignore[assignment, method-assign]
     arguments = parser.parse_args(args)
     try:
-        exit_code = run(arguments)
+        return run(arguments)
     except ValueError as error:
-        parser.error(str(error))
-    return exit_code
+        parser.refuse(str(error), is_usage=str(error).startswith('argument '))
 
 
 @contextlib.contextmanager
 def naming(path: object) -> Iterator[None]:
-    """Refuse in one line that names it a file that cannot be read or written."""
+    """Convert errors of reading or writing a file into ValueErrors that name the file."""
     try:
         yield
     except UnicodeDecodeError:
-        raise ValueError(f'{path}: is no UTF-8 text') from None
+        raise ValueError(f'{path}: not a UTF-8 text') from None
     except OSError as error:
         raise ValueError(f'{path}: {error.strerror or error}') from None
 
 
-def require(what: str, extra: str, *modules: str) -> None:
-    """Refuse what needs modules that are not installed; an extra of the package has them."""
+def require(feature: str, extra: str, *modules: str) -> None:
+    """Raise ValueError if a feature needs modules that are not installed; name their extra."""
     for name in modules:
         if importlib.util.find_spec(name) is None:
             raise ValueError(
-                f"{what} needs what pip installs with 'soft_throw_ros[{extra}]': "
-                f'there is no module {name}'
+                f'{feature} needs the module {name}, which pip installs with '
+                f"'soft_throw_ros[{extra}]'"
             )
 
 
 @contextlib.contextmanager
 def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
-    """Say on standard error what a command is waiting for, if it takes longer than that [s]."""
-    text = f'{command}: computing; the first run compiles, which takes half a minute'
+    """Print a notice to standard error if a command computes for longer than `after` [s]."""
+    text = f'{command}: computing; the first run compiles kernels, which takes half a minute'
     timer = threading.Timer(after, print, (text,), {'file': sys.stderr, 'flush': True})
     timer.daemon = True
     timer.start()
@@ -107,18 +114,35 @@ def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
         timer.cancel()
 
 
+_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]')
+"""Control characters of a terminal, except line ends and tabs."""
+
+
+def printable(text: str) -> str:
+    r"""
+    Escape control characters, which names in an untrusted bag may contain.
+
+    Examples
+    --------
+    >>> print(printable('/a\x1b[2J'))
+    /a\x1b[2J
+
+    """
+    return _CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
+
+
 def print_text(text: str) -> None:
-    """Print it; a reader that has closed the pipe, as `| head` does, has seen enough."""
+    """Print a text without control characters; a closed pipe, such as `| head`, is no error."""
     try:
-        sys.stdout.write(text)
+        sys.stdout.write(printable(text))
         sys.stdout.flush()
     except BrokenPipeError:
-        # Python would complain once more when it exits.
+        # Otherwise Python reports the closed pipe again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def to_json(data: object) -> str:
-    """Write dataclasses, named tuples and arrays as JSON; what is not finite becomes null."""
+    """Format dataclasses, named tuples and arrays as JSON; non-finite numbers become null."""
     return json.dumps(_plain(data), indent=2, allow_nan=False) + '\n'
 
 
@@ -129,16 +153,16 @@ def _plain(value: object) -> object:
     if hasattr(value, '_asdict'):
         value = value._asdict()
     if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class _Row(NamedTuple):
-    """A line of a table: the key of its numbers, its title, its unit, and SI times what it is."""
+    """A line of a table: key of its numbers, title, unit, and factor from SI to the unit."""
 
     key: str
     title: str
@@ -183,18 +207,18 @@ _ROWS = (
     _Row('heat', '  to heat', 'mJ', 1e3),
     _Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
 )
-"""All that is said of throws in tables."""
+"""Quantities of a throw, in the order of the tables."""
 
 
 def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator[str]:
     """
-    Write a table for people, line by line: what is known of each of some throws.
+    Yield the lines of a table of throws; rows without numbers are omitted.
 
     Parameters
     ----------
     columns : mapping of str to mapping or None
-        The numbers by their keys, under heads whose words, joined by `_`, stand one below the
-        other.
+        Numbers by their keys, under column heads; words of a head that are joined by `_` are
+        written below each other.
 
     """
     words = [head.split('_') for head in columns]
@@ -206,11 +230,11 @@ def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator
             yield _line(row.title, row.unit, cells)
 
 
-def strain_warning(max_strain: float, where: str) -> str:
-    """Say that a throw is beyond the strain up to which a layer is linear [-]."""
+def strain_warning(max_strain: float, source: str) -> str:
+    """Return the warning that the strain exceeds the linear range of a layer [-]."""
     return (
-        f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range ({where}): a real layer '
-        'will do otherwise.'
+        f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range ({source}): a real layer '
+        'will deviate from this prediction.'
     )
 
 

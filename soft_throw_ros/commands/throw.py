@@ -14,7 +14,7 @@
 """
 Predict one throw by every model, as a table or as JSON; or many first releases, from a CSV file.
 
-Values are given like the parameters of the twin, and the same table says what is allowed.
+The options are the parameters of the twin, with the same ranges.
 """
 
 from __future__ import annotations
@@ -29,15 +29,18 @@ import sys
 from typing import TypedDict
 
 import numpy as np
+from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    model_name,
     number_or_text,
     OPTIONS,
     read_settings,
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.commands.output import (
+    CommandParser,
     naming,
     print_text,
     run_command,
@@ -49,18 +52,18 @@ from soft_throw_ros.commands.output import (
 from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.design.requests import uncertainties_of
-from soft_throw_ros.design.uncertainty import prediction_uncertainty
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 ModelResult = Mapping[str, float]
-"""What a model predicts, by name and in SI units; what it does not know is left out."""
+"""Predictions of a model by name, in SI units; predictions that it cannot make are absent."""
 
 
 class Prediction(TypedDict):
-    """What `--json` prints."""
+    """Output of `--json`."""
 
     parameters: dict[str, Value]
     rig: dict[str, float]
@@ -75,8 +78,8 @@ def main(args: list[str] | None = None) -> int:
     return run_command(_parser(), _run, args)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         description='Predict one throw by every model, or many first releases from a CSV file.',
         usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--model NAME ...] '
         '[--json | --cases FILE]',
@@ -84,22 +87,22 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument(
-        '--model', metavar='NAME', action='append', choices=tuple(MODELS),
-        help=f'only this model; may be repeated: {", ".join(MODELS)} (default all)',
+        '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
+        help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
     most = TWIN.by_name['max_strain']
     parser.add_argument(
         '--max-strain', metavar='NUMBER', type=number_or_text,
-        help=f'{most.meaning}; {most.rule} (default {most.default:g})',
+        help=f'{most.meaning}; {most.rule} (default {most.default:g})'.replace('%', '%%'),
     )
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument(
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
-    how.add_argument(
+    group.add_argument(
         '--cases', metavar='FILE',
         help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
-        'te_f and alpha are added to them, without gravity',
+        'the columns te_f and alpha are added, computed without gravity',
     )
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
@@ -107,33 +110,33 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    given = vars(arguments)
-    if 'cases' in given:
-        text = _compute_cases(given)
+    options = vars(arguments)
+    if 'cases' in options:
+        text = _compute_cases(options)
     else:
         settings = read_settings(arguments)
-        if 'max_strain' in given:
-            settings['max_strain'] = TWIN.check_value('max_strain', given['max_strain'])
+        if 'max_strain' in options:
+            settings['max_strain'] = TWIN.check_value('max_strain', options['max_strain'])
         with slow_notice('throw'):
-            prediction = predict(settings, given.get('model', MODELS))
-        text = to_json(prediction) if 'json' in given else table(prediction)
+            prediction = predict(settings, options.get('model', MODEL_NOTES))
+        text = to_json(prediction) if 'json' in options else table(prediction)
     print_text(text)
     return 0
 
 
-MODELS: Mapping[str, str] = {
+MODEL_NOTES: Mapping[str, str] = {
     'closed_form': 'first release of a rigid projectile on a lossless layer, exact',
     'travelling_wave': (
-        'rigid projectile, lossless layer, the whole throw as the twin computes it'
+        'rigid projectile, lossless layer, whole throw, as computed by the twin'
     ),
-    'finite_difference': 'rigid projectile, layer of cells with internal loss, to about 1e-4',
-    'finite_difference_elastic': 'cells of the projectile, too; speeds of its centre of mass',
-    'finite_difference_glued': (
-        'layer glued to the projectile and thrown with it; speeds of both together'
+    'cells': 'rigid projectile, layer of cells with internal loss, to about 1e-4',
+    'cells_elastic': "cells of layer and projectile; speeds of the projectile's centre of mass",
+    'cells_glued': (
+        'layer glued to the projectile and released together; speeds of both together'
     ),
     'spring_mass': 'layer without mass and loss, harmonic plate, no gravity (App. A)',
 }
-"""The models, and what is to be known about them."""
+"""Models of the command (those of the twin and the closed form), each with a note."""
 
 
 def predict(settings: Settings, names: Iterable[str]) -> Prediction:
@@ -143,17 +146,19 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     Parameters
     ----------
     settings : mapping of str to value
-        Complete settings; those of the twin itself do not matter.
+        Complete settings of the twin; only rig, uncertainties and `max_strain` matter.
     names : iterable of str
-        Some of `MODELS`.
+        Names of models, keys of `MODEL_NOTES`.
 
     Returns
     -------
     Prediction
-        In SI units: `parameters`; the numbers that decide a throw, as `rig`; what each of the
-        `models` says; the 95 % intervals of the first release, as `uncertainty`; `notes` about
-        both; and whether the throw `leaves_linear_range`. A model that cannot do this throw is
-        None, and its note says why.
+        All values are in SI units. `parameters` are the settings, `rig` has the ratios and times
+        that govern a throw, `models` the predictions, and `uncertainty` the 95 % intervals of
+        the first release. `notes` explain models and uncertainty; a note `shocks` warns of
+        shocks in a neo-Hookean layer. A model that does not support this throw is None, and its
+        note contains the reason. `leaves_linear_range` is true if the strain is too large for
+        the linear models.
 
     """
     rig = rig_of(settings)
@@ -161,15 +166,26 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     notes: dict[str, str] = {}
     for name in dict.fromkeys(names):
         try:
-            models[name], notes[name] = _predict_by(name, rig), MODELS[name]
-        except (ValueError, RuntimeError) as error:  # what the core raises for such a rig
+            models[name], notes[name] = _predict_by(name, rig), MODEL_NOTES[name]
+        except (ValueError, RuntimeError) as error:  # the model does not support this rig
             models[name], notes[name] = None, f'none, {error}'
     uncertainty = None
     try:
-        found = prediction_uncertainty(rig, uncertainties_of(settings))
-        uncertainty, notes['uncertainty'] = found.values(), f'95 % of throws: {found.describe()}'
+        intervals = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
+        uncertainty = intervals.values()
+        notes['uncertainty'] = f'95 % of throws: {uncertainty_text(intervals)}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
+    times = [
+        result['ejection_time']
+        for name, result in models.items()
+        if result and name in CELL_MODELS and name != 'spring_mass'
+    ]
+    if max(times, default=0.0) > rig.shock_time:
+        notes['shocks'] = (
+            f'the layer compresses into shocks after {1e3 * rig.shock_time:.3g} ms, before the '
+            'release: ejection time and speed by finite differences have errors up to 4e-3'
+        )
     strains = [(result or {}).get('peak_strain', 0.0) for result in models.values()]
     return {
         'parameters': {
@@ -192,7 +208,7 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
 
 
 def _predict_by(model: str, rig: Rig) -> ModelResult:
-    """Predict a throw by one model: its first release alone, or all of it."""
+    """Predict the first release, or the whole throw, with one model."""
     engine = rig.engine
     if engine.motion and model in ('closed_form', 'spring_mass'):
         raise ValueError('this formula is for underdamped and harmonic plates, got a file')
@@ -207,7 +223,7 @@ def _predict_by(model: str, rig: Rig) -> ModelResult:
         fastest = Underdamped.of(engine).peak_velocity
         return _release(engine, float(first.ejection_phase), float(first.speed), fastest)
     if model == 'spring_mass':
-        # The formula of App. A knows neither damping nor gravity
+        # The formula of App. A neglects damping and gravity
         spring = spring_mass.first_release(
             frequency_ratio=rig.natural_frequency / engine.frequency
         )
@@ -234,11 +250,11 @@ _OF_THROW = (
     'last_energy_transfer', 'peak_strain', 'peak_plate_strain', 'peak_contact_strain',
     'peak_acceleration', 'peak_plate_force',
 )
-"""What is called as in `Throw`."""
+"""Predictions with the name of an attribute of `Throw`."""
 
 
 def _simulated(model: str, rig: Rig) -> ModelResult:
-    """Run a throw to its end."""
+    """Simulate a throw to its end."""
     throw = simulate(rig, model=model)
     result: dict[str, float] = {name: getattr(throw, name) for name in _OF_THROW}
     result |= {
@@ -247,9 +263,9 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'last_ejection_speed': throw.last_release.velocity,
         'plate_work': throw.energies.plate_work,
     }
-    if model != 'finite_difference_glued':  # where the layer is thrown, too
+    if model != 'cells_glued':  # where the layer is thrown, too
         projectile, release = rig.projectile, throw.first_release
-        rise = release.position - (rig.layer.thickness - rig.static_sag)
+        rise = release.position - throw.rest_height
         energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)
         result |= {
             'layer_energy': throw.energies.stored - energy,
@@ -263,7 +279,7 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
 
 
 def table(prediction: Prediction) -> str:
-    """Write what `predict` returns for people to read."""
+    """Format the result of `predict` as a table."""
     rig = prediction['rig']
     numbers = (
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
@@ -273,9 +289,9 @@ def table(prediction: Prediction) -> str:
     lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
     if prediction['leaves_linear_range']:
         settings = prediction['parameters']
-        largest = float(settings['max_strain'])  # type: ignore[arg-type]
-        most = rig_of(settings).layer.linear_range(largest)
-        lines.append(strain_warning(most, '--max-strain'))
+        max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
+        limit = rig_of(settings).layer.linear_range(max_strain)
+        lines.append(strain_warning(limit, '--max-strain'))
     return '\n'.join(lines) + '\n'
 
 
@@ -284,17 +300,17 @@ _CASES = {
     'kappa': ('finite and positive', lambda value: 0.0 < value < math.inf),
     'zeta': ('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
 }
-"""The columns of a file of cases, and what may stand in them."""
+"""Columns of a CSV file of cases: rule and check of their values."""
 
 
-def _compute_cases(given: Mapping[str, str]) -> str:
-    """Compute the first release for every row of a CSV file, and write them as one."""
-    other = sorted(given.keys() - {'cases'})
-    if other:
+def _compute_cases(arguments: Mapping[str, str]) -> str:
+    """Compute the first release for every row of a CSV file; return the results as CSV."""
+    others = sorted(arguments.keys() - {'cases'})
+    if others:
         options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
-        option = options.get(other[0], '--' + other[0].replace('_', '-'))
+        option = options.get(others[0], '--' + others[0].replace('_', '-'))
         raise ValueError(f'argument {option}: not allowed with argument --cases')
-    path = given['cases']
+    path = arguments['cases']
     name = 'standard input' if path == '-' else path
     with naming(name):
         if path == '-':
@@ -306,10 +322,10 @@ def _compute_cases(given: Mapping[str, str]) -> str:
         print(f'throw: {name} has no rows below its header', file=sys.stderr)
     mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
     with slow_notice('throw'):
-        found = first_releases(
+        releases = first_releases(
             mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
         )
-    for i in np.flatnonzero(np.isnan(found.ejection_phase)):
+    for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
         try:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
         except ThrowUnresolvedError as error:
@@ -317,7 +333,7 @@ def _compute_cases(given: Mapping[str, str]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow([*_CASES, 'te_f', 'alpha'])
-    columns = np.array([mu, kappa, zeta, found.ejection_phase, found.energy_transfer])
+    columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
     writer.writerows(columns.T.tolist())
     return text.getvalue()
 
@@ -335,18 +351,20 @@ def _read_cases(file: Iterable[str], name: str) -> dict[int, list[float]]:
             )
         reader.fieldnames = header
         for row in reader:
-            where = f'{name}:{reader.line_num}'
-            rows[reader.line_num] = [_case_value(column, row[column], where) for column in _CASES]
+            position = f'{name}:{reader.line_num}'
+            rows[reader.line_num] = [
+                _case_value(column, row[column], position) for column in _CASES
+            ]
     except csv.Error as error:
         raise ValueError(f'{name}:{reader.line_num}: {error}') from None
     return rows
 
 
-def _case_value(column: str, text: str | None, where: str) -> float:
+def _case_value(column: str, text: str | None, position: str) -> float:
     rule, allows = _CASES[column]
     if text is None:
-        raise ValueError(f'{where}: the row ends before its value of {column}')
+        raise ValueError(f'{position}: the row ends before its value of {column}')
     value = number_or_text(text)
     if not isinstance(value, float) or not allows(value):
-        raise ValueError(f'{where}: {column} must be a number, {rule}, got {text!r}')
+        raise ValueError(f'{position}: {column} must be a number, {rule}, got {text!r}')
     return value

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Compile all kernels beforehand, so that nodes and commands start quickly."""
+"""Compile all kernels in advance, so that nodes and commands start quickly."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ import os
 import signal
 import time
 
-from soft_throw_ros.commands.output import print_text, run_command
+from soft_throw_ros.commands.output import CommandParser, print_text, run_command
 from soft_throw_ros.twin.kernels import load_kernels, PARTS
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the command; exit code 0."""
-    parser = argparse.ArgumentParser(
+    """Run the command; the exit code is 0."""
+    parser = CommandParser(
         description='Compile all kernels, once for this installation, so that nodes and commands '
-        'start quickly. What is compiled already is only loaded.',
+        'start quickly. Kernels that are already compiled are only loaded.',
         allow_abbrev=False,
     )
     parser.add_argument(
         'parts',
         metavar='PART',
         nargs='*',
-        help=f'which, among {", ".join(PARTS)} (default: all)',
+        help=f'parts to compile, from {", ".join(PARTS)} (default: all)',
     )
     return run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     for signal_number in (signal.SIGINT, signal.SIGTERM):
-        # numba would answer in many lines; what is on the disk is whole at any time
+        # Exit at once, because numba would print a long traceback; files on the disk are complete.
         signal.signal(signal_number, lambda number, _: os._exit(128 + number))
     parts = arguments.parts or list(PARTS)
     for part in parts:
@@ -52,10 +52,10 @@ def _run(arguments: argparse.Namespace) -> int:
     for number, part in enumerate(parts, 1):
         title = f'{number}/{len(parts)} {part}'
         begin = time.monotonic()
-        load_kernels([part], say=partial(_say, title))
+        load_kernels([part], say=partial(_print_line, title))
         print_text(f'{title}: ready, {time.monotonic() - begin:.1f} s\n')
     return 0
 
 
-def _say(title: str, text: str) -> None:
+def _print_line(title: str, text: str) -> None:
     print_text(f'{title}: {text}\n')

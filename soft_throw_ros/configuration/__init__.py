@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters: a table for every node, settings made from it, and parameter files. No ROS."""
+"""Parameters without ROS: a table for every node, its settings, and parameter files."""
 
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.recorder import RECORDER

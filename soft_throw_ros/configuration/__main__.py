@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write the files of config/ and docs/ that follow from the tables: run it where those are."""
+"""Generate files of config/ and docs/ from the tables; run above both folders."""
 
 from pathlib import Path
 

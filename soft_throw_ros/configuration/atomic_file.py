@@ -24,17 +24,17 @@ from pathlib import Path
 @contextlib.contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """
-    Have a file appear, or replace another, once it is written as a whole.
+    Create or replace a file only after its content is complete.
 
     Parameters
     ----------
     path : Path
-        Stays as it is if anything is raised within the context.
+        File to create or replace; an exception within the context leaves the file unchanged.
 
     Yields
     ------
     Path
-        Where to write, instead.
+        Temporary file for the content.
 
     """
     beside = path.with_name(f'{path.name}.{os.getpid()}.tmp')

@@ -14,41 +14,45 @@
 """
 ROS parameter files and arguments, read without ROS.
 
-Offline commands need the values. The node, which gets its values from ROS, needs to know where
-each came from: to name file and line of a bad one, and to let what is given later win.
+Offline commands read the values here. A node gets its values from ROS, and finds here the file
+and line of each, for error messages and for the order of requests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import resources
 from itertools import pairwise
+import math
 from pathlib import Path
 import re
+import sys
 import textwrap
 from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
-from soft_throw_ros.configuration.table import ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.table import ParameterError, quote, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
+import yaml
 
 _KEY = 'ros__parameters'
 
 
 class Given(NamedTuple):
-    """A value somebody gave."""
+    """A value from a file or an argument, and its source."""
 
     value: Any
     where: str
     """`FILE:LINE` or `-p NAME:=VALUE`."""
     order: int = 0
-    """Of the file, or row of arguments, among all; later ones win."""
+    """Number of the file or of the row of arguments; later ones win."""
     in_file: bool = True
 
 
 Sections = dict[str, dict[str, Given]]
-"""What is given to whom, by the pattern of the node's name."""
+"""Values by parameter, for each pattern of node names."""
 
 
 def default_file(table: Table = TWIN) -> Path:
@@ -60,23 +64,23 @@ def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[
     """
     Read complete settings for a node from a ROS parameter file.
 
-    What the file does not mention keeps its default. Results are left out, so that what
-    `ros2 param dump` writes can be read again; so are parameters that every node has.
+    Parameters that the file lacks keep their defaults. Results, and parameters that every node
+    has, are ignored, so that a file of `ros2 param dump` can be read.
 
     Parameters
     ----------
     path : path_like
         A YAML file.
     node : str
-        Full name of the node; the file's wildcards are matched as ROS does.
+        Full name of the node, which is matched with the wildcards of the file as in ROS.
     table : Table
-        Of the node's parameters.
+        Parameters of the node.
 
     Raises
     ------
     ParameterError
-        Naming file and line, if the file cannot be read, has nothing for the node, or has a
-        value that is refused.
+        If the file cannot be read, has no parameters of the node, or has a refused value; the
+        message has file and line.
 
     """
     sections: Sections = {}
@@ -90,47 +94,69 @@ def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[
     return start(values, given, table)
 
 
-def start(values: Settings, given: dict[str, Given], table: Table = TWIN) -> dict[str, Value]:
-    """
-    Make the settings to start with from what files and arguments give.
+def print_warning(text: str) -> None:
+    """Print a warning to stderr."""
+    print(f'warning: {text}', file=sys.stderr)
 
-    Each file is one request, and so is each row of `-p`; they are taken one after another. So
-    `-p layer.thickness:=...` turns a layer that a file names into a custom one, and contradicts
-    nothing.
+
+def start(
+    values: Settings,
+    given: dict[str, Given],
+    table: Table = TWIN,
+    *,
+    warn: Callable[[str], object] = print_warning,
+) -> dict[str, Value]:
+    """
+    Return the settings at the start from the values of files and arguments.
+
+    Each file is one request, and so is each row of `-p`; requests are applied in their order.
+    Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one, and does
+    not contradict the file.
 
     Parameters
     ----------
     values : mapping of str to value
-        What is given, over the defaults.
+        Values that replace the defaults.
     given : dict of str to Given
-        Where it was given; not all need be known.
+        Sources of the values, as far as they are known.
     table : Table
-        Of the node's parameters.
+        Parameters of the node.
+    warn : callable
+        Called with a sentence for each deprecated name; by default it is printed to stderr.
 
     Raises
     ------
     ParameterError
-        Saying where, if a value is refused, or two contradict each other.
+        If a value is refused, or two contradict each other; the message has the source.
 
     """
     requests: dict[int, dict[str, Value]] = {}
     for name, value in values.items():
-        place = given.get(name, Given(value, ''))
+        source = given.get(name, Given(value, ''))
         entry = table.by_name.get(name)
-        if not (place.in_file and entry is not None and entry.is_result):
-            requests.setdefault(place.order, {})[name] = value
+        if not (source.in_file and entry is not None and entry.is_result):
+            requests.setdefault(source.order, {})[name] = value
+    places = {}  # of values that have a known one, also by their present names
+    for name, item in given.items():
+        places[name] = places[table.deprecated.get(name, name)] = f'{item.where}: '
+
+    def warn_at(place: str, text: str) -> None:
+        warn(place + text)
+
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
-            settings.update(table.change(settings, request))
+            for name, value in request.items():
+                table.without_deprecated({name: value}, partial(warn_at, places.get(name, '')))
+            settings.update(table.change(settings, table.without_deprecated(request)))
     except ParameterError as error:
-        where = next((f'{given[name].where}: ' for name in error.names if name in given), '')
+        where = next((places[name] for name in error.names if name in places), '')
         raise ParameterError(f'{where}{error}', *error.names) from None
     return settings
 
 
 def is_foreign(name: str) -> bool:
-    """Tell whether a parameter is one that rclpy gives to every node."""
+    """Return whether a parameter is one that rclpy declares on every node."""
     return name in ('use_sim_time', 'start_type_description_service') or name.startswith(
         'qos_overrides.'
     )
@@ -138,12 +164,12 @@ def is_foreign(name: str) -> bool:
 
 def read_arguments(arguments: Sequence[str]) -> Sections:
     """
-    Collect what ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`) give to any node.
+    Return the values in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
 
     Raises
     ------
     ParameterError
-        Naming file and line, if a file cannot be read.
+        If a file cannot be read; the message has file and line.
 
     """
     sections: Sections = {}
@@ -156,7 +182,7 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
             continue
         target, separator, text = argument.partition(':=')
         node, _, name = target.rpartition(':')
-        if separator and text:  # what is no rule is refused by ROS
+        if separator and text:  # ROS refuses all others
             where = f'-p {argument}'
             given = Given(located_yaml.parse(text, where), where, order, in_file=False)
             sections.setdefault(_pattern(node or '/**'), {})[name] = given
@@ -165,7 +191,7 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
 
 def select(sections: Sections, node: str) -> dict[str, Given]:
     """
-    Pick what is given to one node, by parameter name.
+    Return the values for one node by parameter name.
 
     Notes
     -----
@@ -183,7 +209,7 @@ def select(sections: Sections, node: str) -> dict[str, Given]:
 
 
 def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
-    """Write settings as the text of a ROS parameter file, commented from the table."""
+    """Return the text of a ROS parameter file with comments from the table."""
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
     lines += [f'/**/{table.node}:', f'  {_KEY}:']
     group = ''
@@ -203,22 +229,27 @@ def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
 
 
 def write(path: str | Path, settings: Settings, *, title: str = '') -> None:
-    """Write settings (all, or some) into a ROS parameter file that `read` and ROS read."""
+    """Write some or all settings to a ROS parameter file."""
     Path(path).write_text(render(settings, title=title), encoding='utf-8')
 
 
 def _text(value: Value) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return f'[{", ".join(map(str, value))}]'
-    text = str(value) or "''"
-    # YAML 1.1 takes 1e-05 for a text; with a point everybody takes it for a number
-    return text.replace('e', '.0e') if re.fullmatch(r'-?\de[-+]\d+', text) else text
+    """Return a value as a line of YAML; texts are quoted, so that none is read as a number."""
+    items = [
+        float(item) if isinstance(item, float) else item  # without the types of numpy
+        for item in (value if isinstance(value, tuple) else (value,))
+    ]
+    style = None
+    if isinstance(items[0], str):  # only double quotes can hold a line end or a control character
+        style = "'" if all(str(item).isprintable() for item in items) else '"'
+    text = yaml.safe_dump(
+        items, default_flow_style=True, default_style=style, width=math.inf, allow_unicode=True
+    ).strip()
+    return text if isinstance(value, tuple) else text[1:-1]
 
 
 def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the parameter flags among ROS arguments, each with what follows it."""
+    """Yield the parameter flags among ROS arguments, each with its argument."""
     inside = False
     for flag, argument in pairwise(arguments):
         inside = (inside or flag == '--ros-args') and flag != '--'
@@ -239,8 +270,8 @@ def _nodes(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:
     """Yield every `ros__parameters` with the pattern above it."""
     if tree.items is None:
         raise ParameterError(
-            f'{tree.where}: expected NODE: {_KEY}: NAME: VALUE, got {tree.value!r} before any '
-            f'{_KEY}'
+            f'{tree.where}: expected NODE: {_KEY}: NAME: VALUE, '
+            f'got {quote(tree.value)} before any {_KEY}'
         )
     for key, value in tree.items:
         if key == _KEY:

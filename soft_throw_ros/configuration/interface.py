@@ -12,27 +12,34 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Every topic and service of the nodes as data: the one place that nodes and recording read.
+Table of all topics and services; nodes, recording and docs/topics.md read it.
 
-A new topic of the twin is one row of `TwinTopics` and the line in the node that fills it:
-publishers, what a recorder knows of it and docs/topics.md follow from the row. Nothing here needs
-ROS; `nodes.topics` makes publishers and subscriptions of the rows.
+A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
+A new number of a result is one row of `interface_numbers`. The publisher, the decoding of recorded
+messages and docs/topics.md follow from the row. The module does not need ROS; `nodes.topics`
+creates publishers and subscriptions from the rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from soft_throw_ros.configuration.interface_numbers import (
+    Number,
+    RECOMMENDED_NUMBERS,
+    THROW_NUMBERS,
+)
+
 FRAME = 'rig'
-"""Frame of everything that has a header: z up, from the plate's rest position."""
+"""Frame of all messages with a header: z points up from the plate's rest position."""
 
 JOINTS = ('plate', 'projectile')
 """Joints of the rig."""
 
 FIELD_POINTS = 64
-"""Heights at which the layer is published, evenly spaced from plate to top."""
+"""Number of published points of the layer, evenly spaced from plate to top."""
 
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
 """Joints of the layer, from plate to top."""
@@ -44,10 +51,10 @@ NUMBER = 'std_msgs/msg/Float64'
 TEXT = 'std_msgs/msg/String'
 TRIGGER = 'std_srvs/srv/Trigger'
 
-_SEVERAL = 10  # more than are published at once, so that no late subscriber misses one
-_ONE_SECOND = 5000  # of ticks at the highest rate
-_OF_A_JOURNAL = 1000  # four minutes; the line of every throw has all that a later subscriber needs
-_AFTER_A_STALL = 5000  # a second of measurements at the usual rate, which may come at once
+_SEVERAL = 10  # depth of a queue for bursts: more messages than are ever published at once
+_ONE_SECOND = 5000  # depth for one second of ticks at the highest rate
+_OF_A_JOURNAL = 1000  # depth for four minutes; later subscribers start at the line of a throw
+_AFTER_A_STALL = 5000  # depth for one second of measurements, which may arrive at once
 
 
 def resolve(name: str, node: str) -> str:
@@ -73,18 +80,18 @@ class Topic:
     name : str
         `~` stands for the node; a name without leading slash is relative to its namespace.
     type, meaning : str
-        Of the messages, as `std_msgs/msg/String`; what it says, a sentence without full stop.
+        Type of the messages, such as `std_msgs/msg/String`; description without full stop.
     depth : int
-        How many messages are kept for a subscriber that is slow, or late if it is latched.
+        Number of messages kept for slow subscribers, and for late ones if the topic is latched.
     is_reliable, is_latched : bool
-        Whether messages that are lost on the way are sent again, and whether the last `depth`
-        messages reach those who subscribe later (transient local).
+        Whether lost messages are sent again, and whether late subscribers receive the last
+        `depth` messages (transient local).
     joints, quantities : tuple of str
-        Of a JointState, and which of its arrays are filled; an input may lack the last joints.
+        Joints of a JointState, and its filled arrays; an input may lack the last joints.
     axes : tuple of str
         Labels of the dimensions of an array.
     is_input : bool
-        Whether the node subscribes to it; otherwise it publishes.
+        Whether the node subscribes to the topic; otherwise it publishes.
 
     """
 
@@ -101,11 +108,11 @@ class Topic:
 
     @property
     def relative_name(self) -> str:
-        """Name below the node; a name that is absolute stays so."""
+        """Name relative to the node; an absolute name is unchanged."""
         return self.name.removeprefix('~/')
 
     def fits(self, name: str) -> bool:
-        """Tell whether a full name may be this topic's, of some node."""
+        """Return whether a full name can be this topic of some node."""
         if not self.name.startswith('~'):
             return name == self.name
         ending = resolve(self.name, '')
@@ -143,141 +150,161 @@ class TwinTopics(NamedTuple):
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
         depth=_SEVERAL, is_latched=True)
+    phase_change: Topic = Topic(
+        '~/phase_change', JOINT_STATE,
+        'Phase as a number, with the time of the change as stamp: 0 `rest`, 1 `contact`, '
+        '2 `flight`, 3 `landed`, 4 `returning`',
+        depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
-        'What a throw gave, at its first release and when it is over; with a measured plate also '
-        'what it will give, with its errors: when it is known within measured.prediction_error, '
-        'and when it is certain',
+        'Result of a throw, at its first release and at its end; with a measured plate also the '
+        'prediction with its errors, first within measured.prediction_error and again when it is '
+        'certain',
         depth=_SEVERAL, is_latched=True)
-    ejection_time: Topic = Topic(
-        '~/throw/ejection_time', NUMBER,
-        'Time from the start of the throw to its first release [s]', is_latched=True)
-    ejection_speed: Topic = Topic(
-        '~/throw/ejection_speed', NUMBER, 'Speed at the first release [m/s]', is_latched=True)
-    energy_transfer: Topic = Topic(
-        '~/throw/energy_transfer', NUMBER,
-        'Energy transfer factor alpha of the first release', is_latched=True)
-    peak_strain: Topic = Topic(
-        '~/throw/peak_strain', NUMBER,
-        'Largest strain of the layer up to the first release', is_latched=True)
     recommendation: Topic = Topic(
-        '~/recommendation', ARRAY, 'The best layer for the rig, after every change',
+        '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
         is_latched=True)
-    recommended_energy_transfer: Topic = Topic(
-        '~/recommended/energy_transfer', NUMBER,
-        'Energy transfer factor alpha that the recommended layer gives', is_latched=True)
     journal: Topic = Topic(
-        '~/journal', TEXT, 'All that is needed to repeat the run, as lines of JSON',
+        '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
         depth=_OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
-        'The projectile as far ahead as it is known when the plate is measured, stamped with that '
-        'time, one message per tick of a throw',
+        'Prediction of the projectile with a measured plate, as far ahead as possible, with the '
+        'predicted time as stamp, one message per tick of a throw',
         depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
-        'Positions by the model less those measured, if both are, stamped as they were',
+        'Model positions minus measured positions, if both bodies are measured, with the stamps '
+        'of the samples',
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
-        'What the rig measures: positions of the plate and, if it is measured, of the projectile, '
-        'velocities or none, stamped with the time of the measurement, at 2 to 10 kHz',
+        'Measured positions of the plate and optionally of the projectile, with or without '
+        'velocities, stamped with the time of the measurement, at 2 to 10 kHz',
         depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
         quantities=('position', 'velocity'), is_input=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'How well the twin keeps time, and what is pending, at 1 Hz',
+        '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
+
+
+class NumberTopic(NamedTuple):
+    """A number of a result, and its topic."""
+
+    number: Number
+    topic: Topic
+
+
+def _number_topics(name: str, numbers: Iterable[Number]) -> tuple[NumberTopic, ...]:
+    """Return the topics of numbers below a name."""
+    return tuple(
+        NumberTopic(
+            number,
+            Topic(
+                f'{name}/{number.name.replace(".", "/")}',
+                NUMBER,
+                number.meaning + (f' [{number.unit}]' if number.unit else ''),
+                is_latched=True,
+            ),
+        )
+        for number in numbers
+    )
 
 
 class RecorderTopics(NamedTuple):
-    """Topics of the recorder, besides those that it records."""
+    """Topics of the recorder, besides the recorded topics."""
 
     status: Topic = Topic(
-        '~/status', ARRAY, 'Whether the recorder records, and where, on change',
+        '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'What is recorded, what was lost, and how the viewer is, at 1 Hz',
+        '/diagnostics', ARRAY, 'Recorded and lost messages, and state of the viewer, at 1 Hz',
         depth=_SEVERAL)
 
 
+class ViewerTopics(NamedTuple):
+    """Topics of the viewer, besides the topics on display."""
+
+    diagnostics: Topic = Topic(
+        '/diagnostics', ARRAY, 'Number of messages that are not shown, at 1 Hz', depth=_SEVERAL)
+
+
 class RigTopics(NamedTuple):
-    """Topics of the rig, which is measured in place of a real one."""
+    """Topics of the simulated rig."""
 
     measured_joint_states: Topic = replace(
         TwinTopics().measured_joint_states.at('twin'), quantities=('position',), is_input=False)
 
 
 class CalibratorTopics(NamedTuple):
-    """Topics of the calibrator, by the usual name of its twin."""
+    """Topics of the calibrator for a twin with the default name."""
 
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'What the last identification found, at 1 Hz', depth=_SEVERAL)
+        '/diagnostics', ARRAY, 'Result of the last identification, at 1 Hz', depth=_SEVERAL)
 
 
 class ReplayTopics(NamedTuple):
-    """Topics of the node that plays a bag, besides those of the bag."""
+    """Topics of the node that plays a bag, in addition to the recorded topics."""
 
     clock: Topic = Topic(
-        '/clock', 'rosgraph_msgs/msg/Clock', 'The time of the bag, if asked for', depth=_SEVERAL)
-
-
-class FormerTopics(NamedTuple):
-    """Topics that the twin no longer has, but bags of version 0.1 do."""
-
-    strain: Topic = Topic('~/layer/strain', MULTI_ARRAY, 'Strain of the layer', axes=('y',))
-    velocity: Topic = Topic('~/layer/velocity', MULTI_ARRAY, 'Its velocity', axes=('y',))
+        '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
 
 
 class TwinServices(NamedTuple):
     """Services of the twin."""
 
     throw: Service = Service(
-        '~/throw', TRIGGER, 'Throw now; refused while a throw is under way, saying for how long')
+        '~/throw', TRIGGER, 'Throw now; rejected during a throw, with the remaining time')
     reset: Service = Service(
-        '~/reset', TRIGGER, 'Break off, and put plate and projectile back')
+        '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
         '~/apply_recommendation', TRIGGER,
-        'Take over the recommended layer, or amplitude')
+        'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
     """Services of the recorder."""
 
-    start: Service = Service('~/start', TRIGGER, 'Begin a new bag')
-    stop: Service = Service('~/stop', TRIGGER, 'Finish the bag')
+    start: Service = Service('~/start', TRIGGER, 'Start recording a new bag')
+    stop: Service = Service('~/stop', TRIGGER, 'Stop recording and finish the bag')
 
 
 class ReplayServices(NamedTuple):
     """Services of the node that plays a bag."""
 
-    pause: Service = Service('~/pause', TRIGGER, 'Let nothing come')
-    resume: Service = Service('~/resume', TRIGGER, 'Go on')
-    step: Service = Service('~/step', TRIGGER, 'While paused, play the messages of the next time')
+    pause: Service = Service('~/pause', TRIGGER, 'Pause playback')
+    resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
+    step: Service = Service(
+        '~/step', TRIGGER, 'Play the messages of the next time stamp while paused')
 
 
 TWIN_TOPICS = TwinTopics()
+THROW_TOPICS = _number_topics('~/throw', THROW_NUMBERS)
+RECOMMENDED_TOPICS = _number_topics('~/recommended', RECOMMENDED_NUMBERS)
+ALL_TWIN_TOPICS = (*TWIN_TOPICS, *(row.topic for row in (*THROW_TOPICS, *RECOMMENDED_TOPICS)))
 RECORDER_TOPICS = RecorderTopics()
+VIEWER_TOPICS = ViewerTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()
 REPLAY_TOPICS = ReplayTopics()
-FORMER_TOPICS = FormerTopics()
 TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
 
 
 class Interface(NamedTuple):
-    """What a node is to others."""
+    """Topics and services of a node."""
 
     topics: Iterable[Topic]
     services: Iterable[Service] = ()
 
 
 INTERFACES = {
-    'twin': Interface(TWIN_TOPICS, TWIN_SERVICES),
+    'twin': Interface(ALL_TWIN_TOPICS, TWIN_SERVICES),
     'recorder': Interface(RECORDER_TOPICS, RECORDER_SERVICES),
+    'viewer': Interface(VIEWER_TOPICS),
     'replay': Interface(REPLAY_TOPICS, REPLAY_SERVICES),
     'rig': Interface(RIG_TOPICS),
     'calibrator': Interface(CALIBRATOR_TOPICS),
@@ -285,8 +312,24 @@ INTERFACES = {
 """The interfaces of all nodes, by their usual names."""
 
 
+def throw_numbers(stage: str, values: Mapping[str, object]) -> Iterator[tuple[Topic, float]]:
+    """
+    Yield the topic and the value of each known number that is published at a stage of a throw.
+
+    Examples
+    --------
+    >>> [(topic.name, value) for topic, value in throw_numbers('final', {'landings': 3})]
+    [('~/throw/landings', 3.0)]
+
+    """
+    for number, topic in THROW_TOPICS:
+        value = values.get(number.name)
+        if number.stage == stage and isinstance(value, (int, float)):
+            yield topic, float(value)
+
+
 class NodeTopic(NamedTuple):
-    """A topic, and the full name of the node that it belongs to, empty if it is nobody's own."""
+    """A topic with the full name of its node, empty for a topic that several nodes share."""
 
     node: str
     topic: Topic
@@ -294,24 +337,24 @@ class NodeTopic(NamedTuple):
 
 def find_topic(name: str, type_name: str) -> NodeTopic | None:
     """
-    Tell which topic of which node a full name stands for, or None if it is none of ours.
+    Return the topic and node of a full name, or None for a topic of other packages.
 
-    The longest name that fits wins, so that the layer's joint states are not taken for those of
-    a node named `layer`.
+    The longest matching name has precedence, so that the layer's joint states do not match the
+    topic of a node named `layer`.
 
     Examples
     --------
-    >>> found = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> found.node, found.topic.name
+    >>> match = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
+    >>> match.node, match.topic.name
     ('/rig1/twin', '~/layer/joint_states')
     >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
-    fitting = [topic for topic in _FINDABLE if topic.type == type_name and topic.fits(name)]
-    if not fitting:
+    matches = [topic for topic in _FINDABLE if topic.type == type_name and topic.fits(name)]
+    if not matches:
         return None
-    topic = max(fitting, key=lambda topic: len(topic.name))
+    topic = max(matches, key=lambda topic: len(topic.name))
     return NodeTopic(name.removesuffix(resolve(topic.name, '')), topic)
 
 
-_FINDABLE = (*TWIN_TOPICS, *FORMER_TOPICS, *RECORDER_TOPICS)
+_FINDABLE = (*ALL_TWIN_TOPICS, *RECORDER_TOPICS)

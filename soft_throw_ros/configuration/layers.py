@@ -12,14 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The library of layers: materials with sourced properties, and the layers that they come in.
+The library of layers: materials with sourced properties and their available thicknesses.
 
-`config/layers.yaml` says what a file of materials looks like; users add one of their own.
+`config/layers.yaml` documents the format of a file of materials; users can add their own file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
-from soft_throw_ros.configuration.table import number_of, ParameterError, row, Table
+from soft_throw_ros.configuration.table import number_of, ParameterError, quote, row, Table
 from soft_throw_ros.core.rig import Layer, Stack
 
 CUSTOM = 'custom'
@@ -45,7 +45,7 @@ BOUNDS: Mapping[str, tuple[str, float, float]] = MappingProxyType({
     'loss_tangent': ('', 0.0, 2.0),
     'youngs_modulus': ('Pa', 50.0, 2e8),
 })
-"""Units of what describes a layer, and what it may be at least and at most."""
+"""Unit, smallest and largest value of each property of a layer."""
 
 _MATERIAL = Table(
     node='material',
@@ -69,8 +69,11 @@ _SHEET = Table(
         for name, (unit, low, high) in BOUNDS.items()
     ),
 )
+MAX_SHEETS = 200
+"""Number of sheets of a stack [-]: the thickest layer has as many of half a millimetre."""
+
 STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
-"""What the sheets of a stack have each, and the stack as a whole."""
+"""Parameters that each sheet of a stack and the whole stack have."""
 
 _DESCRIPTION = ('description', 'source')
 _REQUIRED = (*_DESCRIPTION, 'density', 'loss_tangent')
@@ -79,7 +82,7 @@ _RANGED = ('density', 'loss_tangent', *_STIFFNESS)
 
 
 class MaterialProperty(NamedTuple):
-    """What to compute with, and the range that its source gives, or the value if it gives none."""
+    """Nominal value and published range of a material property."""
 
     value: float
     low: float
@@ -94,13 +97,14 @@ class Material:
     Parameters
     ----------
     name, description, source : str
-        What it is called, what it is, and where the numbers are from.
+        Name, description and source of the numbers.
     density, wave_speed, loss_tangent : MaterialProperty
-        [kg/m3]; of longitudinal waves in a thin bar [m/s]; at the frequency of the plate [-].
+        Density [kg/m3], speed of longitudinal waves in a thin bar [m/s], and loss tangent at the
+        frequency of the plate [-].
     thicknesses : tuple of float
-        In which it comes; if empty, it is cast as wanted. [m]
+        Available thicknesses; empty if the material is cast in any thickness. [m]
     diameter : float or None
-        In which it comes, if only in one. [m]
+        Diameter, if there is only one. [m]
 
     """
 
@@ -115,7 +119,7 @@ class Material:
 
     @property
     def settings(self) -> dict[str, float | str]:
-        """Parameters of the twin that say that a layer is of this material."""
+        """Parameters of the twin for a layer of this material."""
         values: dict[str, float | str] = {
             'layer.stack': '',
             'layer.wave_speed': self.wave_speed.value,
@@ -127,7 +131,7 @@ class Material:
         return values
 
     def layer_name(self, thickness: float) -> str:
-        """Name the layer of a thickness in which it comes; itself if it is cast as wanted."""
+        """Return the layer's name at a thickness, or the material's name if it is cast to size."""
         if not self.thicknesses:
             return self.name
         millimetres = 1e3 * thickness
@@ -138,62 +142,88 @@ class Material:
 
 
 class Library(NamedTuple):
-    """Materials by name, and which parameters of the twin choosing a layer's name sets."""
+    """Materials by name, and the parameters of the twin that the name of a layer sets."""
 
     materials: Mapping[str, Material]
     layers: Mapping[str, Mapping[str, float | str]]
 
-    def sheets(self, text: str) -> list[Layer]:
-        """
-        Read the sheets of a stack from the plate up, separated by commas.
 
-        A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
-        tangent, in SI units.
+def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> list[Layer]:
+    """
+    Read the sheets of a stack from the plate up, separated by commas.
 
-        Raises
-        ------
-        ParameterError
-            If a sheet is none, quoting it.
+    A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
+    tangent, in SI units.
 
-        Examples
-        --------
-        >>> [sheet.wave_speed for sheet in library().sheets('8e-3 gelatin, 2e-3 20 1100 0.1')]
-        [7.8, 20.0]
+    Parameters
+    ----------
+    text : str
+        The sheets.
+    materials : callable
+        Returns the known materials; called only if a sheet names one.
 
-        """
-        return [self._sheet(sheet.split()) for sheet in text.split(',')]
+    Raises
+    ------
+    ParameterError
+        Quoting the sheet that is wrong.
 
-    def _sheet(self, words: list[str]) -> Layer:
-        """Read a sheet of a stack."""
-        sheet = ' '.join(words)
-        if len(words) == 2 and number_of(words[1]) is None:
-            if words[1] not in self.materials:
-                raise ParameterError(
-                    f'layer.stack: no material is named {words[1]!r}; there are '
-                    f'{", ".join(self.materials)}',
-                    'layer.stack',
-                )
-            values = {
-                name.removeprefix('layer.'): value
-                for name, value in self.materials[words[1]].settings.items()
-                if name in STACKED
-            }
-        elif len(words) in (3, 4):
-            values = dict(zip(('wave_speed', 'density', 'loss_tangent'), words[1:], strict=False))
-        else:
+    Examples
+    --------
+    >>> materials = library().materials
+    >>> sheets = read_stack('8e-3 gelatin, 2e-3 20 1100 0.1', lambda: materials)
+    >>> [sheet.wave_speed for sheet in sheets]
+    [7.8, 20.0]
+    >>> write_stack(sheets)
+    '0.008 7.8 1000.0 0.0, 0.002 20.0 1100.0 0.1'
+
+    """
+    count = text.count(',') + 1
+    if count > MAX_SHEETS:
+        raise ParameterError(
+            f'layer.stack must have at most {MAX_SHEETS} sheets, got {count}', 'layer.stack'
+        )
+    return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+
+
+def write_stack(sheets: Iterable[Layer]) -> str:
+    """Write the sheets of a stack in numbers, with all their digits."""
+    return ', '.join(
+        ' '.join(str(float(getattr(sheet, name.removeprefix('layer.')))) for name in STACKED)
+        for sheet in sheets
+    )
+
+
+def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]]) -> Layer:
+    """Read a sheet of a stack."""
+    if len(words) == 2 and number_of(words[1]) is None:
+        known = materials()
+        if words[1] not in known:
             raise ParameterError(
-                'layer.stack: a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY '
-                f'[LOSS_TANGENT], got {sheet!r}',
+                f'layer.stack: no material is named {quote(words[1])}; there are '
+                f'{", ".join(known)}',
                 'layer.stack',
             )
-        try:
-            checked = {
-                name: _SHEET.check_value(name, value)
-                for name, value in {'thickness': words[0], **values}.items()
-            }
-        except ParameterError as error:
-            raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
-        return Layer(**checked)  # type: ignore[arg-type]
+        values = {
+            name.removeprefix('layer.'): value
+            for name, value in known[words[1]].settings.items()
+            if name in STACKED
+        }
+    elif len(words) in (3, 4):
+        values = dict(zip(('wave_speed', 'density', 'loss_tangent'), words[1:], strict=False))
+    else:
+        raise ParameterError(
+            'layer.stack: a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY '
+            f'[LOSS_TANGENT], got {quote(" ".join(words))}',
+            'layer.stack',
+        )
+    try:
+        checked = {
+            name: _SHEET.check_value(name, value)
+            for name, value in {'thickness': words[0], **values}.items()
+        }
+    except ParameterError as error:
+        raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
+    return Layer(**checked)  # type: ignore[arg-type]
 
 
 def default_file() -> Path:
@@ -208,13 +238,13 @@ def library(path: str | Path = '') -> Library:
     Parameters
     ----------
     path : path_like
-        Of the other file, read again when it has changed; empty if there is none.
+        The other file, read again after a change; empty for the installed library only.
 
     Raises
     ------
     ParameterError
-        Naming file and line, if the file cannot be read, or something in it is not as
-        `config/layers.yaml` says.
+        If the file cannot be read, or differs from the format in `config/layers.yaml`; the message
+        names file and line.
 
     """
     if not str(path):
@@ -244,7 +274,8 @@ def _library(path: str, _changed_ns: int) -> Library:
     for name, node in stacks.items():
         text = _checked('stack', node.value, node.where)
         try:
-            layers[name] = {'layer.stack': text, **whole(found.sheets(text))}
+            sheets = read_stack(text, lambda: materials)
+            layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
         except ParameterError as error:
             raise ParameterError(f'{node.where}: {error}') from None
     return found
@@ -252,12 +283,12 @@ def _library(path: str, _changed_ns: int) -> Library:
 
 def whole(sheets: Sequence[Layer]) -> dict[str, float]:
     """
-    Return what a stack has as a whole, by the names of the parameters.
+    Return the values of a whole stack by the names of their parameters.
 
     Raises
     ------
     ParameterError
-        If it is too thick.
+        If the stack is too thin or too thick.
 
     """
     stack = Stack(sheets=tuple(sheets))
@@ -281,7 +312,7 @@ def _read_materials(
         if not re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name) or name == CUSTOM:
             raise ParameterError(
                 f'{node.where}: the name of a material is letters, digits, points, dashes and '
-                f'underlines, and not {CUSTOM!r}, got {name!r}'
+                f'underlines, and not {CUSTOM!r}, got {quote(name)}'
             )
         if name in materials or name in stacks:
             raise ParameterError(f'{node.where}: there is a material named {name} already')
@@ -327,7 +358,7 @@ def _material(name: str, node: Located, parts: Mapping[str, Located]) -> Materia
 def _parts(node: Located, form: str) -> dict[str, Located]:
     """Return the values of a mapping; a key may not come twice."""
     if node.items is None:
-        raise ParameterError(f'{node.where}: expected {form}, got {node.value!r}')
+        raise ParameterError(f'{node.where}: expected {form}, got {quote(node.value)}')
     parts: dict[str, Located] = {}
     for key, value in node.items:
         if key in parts:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""YAML whose values know their lines."""
+"""YAML values with the lines where they stand."""
 
 from __future__ import annotations
 
@@ -19,33 +19,37 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.configuration.table import number_of, ParameterError
 import yaml
+
+_MAX_BYTES = 1 << 18
+"""Largest size of a YAML file, 30 times the installed ones; PyYAML reads it in seconds. [byte]"""
 
 
 @dataclass(frozen=True)
 class Located:
-    """A value, and where it stands: `FILE:LINE`, or the argument it is from."""
+    """A value and its source, `FILE:LINE` or an argument."""
 
     where: str
     value: Any = None
-    """A bool, number or text, or a list of such; None of a mapping."""
+    """A bool, number or text, or a list of scalars; None for a mapping."""
     items: tuple[tuple[str, Located], ...] | None = None
-    """Of a mapping, in their order; a key may come twice."""
+    """Items of a mapping in their order; a key may occur twice."""
 
 
 def read(path: Path) -> Located | None:
     """
-    Read a file; None if there is nothing in it.
+    Read a file; return None if it is empty.
 
     Raises
     ------
     ParameterError
-        Naming file and line, if it cannot be read or is no YAML.
+        If the file cannot be read or is no YAML; the message has file and line.
 
     """
     try:
-        text = path.read_text(encoding='utf-8')
+        text = read_regular_file(path, max_bytes=_MAX_BYTES).decode()
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}') from None
     except UnicodeDecodeError:
@@ -56,13 +60,13 @@ def read(path: Path) -> Located | None:
 
 
 def parse(text: str, where: str) -> Any:
-    """Read the value of an argument, or raise ParameterError saying where it is."""
+    """Parse the value of an argument; raise ParameterError with its source."""
     root = _parse(text, where, has_lines=False)
     return '' if root is None else root.value
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes, which know their lines; ROS has no aliases, so no node recurs."""
+    """A loader that refuses aliases, as ROS does, so that no node occurs twice."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
@@ -93,7 +97,7 @@ def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
 
 
 def _value(node: yaml.Node) -> Any:
-    """Return what a node stands for; unlike YAML 1.1, ROS takes 2e-3 for a number."""
+    """Return the value of a node; ROS takes 2e-3 for a number, and YAML 1.1 does not."""
     if isinstance(node, yaml.SequenceNode):
         return [_value(item) for item in node.value]
     text = str(node.value)

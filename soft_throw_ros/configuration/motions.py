@@ -14,25 +14,27 @@
 """
 Motions of a plate from files: times and heights as CSV, or a bag that holds them.
 
-A file is read once in a process, so that one name means one motion. A journal carries the motions
-of its files along, and whoever repeats it takes them from there, see `remember`.
+A file is read once in a process, so that one name means one motion. A journal contains the motions
+of its files, see `encode`, and a repetition of the run takes them from there.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 import math
 from pathlib import Path
-import re
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 import zlib
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.table import ParameterError, Settings
-from soft_throw_ros.core.plate import FASTEST_END, SampledMotion
+from soft_throw_ros.configuration.csv_rows import is_header, parse_label, read_rows
+from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
+from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
+from soft_throw_ros.configuration.table import float_of, ParameterError, quote, Settings
+from soft_throw_ros.core.plate import SampledMotion
 
 Floats = NDArray[np.float64]
 
@@ -42,84 +44,101 @@ _COLUMNS = {
     'time': (('t', 'time'), {'s': 1.0, 'ms': 1e-3}),
     'height': (
         ('z', 'height', 'position', 'plate', 'z_plate', 'zp', 'z_p'),
-        {'m': 1.0, 'mm': 1e-3, 'um': 1e-6, '\N{MICRO SIGN}m': 1e-6},
+        {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
     ),
     'velocity': (('velocity',), {'m/s': 1.0}),
     'acceleration': (('acceleration',), {'m/s2': 1.0}),
 }
-"""What columns may be called, and their units, of which the first is meant if none is given."""
+"""Accepted names of columns, and their units; the first unit is the default."""
 
 _JOINT = 'plate'
 _BAGS = ('.mcap', '.zstd')
-_STILL = 0.05  # for which a plate has to be still in a bag for its throw to be over [s]
-_AT_REST = 0.02  # part of its whole range by which it may move meanwhile [-]
-_BYTES = 1 << 26  # of a motion in a journal
+_STILL = 0.05
+"""Duration of the rest that ends a throw in a bag. [s]"""
 
-_remembered: dict[str, SampledMotion] = {}
+_AT_REST = 0.02
+"""Range of a plate that is still, over its whole range. [-]"""
+
+_BYTES = 1 << 26
+"""Size of an unpacked motion of a journal, eight times the largest CSV file in numbers. [byte]"""
+
+_MAX_BYTES = 1 << 24
+"""Size of a CSV file [byte]: 100 s at 2.5 kHz."""
+
+_MAX_BAG_BYTES = 1 << 28
+"""Size of a file of a bag [byte]: minutes of a measured rig."""
+
+MotionSource: TypeAlias = Callable[[str], SampledMotion]
+"""Returns the motion of a plate by the path of its file."""
 
 
 def read(path: str | Path) -> SampledMotion:
     """
-    Read the motion of a plate from a file, see `SampledMotion.from_record`.
+    Read the motion of a plate from a file, see `recorded_motion.motion_from_record`.
 
     Parameters
     ----------
     path : path_like
-        CSV: a time [s] and a height [m] in each line, separated by commas, semicolons, tabs or
-        blanks; `#` begins comments. A first line may name the columns, then others may be between
-        them: `t` or `time`, and `z`, `height`, `position` or `plate`, each perhaps with a unit in
-        brackets; `velocity` and `acceleration` besides make heights exact. Or a bag, a folder or
-        an `.mcap` file: the joint `plate` of its messages JointState, measured ones rather than
-        others, in its first throw.
+        A CSV file, see `csv_rows`, with a time [s] and a height [m] in each line. A first line
+        may name the columns, and other columns are skipped then: `t` or `time`, and `z`,
+        `height`, `position` or `plate`, with an optional unit in brackets; with the columns
+        `velocity` and `acceleration`, the motion is exact. Or a bag, as a folder or an `.mcap`
+        file: the joint `plate` of its JointState messages, preferably measured ones, in the
+        first throw.
 
     Raises
     ------
     ParameterError
-        Naming file and line, if it cannot be read or is no such motion.
+        If the file cannot be read or has no motion of a plate; the message has file and line.
 
     """
     name = str(path)
-    if name in _remembered:
-        return _remembered[name]
     try:
         return _read(name)
     except OSError as error:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
 
 
-def of_settings(settings: Settings) -> SampledMotion | None:
-    """Return the motion that settings ask for; None if it is no file's, or ParameterError."""
+def of_settings(settings: Settings, motion_of: MotionSource = read) -> SampledMotion | None:
+    """
+    Return the motion of the file that settings name; None if the plate moves otherwise.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        Complete settings of the twin.
+    motion_of : callable
+        Returns the motion by the path of its file; by default it reads the file.
+
+    Raises
+    ------
+    ParameterError
+        If no file is named, or it cannot be read.
+
+    """
     if settings['engine.motion'] != 'file':
         return None
     if not settings[PARAMETER]:
         raise ParameterError(
             f"engine.motion 'file' needs {PARAMETER} (--motion-file), got ''", PARAMETER
         )
-    return read(settings[PARAMETER])
+    return motion_of(settings[PARAMETER])
 
 
-def encode(settings: Settings) -> dict[str, str]:
-    """Write the motion of a file that settings name, by its path, as text for a journal."""
-    path = settings.get(PARAMETER)
-    if not path:
-        return {}
-    motion = read(path)
+def encode(motion: SampledMotion) -> str:
+    """Write a motion as text for a journal, which takes milliseconds."""
     rows = np.column_stack([motion.times, motion.states]).astype('<f8')
-    return {path: base64.b64encode(zlib.compress(rows.tobytes(), 1)).decode()}
+    return base64.b64encode(zlib.compress(rows.tobytes(), 1)).decode()
 
 
-def remember(motions: dict[str, str]) -> None:
-    """Take motions by their paths from what `encode` wrote, whatever is in the files by now."""
-    for path, text in motions.items():
-        try:
-            data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), _BYTES)
-            rows = np.frombuffer(data, '<f8').reshape(-1, 4)
-            motion = SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy())
-        except (TypeError, ValueError, zlib.error) as error:
-            raise ValueError(f'no motion of {path} can be read, {error}') from error
-        known = _remembered.get(path)
-        if known is None or not np.array_equal(known.states, motion.states):
-            _remembered[path] = motion
+def decode(text: str) -> SampledMotion:
+    """Decode a motion; raise ValueError if the text is none."""
+    try:
+        data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), _BYTES)
+        rows = np.frombuffer(data, '<f8').reshape(-1, 4)
+        return SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy())
+    except (TypeError, ValueError, zlib.error) as error:
+        raise ValueError(f'no motion can be read, {error}, from {quote(text)}') from error
 
 
 def csv_lines(motion: SampledMotion) -> Iterator[str]:
@@ -136,7 +155,7 @@ def _read(name: str) -> SampledMotion:
         times, heights = _first_throw(*_read_bag(path))
         return _motion(name, times, heights[:, None])
     try:
-        lines = path.read_text(encoding='utf-8-sig').splitlines()
+        lines = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig').splitlines()
     except UnicodeDecodeError:
         raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
     return _motion(name, *_read_csv(lines, name))
@@ -146,7 +165,7 @@ def _motion(name: str, times: Floats, states: Floats) -> SampledMotion:
     """Make a motion of heights, or of heights with velocities and accelerations."""
     try:
         if states.shape[1] == 1:
-            return SampledMotion.from_record(times, states[:, 0])
+            return motion_from_record(times, states[:, 0])
         _require_rest(states)
         states[:, 0] -= states[0, 0]
         return SampledMotion(times - times[0], states)
@@ -156,35 +175,28 @@ def _motion(name: str, times: Floats, states: Floats) -> SampledMotion:
 
 def _require_rest(states: Floats) -> None:
     start, end = states[[0, -1], 1].tolist()
-    if start != 0.0 or abs(end) > FASTEST_END * np.abs(states[:, 1]).max():
+    if start != 0.0 or abs(end) > MAX_END_SPEED * np.abs(states[:, 1]).max():
         raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
 
 
 def _read_csv(lines: Iterable[str], name: str) -> tuple[Floats, Floats]:
-    """Return times, and heights with all that there is of their derivatives."""
+    """Return times, and heights with their derivatives if the file has them."""
     rows: list[list[float]] = []
     columns: list[_Column] = []
-    for number, line in enumerate(lines, 1):
-        text = line.strip()
-        if not text or text.startswith('#'):
-            continue
+    for number, cells in read_rows(lines):
         where = f'{name}:{number}'
-        cells = [cell.strip().strip('"') for cell in re.split(r'[,;\t]|\s+(?=[-+.\d])', text)]
         if not columns:
-            if not re.match(r'[-+.\d]|nan|inf', cells[0]):
+            if is_header(cells):
                 columns = list(_named_columns(cells, where))
                 continue
             columns = [_Column('time', 0), _Column('height', 1)]
         row = []
         for column in columns:
-            cell = cells[column.place] if column.place < len(cells) else ''
-            try:
-                value = float(cell)
-            except ValueError:
-                value = math.nan
-            if not math.isfinite(value):
+            cell = cells[column.number] if column.number < len(cells) else ''
+            value = float_of(cell)
+            if value is None or not math.isfinite(value):
                 raise ParameterError(
-                    f'{where}: {column.name} must be a finite number, got {cell!r}', PARAMETER
+                    f'{where}: {column.name} must be a finite number, got {quote(cell)}', PARAMETER
                 )
             row.append(value * column.unit)
         if rows and row[0] <= rows[-1][0]:
@@ -197,34 +209,35 @@ def _read_csv(lines: Iterable[str], name: str) -> tuple[Floats, Floats]:
 
 
 class _Column(NamedTuple):
-    """What stands at which place of a line, and its unit in SI."""
+    """A column, its number in the file from 0, and the SI value of its unit."""
 
     name: str
-    place: int
+    number: int
     unit: float = 1.0
 
 
 def _named_columns(cells: list[str], where: str) -> Iterator[_Column]:
-    """Find columns by their names; both derivatives, or none, are taken besides."""
-    found = [re.match(r'([^[(]*?)\s*(?:[\[(]([^])]*).*)?$', cell.lower()) for cell in cells]
-    labels = [match.group(1) if match else '' for match in found]
-    are_there = all(name in labels for name in ('velocity', 'acceleration'))
-    for name, (labels_of, units) in _COLUMNS.items():
-        if name in ('velocity', 'acceleration') and not are_there:
+    """Find columns by their names; the two derivatives are read only together."""
+    labels = list(map(parse_label, cells))
+    names = [label.name for label in labels]
+    has_derivatives = {'velocity', 'acceleration'} <= set(names)
+    for name, (accepted, units) in _COLUMNS.items():
+        if name in ('velocity', 'acceleration') and not has_derivatives:
             continue
-        place = next((labels.index(label) for label in labels_of if label in labels), None)
-        if place is None:
+        index = next((names.index(label) for label in accepted if label in names), None)
+        if index is None:
             raise ParameterError(
-                f'{where}: no column is named {" or ".join(labels_of)}, got {", ".join(cells)}',
+                f'{where}: no column is named {" or ".join(accepted)}, '
+                f'got {quote(", ".join(cells))}',
                 PARAMETER,
             )
-        match = found[place]
-        unit = (match.group(2) if match else None) or next(iter(units))
+        unit = labels[index].unit or next(iter(units))
         if unit not in units:
             raise ParameterError(
-                f'{where}: {name} must be in {" or ".join(units)}, got {cells[place]!r}', PARAMETER
+                f'{where}: {name} must be in {" or ".join(units)}, got {quote(cells[index])}',
+                PARAMETER,
             )
-        yield _Column(name, place, units[unit])
+        yield _Column(name, index, units[unit])
 
 
 def _read_bag(path: Path) -> tuple[Floats, Floats]:
@@ -237,7 +250,7 @@ def _read_bag(path: Path) -> tuple[Floats, Floats]:
     series: dict[str, tuple[list[float], list[float]]] = {}
     try:
         for file in files:
-            with file.open('rb') as stream:
+            with open_regular_file(file, max_bytes=_MAX_BAG_BYTES) as stream:
                 reader = make_reader(stream, decoder_factories=[DecoderFactory()])
                 for schema, channel, _, message in reader.iter_decoded_messages():
                     is_state = schema is not None and schema.name == 'sensor_msgs/msg/JointState'
@@ -256,7 +269,7 @@ def _read_bag(path: Path) -> tuple[Floats, Floats]:
 
 
 def _first_throw(t: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Cut a record off where its plate has come to rest after the first throw."""
+    """Return the part of a record until the plate is at rest after the first throw."""
     small = _AT_REST * np.ptp(z)
     started = int((np.abs(z - np.median(z[:8])) > 10.0 * small).argmax())
     end = t.size

@@ -11,20 +11,20 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The parameters of the recorder."""
+"""The parameters of the recorder, and of the viewer that it starts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from soft_throw_ros.configuration.table import NAME, ParameterError, row, Settings, Table
 
 
-def contradictions(settings: Settings) -> Iterator[ParameterError]:
-    """Find settings with which nothing would be recorded nor shown."""
+def contradictions(settings: Settings, _names: Collection[str]) -> Iterator[ParameterError]:
+    """Yield the contradiction of settings that neither record nor show anything."""
     if settings['storage'] == settings['rerun.sink'] == 'none':
         yield ParameterError(
-            "storage and rerun.sink are both 'none', so that nothing would be recorded nor "
+            "storage and rerun.sink are both 'none', so nothing would be recorded or "
             "shown; set storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
             'storage',
             'rerun.sink',
@@ -35,35 +35,63 @@ RECORDER = Table(
     node='recorder',
     entries=(
         row('topics', ('twin', '/diagnostics', '/parameter_events', '/rosout'),
-            'Topics to record, and namespaces of which all are recorded, below the namespace of '
-            'the recorder unless they begin with /; `/` records everything',
+            'Topics to record, or namespaces of which all topics are recorded, relative to the '
+            'namespace of the recorder unless they begin with /; `/` records everything',
             kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
-        row('storage', 'mcap', 'Whether to write a bag, or to show only',
+        row('storage', 'mcap', 'Format of the bag; `none` shows the topics without recording',
             choices=('mcap', 'none')),
-        row('folder', '.', 'Where bags are put'),
+        row('folder', '.', 'Folder of the bags'),
         row('name', '',
-            'Name of the bag, which must not be there yet; empty names it by the time'),
-        row('start', True, 'Whether to begin at once, or when `~/start` is called'),
-        row('compression', 'zstd', 'How the bag is compressed',
+            'Name of the new bag, which must not exist; empty for a name from the current time'),
+        row('start', True, 'Start recording at once; otherwise when `~/start` is called'),
+        row('compression', 'zstd', 'Compression of the chunks of the bag',
             choices=('none', 'lz4', 'zstd')),
-        row('split.size', 0, 'Size after which the bag goes on in another file; 0 for never',
+        row('split.size', 0, 'Size after which the bag continues in a new file; 0 for never',
             unit='byte', low=1_000_000, high=1_000_000_000_000, or_zero=True),
         row('split.duration', 0.0,
-            'Time after which the bag goes on in another file; 0 for never',
+            'Time after which the bag continues in a new file; 0 for never',
             unit='s', low=1.0, high=1e6, or_zero=True),
         row('sync', False,
-            'Whether to wait every second until the disk has it, for when the power may fail'),
-        row('buffer', 256_000_000, 'What may wait for the disk before messages are dropped',
+            'Wait every second until the disk has stored all data, against power failures'),
+        row('buffer', 256_000_000, 'Data that may wait for the disk before messages are dropped',
             unit='byte', low=1_000_000, high=16_000_000_000),
         row('rerun.sink', 'none',
-            'Whether to show it live in Rerun: in a viewer, to viewers that connect, or later '
-            'from a file beside the bag',
+            'Live display in Rerun: `viewer` opens a window, `serve` waits for viewers, '
+            '`file` writes a recording beside the bag',
             choices=('none', 'viewer', 'serve', 'file')),
         row('rerun.port', 9876, 'Port of the viewer, or for viewers, on 127.0.0.1',
             low=1024, high=65535),
         row('rerun.python', '',
-            'Python that has Rerun and this package; empty for the one that runs the recorder'),
+            'Python that has Rerun, rclpy and this package; empty for the one that runs the '
+            'recorder; cannot be changed after the start'),
     ),
     contradictions=contradictions,
 )
 """The parameters of the recorder; all take effect when recording is started."""
+
+
+def _need_file(settings: Settings, _names: Collection[str]) -> Iterator[ParameterError]:
+    """Yield an error if the sink `file` has no path."""
+    if settings['sink'] == 'file' and not settings['file']:
+        yield ParameterError(
+            "sink is 'file' and file is empty; name a file such as live.rrd", 'sink', 'file'
+        )
+
+
+VIEWER = Table(
+    node='viewer',
+    entries=(
+        row('topics', ('twin', '/diagnostics', '/rosout'),
+            'Topics to show, or namespaces of which all topics are shown, relative to the '
+            'namespace of the viewer unless they begin with /; `/` shows every twin',
+            kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
+        row('sink', 'viewer',
+            'Display: `viewer` opens Rerun, `serve` waits for viewers, `file` writes a recording',
+            choices=('viewer', 'serve', 'file')),
+        row('port', 9876, 'Port of the viewer, or for viewers, on 127.0.0.1',
+            low=1024, high=65535),
+        row('file', '', 'Path of the Rerun recording (.rrd) for the sink `file`'),
+    ),
+    contradictions=_need_file,
+)
+"""The parameters of the viewer; all take effect when it is started."""

@@ -11,68 +11,71 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The parameters of the node that plays a rig, and of the one that finds them out."""
+"""The parameters of the simulated rig and of the calibrator."""
 
 from __future__ import annotations
 
 from soft_throw_ros.configuration.table import NAME, row, Settings, Table
-from soft_throw_ros.configuration.twin import TWIN
+from soft_throw_ros.configuration.twin import resolve_stack, TWIN
 
 _LIKE_THE_TWIN = (
     'engine.frequency', 'engine.amplitude', 'engine.damping_ratio',
     'layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.diameter',
-    'layer.loss_tangent', 'layer.elasticity', 'layer.loss', 'layer.stack', 'layer.library',
+    'layer.loss_tangent', 'layer.stress_strain_law', 'layer.loss', 'layer.stack', 'layer.library',
     'projectile.mass', 'gravity', 'throw.period',
 )
 
-_CAUGHT = 1  # landing, after which all is put back, and rests until the next throw
+_CAUGHT = 1
+"""Landings until a throw of the simulated rig ends, as the projectile is caught. [-]"""
 
 RIG = Table(
     node='rig',
     entries=(
         *(TWIN.by_name[name] for name in _LIKE_THE_TWIN),
-        row('rate', 5000.0, 'How often plate and projectile are measured',
+        row('rate', 5000.0, 'Rate of the measurements of plate and projectile',
             unit='Hz', low=100.0, high=5000.0),
-        row('noise', 5e-6, 'Standard deviation of measured positions',
+        row('noise', 5e-6, 'Standard deviation of the measured positions',
             unit='m', low=0.0, high=1e-2),
-        row('jitter', 1e-5, 'Largest deviation of the times of measurements from an even rate',
+        row('jitter', 1e-5, 'Largest deviation of a measurement from its time at a constant rate',
             unit='s', low=0.0, high=1e-3),
-        row('faults.outlier_rate', 0.0, 'Share of the heights that are far off',
+        row('faults.outlier_rate', 0.0, 'Fraction of the heights that are outliers',
             low=0.0, high=0.5),
-        row('faults.outlier_size', 3e-3, 'How far they are off at most; at least a tenth of that',
+        row('faults.outlier_size', 3e-3, 'Largest error of an outlier; the smallest is a tenth',
             unit='m', low=0.0, high=1.0),
-        row('faults.missing_rate', 0.0, 'Share of the measurements that are lost',
+        row('faults.missing_rate', 0.0, 'Fraction of the measurements that are lost',
             low=0.0, high=0.9),
         row('faults.stamp_error', 0.0, 'Largest error of a stamp', unit='s', low=0.0, high=1e-3),
         row('faults.rounding', 0.0, 'Step to which heights are rounded; 0 for none',
             unit='m', low=0.0, high=1e-3),
-        row('faults.drift', 0.0, 'Drift of both heights, which turns round every second',
+        row('faults.drift', 0.0, 'Drift of both heights, which changes direction every second',
             unit='m/s', low=-0.1, high=0.1),
         row('faults.projectile_scale', 1.0,
-            'Height of the projectile that is measured over the true one', low=0.5, high=2.0),
+            'Measured height of the projectile relative to the true one', low=0.5, high=2.0),
         row('faults.projectile_delay', 0.0,
-            "How much older the projectile's heights are than their stamps",
+            "Delay of the projectile's heights relative to their stamps",
             unit='s', low=-2e-3, high=2e-3),
         row('faults.ringing', 0.0,
-            'Amplitude with which the plate rings before a throw by the period, over that of the '
-            'engine', low=0.0, high=0.5),
+            'Amplitude of the ringing of the plate before a periodic throw, relative to that of '
+            'the engine', low=0.0, high=0.5),
         row('faults.second_mode', 0.0,
-            'Amplitude of a second mode of the plate, over that of the engine',
+            'Amplitude of a second mode of the plate, relative to that of the engine',
             low=0.0, high=0.5),
-        row('faults.second_mode_frequency', 310.0, 'Its frequency',
+        row('faults.second_mode_frequency', 310.0, 'Frequency of the second mode',
             unit='Hz', low=10.0, high=2000.0),
         row('faults.stiffening', 0.0,
-            'k of a layer whose stress is E (e + k e^2) at a compression e; negative softens',
+            'Coefficient k of the stress E (e + k e^2) at a compression e; negative softens',
             low=-2.0, high=5.0),
-        row('faults.sticking', 0.0, 'How long the layer holds a projectile that wants to leave',
+        row('faults.sticking', 0.0, 'Time for which the layer holds the projectile at the release',
             unit='s', low=0.0, high=2e-3),
-        row('wear.throws', 0, 'After how many throws the layer has aged; 0 for never',
+        row('wear.throws', 0, 'Number of throws after which the layer ages; 0 for never',
             low=1, high=1_000_000, or_zero=True),
-        row('wear.wave_speed', 0.95, 'What is left of its wave speed then, as a part of it',
+        row('wear.wave_speed', 0.95, 'Wave speed of the aged layer relative to the new one',
             low=0.1, high=2.0),
     ),
+    deprecated={'layer.elasticity': 'layer.stress_strain_law'},
+    resolve=resolve_stack,
 )
-"""The parameters of the rig; those shared with the twin mean the same."""
+"""The parameters of the rig; parameters shared with the twin have the same meaning."""
 
 _OF_SENSORS = (
     'outlier_rate', 'outlier_size', 'missing_rate', 'stamp_error', 'rounding', 'drift',
@@ -82,14 +85,14 @@ _OF_RIG = ('ringing', 'second_mode', 'second_mode_frequency', 'stiffening', 'sti
 
 
 def sensor_faults_of(settings: Settings) -> dict[str, float]:
-    """Return what the sensors get wrong, by the names that `SensorFaults` has for it."""
+    """Return the faults of the sensors as arguments of `SensorFaults`."""
     return {name: settings[name] for name in ('noise', 'jitter')} | {
         name: settings[f'faults.{name}'] for name in _OF_SENSORS
     }
 
 
 def imperfections_of(settings: Settings) -> dict[str, float]:
-    """Return what the rig does that no model does, by the names of `Imperfections`."""
+    """Return the effects outside of the models as arguments of `Imperfections`."""
     return {name: settings[f'faults.{name}'] for name in _OF_RIG}
 
 
@@ -97,15 +100,15 @@ CALIBRATOR = Table(
     node='calibrator',
     entries=(
         row('twin', 'twin',
-            'The twin that is kept true to its rig, below the namespace of the calibrator unless '
+            'Name of the twin to calibrate, relative to the namespace of the calibrator unless '
             'it begins with /', kind='the name of a node', pattern=NAME),
         row('rig', '',
-            'A node `rig` that is given the layer which the twin recommends, named likewise; '
-            'without, the layer is left alone',
+            'Name of the node `rig` that receives the recommended layer; empty to keep the '
+            'layer',
             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
-            'How many throws in a row have to be beyond `measured.band` of the twin; from those '
-            'the rig is identified', low=1, high=100),
+            'Number of throws in a row beyond `measured.residual_threshold` of the twin after '
+            'which the rig is identified from them', low=1, high=100),
     ),
 )
 """The parameters of the calibrator."""

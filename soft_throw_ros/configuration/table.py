@@ -12,23 +12,24 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What a table of parameters is: names, defaults, ranges and meanings, and nothing else.
+Tables of parameters: names, defaults, ranges and meanings, and nothing else.
 
-Whatever knows a node's parameters takes them from its table: the node's descriptors and checks,
-parameter files, those in `config/` and the README's tables.
+The table of a node defines its parameters for all users: descriptors and checks of the node,
+parameter files, those in `config/`, and docs/parameters.md.
 
 Settings are a value for every parameter of a table, results left out. A request is a handful of
 parameters to be set at once. Any single change within its range is accepted, since ROS sets a
-list one by one; refused are values out of range and contradictions inside one request.
+list one by one. Values out of range and contradictions inside one request are refused.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 import difflib
 from functools import cached_property
+from itertools import islice
 import math
 import re
 from typing import Any, TypeAlias
@@ -41,16 +42,28 @@ NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 
 Settings: TypeAlias = Mapping[str, Any]
 
+Rule: TypeAlias = Callable[[Settings, Settings], Settings]
+"""A function of complete settings and their changes that returns implied changes."""
+
+MAX_TEXT = 16_384
+"""Length of a text [characters]: a path has at most 4096, a stack fewer than this."""
+
+MAX_NAME = 255
+"""Length of a parameter's name [characters], several times the longest one."""
+
+MAX_QUOTE = 80
+"""Length of a value that a refusal quotes [characters]: a line of a terminal."""
+
 
 class ParameterError(ValueError):
     """
-    A parameter was refused.
+    A refused parameter.
 
     Parameters
     ----------
     message : str
-        What was given and what would be right; the names of files in it may have several lines,
-        an error has one.
+        The value that was given and the rule. Line ends, which names of files may have, become
+        blanks.
     *names : str
         The parameters concerned, the one to blame first.
 
@@ -71,19 +84,21 @@ class Entry:
     name : str
         Full name; the part before the first dot is its group.
     default : bool, float, int, str, or tuple of str or of float
-        Its type is the parameter's type; that of a tuple is that of its first value.
+        Determines the type of the parameter; the first value determines the type of a tuple.
     meaning, unit : str
-        One sentence, without full stop; SI, empty if there is none.
+        One sentence, without full stop; SI unit, empty for a number without unit.
     low, high, or_zero : float, float, bool
-        Smallest and largest number allowed, and whether 0 is besides.
+        Smallest and largest allowed number, and whether 0 is allowed as well.
     choices : tuple of str
-        The texts allowed; without, any text is that matches the expression `pattern`.
+        The allowed texts; if empty, every text that matches the regular expression `pattern`.
     kind : str
-        What a text is, in words.
+        Description of a valid text, in words.
     max_length : int
-        Of a list.
+        Largest number of items of a list.
     examples : tuple of str
-        Some of the texts allowed, for those who ask what a parameter is.
+        Some of the allowed texts, for the description of the parameter.
+    deprecated : mapping of str to str
+        Former names of choices and their present names; they are accepted for one release.
 
     """
 
@@ -99,25 +114,26 @@ class Entry:
     kind: str = 'a text'
     max_length: int = 1000
     examples: tuple[str, ...] = ()
+    deprecated: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def group(self) -> str:
-        """Return what comes before the first dot."""
+        """Return the part of the name before the first dot."""
         return self.name.partition('.')[0]
 
     @property
     def is_result(self) -> bool:
-        """Whether the twin sets it, and nobody else may."""
+        """Whether only the twin sets the parameter."""
         return self.group == 'recommended'
 
     @property
     def is_of_rig(self) -> bool:
-        """Whether a change waits for the next throw: a wave fits no other layer."""
+        """Whether a change waits for the next throw, because it ends the wave in the layer."""
         return self.group in ('engine', 'layer', 'projectile', 'gravity', 'model')
 
     @property
     def rule(self) -> str:
-        """Return what is allowed, to stand after 'must be'."""
+        """Return the rule for values, to stand after 'must be'."""
         if self.is_result:
             return 'set by the twin'
         if self.choices:
@@ -141,8 +157,8 @@ class Entry:
         """
         Return `value` in the parameter's own type, or None if the rule does not allow it.
 
-        A whole number is taken for a float, and a text that is a number for that number: tools
-        that read YAML 1.1 take `5e-06` for a text.
+        An integer is converted to float, and a text to a number, because tools that read YAML 1.1
+        parse `5e-06` as a text.
 
         """
         if isinstance(self.default, tuple):
@@ -155,13 +171,15 @@ class Entry:
         return self._convert_item(value, self.default)
 
     def allows(self, value: object) -> bool:
-        """Tell whether `value` obeys the rule."""
+        """Whether `value` obeys the rule."""
         return self.convert(value) is not None
 
     def _convert_item(self, value: object, default: float | str) -> float | str | None:
         """Convert a value, or one of a list, to the type of `default`."""
         if isinstance(default, bool):
             return value if isinstance(value, bool) else None
+        if isinstance(value, str) and (len(value) > MAX_TEXT or '\0' in value):
+            return None
         if isinstance(default, str):
             if not isinstance(value, str) or not re.fullmatch(self.pattern, value, re.DOTALL):
                 return None
@@ -186,23 +204,33 @@ class Table:
     node : str
         Its name.
     entries : tuple of Entry
-        In the order in which they are shown.
+        The parameters in the order of the documentation.
     hints : mapping of str to str
-        What to say of names that are no parameters but might be expected.
-    imply : callable
-        Adds to the changes of settings (its arguments are both) what they imply. What was asked
-        for is never replaced.
+        Advice on names that are no parameters but might be expected.
+    deprecated : mapping of str to str
+        Former names of parameters and their present names; they are accepted for one release.
+    resolve : callable
+        Replaces references to a file by the contents of the file, so that settings are
+        self-contained. The arguments are the settings and their changes.
+    rules : tuple of callable
+        Each returns the changes that other changes imply. The rules run in order, and each one
+        receives the implied changes of the rules before. A rule never replaces a value that is
+        requested or implied already.
     contradictions : callable
-        Finds values in complete settings that contradict each other, as errors with the names of
-        the values; they are refused if they were all set at once.
+        Yields contradictions in complete settings among the values of some names, as errors with
+        the names of the values. A request that sets all these values at once is refused.
 
     """
 
     node: str
     entries: tuple[Entry, ...]
     hints: Mapping[str, str] = field(default_factory=dict)
-    imply: Callable[[Settings, Settings], Settings] = lambda _settings, changes: changes
-    contradictions: Callable[[Settings], Iterable[ParameterError]] = lambda _settings: ()
+    deprecated: Mapping[str, str] = field(default_factory=dict)
+    resolve: Rule = lambda _settings, changes: changes
+    rules: tuple[Rule, ...] = ()
+    contradictions: Callable[[Settings, Collection[str]], Iterable[ParameterError]] = (
+        lambda _settings, _names: ()
+    )
 
     @cached_property
     def by_name(self) -> Mapping[str, Entry]:
@@ -212,6 +240,47 @@ class Table:
     def defaults(self) -> dict[str, Value]:
         """Return the settings to begin with."""
         return {entry.name: entry.default for entry in self.entries if not entry.is_result}
+
+    def without_deprecated(
+        self, request: Settings, warn: Callable[[str], object] = lambda _text: None
+    ) -> dict[str, Any]:
+        """
+        Return a request with present names of parameters and choices in place of former ones.
+
+        Parameters
+        ----------
+        request : mapping of str to value
+            Values by name, not checked.
+        warn : callable
+            Called with a sentence for each deprecated name.
+
+        Raises
+        ------
+        ParameterError
+            If the request has both names of a parameter.
+
+        """
+        current: dict[str, Any] = {}
+        for name, value in request.items():
+            new_name = self.deprecated.get(name, name)
+            if new_name != name:
+                if new_name in request:
+                    raise ParameterError(
+                        f'{name} is the former name of {new_name}; leave one of the two out',
+                        name,
+                        new_name,
+                    )
+                warn(f'{name} is deprecated, and refused from the next release on: '
+                     f'use {new_name}')
+            entry = self.by_name.get(new_name)
+            if entry is not None and isinstance(value, str) and value in entry.deprecated:
+                choice = entry.deprecated[value]
+                warn(f'{new_name} {value!r} is deprecated, and refused from the next release on: '
+                     f'use {choice!r}')
+                current[new_name] = choice
+            else:
+                current[new_name] = value
+        return current
 
     def check_value(self, name: str, value: object) -> Value:
         """
@@ -226,32 +295,36 @@ class Table:
         """
         entry = self.by_name.get(name)
         if entry is None:
-            close = difflib.get_close_matches(name, self.by_name, n=1)
+            names = self.by_name if len(name) <= MAX_NAME else ()
+            close = difflib.get_close_matches(name, names, n=1)
             advice = self.hints.get(name) or (f'did you mean {close[0]}?' if close else '')
             raise ParameterError(
-                f'no parameter is named {name!r}' + (advice and f'; {advice}'), name
+                f'no parameter is named {quote(name)}' + (advice and f'; {advice}'), name
             )
         if entry.is_result:
             source = name.replace('recommended.', 'layer.')
             setting = f'set {source} or ' if source in self.by_name else ''
             raise ParameterError(
-                f'{name} is a result; {setting}call ~/apply_recommendation (got {value!r})', name
+                f'{name} is a result; {setting}call ~/apply_recommendation (got {quote(value)})',
+                name,
             )
         converted = entry.convert(value)
         if converted is None:
-            raise ParameterError(f'{name} must be {entry.rule}, got {_shown(value)}', name)
+            is_long = isinstance(value, str) and len(value) > MAX_TEXT
+            rule = f'at most {MAX_TEXT} characters long' if is_long else entry.rule
+            raise ParameterError(f'{name} must be {rule}, got {quote(value)}', name)
         return converted
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
         """
-        Return what `request` makes of `settings`: the new values, those it implies included.
+        Return the new values of a request, including implied values.
 
         Parameters
         ----------
         settings : mapping of str to value
             The complete settings before; not modified.
         request : mapping of str to value
-            What is to be set at once.
+            The values to be set at once.
 
         Raises
         ------
@@ -260,8 +333,11 @@ class Table:
 
         """
         checked = {name: self.check_value(name, value) for name, value in request.items()}
-        changes = dict(self.imply(settings, checked))
-        for error in self.contradictions({**settings, **changes}):
+        changes = dict(self.resolve(settings, checked))
+        for rule in self.rules:
+            implied = rule(settings, changes)
+            changes |= {name: implied[name] for name in implied if name not in changes}
+        for error in self.contradictions({**settings, **changes}, checked.keys()):
             if set(error.names) <= checked.keys():
                 raise error
         return changes
@@ -272,17 +348,43 @@ def row(name: str, default: Value, meaning: str, **rest: Any) -> Entry:
     return Entry(name=name, default=default, meaning=meaning, **rest)
 
 
+def float_of(text: str) -> float | None:
+    """Parse a number; return None if the text is none, or has `_` or digits of other scripts."""
+    try:
+        return float(text) if text.isascii() and '_' not in text else None
+    except ValueError:
+        return None
+
+
 def number_of(text: str) -> float | None:
-    """Return the number that a text is, None if it is none."""
-    for kind in (int, float):
-        try:
-            return None if '_' in text else kind(text)
-        except ValueError:
-            pass
-    return None
+    """Parse a number as `float_of` does; return whole numbers as `int`."""
+    number = float_of(text)
+    try:
+        return None if number is None else int(text)
+    except ValueError:
+        return number
 
 
-def _shown(value: object) -> str:
-    """Quote a value; of a very long one the beginning."""
-    text = repr(value)
-    return text if len(text) <= 200 else f'{text[:200]}... ({len(text)} characters)'
+def quote(value: object) -> str:
+    """
+    Quote a value in a refusal; of a long one the beginning, and how long it is.
+
+    Examples
+    --------
+    >>> quote('8e-3 gelatin')
+    "'8e-3 gelatin'"
+    >>> len(quote([0.01] * 1_000_000)) < 110
+    True
+
+    """
+    size = len(value) if isinstance(value, (array, list, str, tuple)) else 0
+    if isinstance(value, str):
+        text = repr(value[:MAX_QUOTE])
+    elif isinstance(value, (array, list, tuple)):
+        text = f'[{", ".join(map(quote, islice(value, MAX_QUOTE // 2)))}]'
+    else:
+        text = repr(value)
+    if len(text) <= MAX_QUOTE and size <= MAX_QUOTE:
+        return text
+    unit = 'items' if isinstance(value, (array, list, tuple)) else 'characters'
+    return f'{text[:MAX_QUOTE]}... ({size or len(text)} {unit})'

@@ -15,22 +15,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, replace
 import difflib
 import math
 from typing import Any
 
 from soft_throw_ros.configuration import motions
-from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library, STACKED, whole
-from soft_throw_ros.configuration.table import ParameterError, row, Scalar, Settings, Table, Value
-from soft_throw_ros.core.models import ELASTICITIES, LOSSES, MODELS
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.configuration.layers import (
+    BOUNDS,
+    CUSTOM,
+    library,
+    read_stack,
+    STACKED,
+    whole,
+    write_stack,
+)
+from soft_throw_ros.configuration.objectives import OBJECTIVES
+from soft_throw_ros.configuration.table import (
+    MAX_NAME,
+    ParameterError,
+    quote,
+    row,
+    Scalar,
+    Settings,
+    Table,
+    Value,
+)
+from soft_throw_ros.core.models import LOSSES, MODELS, STRESS_STRAIN_LAWS
+from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
 
-LAYERS: Mapping[str, Mapping[str, float | str]] = library().layers
-"""The layers of the installed library: what choosing `layer.name` sets."""
+_INSTALLED = library()
+
+LAYERS: Mapping[str, Mapping[str, float | str]] = _INSTALLED.layers
+"""The layers of the installed library, each with the parameters that its name sets."""
 
 _RIG = Rig()
+
+_FORMER_MODELS = {
+    'finite_difference': 'cells',
+    'finite_difference_elastic': 'cells_elastic',
+    'finite_difference_glued': 'cells_glued',
+}
+"""Names of the models of cells before version 0.4."""
 
 
 def _bounds(name: str) -> dict[str, Any]:
@@ -38,11 +65,39 @@ def _bounds(name: str) -> dict[str, Any]:
     return {'unit': unit, 'low': low, 'high': high}
 
 
+def _values_of(part: type, settings: Settings) -> dict[str, Any]:
+    """Return the arguments of a part of the rig, but for a motion of the plate."""
+    group = part.__name__.lower()
+    names = (item.name for item in fields(part) if item.name != 'motion')
+    return {name: settings[f'{group}.{name}'] for name in names}
+
+
+def _damped_engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
+    return Engine(**_values_of(Engine, settings))
+
+
+def _harmonic_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
+    return replace(_damped_engine(settings, motion_of), damping_ratio=0.0)
+
+
+def _engine_of_file(settings: Settings, motion_of: motions.MotionSource) -> Engine:
+    motion = motions.of_settings(settings, motion_of)
+    return Engine(**_values_of(Engine, settings), motion=motion)
+
+
+MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
+    'underdamped': _damped_engine,
+    'harmonic': _harmonic_engine,
+    'file': _engine_of_file,
+    'measured': _damped_engine,
+}
+"""Motions of the plate, each with the function that makes the engine of complete settings."""
+
 _ENTRIES = (
     row('engine.motion', 'underdamped',
-        'How the plate moves: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), as '
-        '`engine.motion_file` tells, or as `~/measured_joint_states` does',
-        choices=('underdamped', 'harmonic', 'file', 'measured')),
+        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
+        'motion in `engine.motion_file`, or the measured motion in `~/measured_joint_states`',
+        choices=tuple(MOTIONS)),
     row('engine.motion_file', '',
         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
         'are then units, and the loss tangent is that at the frequency',
@@ -53,10 +108,10 @@ _ENTRIES = (
         unit='m', low=1e-5, high=0.1),
     row('engine.damping_ratio', _RIG.engine.damping_ratio,
         'Damping ratio of the plate, 0 when the motion is harmonic', low=0.0, high=0.99),
-    row('measured.window', 2e-3,
-        'Time over which a measured plate is smoothed; it is known a quarter of that later',
+    row('measured.smoothing_window', 2e-3,
+        'Length of the smoothing window of a measured plate; a quarter of the length is the delay',
         unit='s', low=1e-4, high=0.1),
-    row('measured.wait', 0.0, 'Time to wait for samples that come after later ones',
+    row('measured.latency', 0.0, 'Time to wait for samples that arrive out of order',
         unit='s', low=0.0, high=0.1),
     row('measured.position_noise', 5e-6, 'Standard deviation of measured positions of the plate',
         unit='m', low=1e-9, high=1e-2),
@@ -65,12 +120,12 @@ _ENTRIES = (
     row('measured.start', 0.1,
         "Part of the plate's peak speed by `engine.*` at which a throw has started",
         low=0.01, high=0.9),
-    row('measured.band', 1e-4,
-        'Rms difference of a measured projectile beyond which the model is reported as wrong',
+    row('measured.residual_threshold', 1e-4,
+        'Rms residual of the projectile beyond which the model is reported as wrong',
         unit='m', low=1e-7, high=1.0),
     row('measured.prediction_error', 0.01,
-        'Half of the 95 % interval of the ejection speed, as a part of it, below which a throw '
-        'is first predicted', low=1e-4, high=1.0),
+        'Largest relative half width of the 95 % interval of the ejection speed in the first '
+        'prediction of a throw', low=1e-4, high=1.0),
     row('measured.clock_limit', 1.0,
         "How far the clock that stamps the samples may be off the twin's to be corrected; "
         'stamps since boot always are', unit='s', low=0.0, high=1e6),
@@ -78,12 +133,13 @@ _ENTRIES = (
         'File of materials besides those of `config/layers.yaml`, which says how it is written',
         kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
-        'A layer of the library, which sets what it is known by; `custom` after any other change',
+        'Layer of the library, which sets the properties of the layer; `custom` after any other '
+        'change',
         kind='a name in the library, or `custom`', examples=tuple(LAYERS)),
     row('layer.stack', '',
-        'Sheets of which the layer is, from the plate up, separated by commas: each is '
-        'thickness, wave speed, density and perhaps loss tangent, or thickness and material; '
-        'those values of the layer are of the whole, then',
+        'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
+        'speed, density and optionally loss tangent, or thickness and material, which is stored '
+        'in numbers; the values of the layer then describe the whole stack',
         kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
         **_bounds('thickness')),
@@ -95,24 +151,25 @@ _ENTRIES = (
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
         "Internal loss of the layer, as its loss tangent at the plate's frequency",
         **_bounds('loss_tangent')),
-    row('layer.elasticity', _RIG.layer.elasticity,
+    row('layer.stress_strain_law', _RIG.layer.stress_strain_law,
         'How the stress of the layer follows strain: in proportion, or as in a neo-Hookean rod, '
-        'which stiffens where it is compressed', choices=ELASTICITIES),
+        'which stiffens where it is compressed', choices=STRESS_STRAIN_LAWS),
     row('layer.loss', _RIG.layer.loss,
         'Whether the loss tangent grows with frequency (Kelvin and Voigt), or is the same over '
         'decades, as that of gels and silicones is', choices=LOSSES),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
         unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
-        'Length L_r of the projectile, for the model `finite_difference_elastic`',
+        'Length L_r of the projectile, for the model `cells_elastic`',
         unit='m', low=1e-4, high=0.5),
     row('projectile.youngs_modulus', _RIG.projectile.youngs_modulus,
-        'Modulus E_r of the projectile, for the model `finite_difference_elastic`',
+        'Modulus E_r of the projectile, for the model `cells_elastic`',
         unit='Pa', low=1e6, high=1e12),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
     row('model', 'travelling_wave',
-        'What layer and projectile are taken for; where there is internal loss, large strain '
-        'or a stack, the travelling wave gives way to finite differences', choices=MODELS),
+        'Model of layer and projectile; cells replace the travelling wave for internal loss, '
+        'large strain or a stack',
+        choices=tuple(MODELS), deprecated=_FORMER_MODELS),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -123,27 +180,33 @@ _ENTRIES = (
         unit='Hz', low=0.1, high=1000.0),
     row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
         low=1e-4, high=10.0),
-    row('max_strain', 0.1, 'Strain beyond which the layer is reported as no longer linear',
+    row('max_strain', LINEAR_STRAIN,
+        'Strain beyond which the layer is reported as no longer linear; at the default a linear '
+        'model errs by up to 5 % in ejection time and energy transfer',
         low=1e-3, high=1.0),
-    row('uncertainty.wave_speed', 0.3, 'How far the wave speed may be off, up or down',
+    row('uncertainty.wave_speed', 0.3,
+        'Largest error of the wave speed, up or down; all errors within it are equally likely',
         unit='m/s', low=0.0, high=100.0),
-    row('uncertainty.thickness', 0.1e-3, 'How far the thickness may be off',
+    row('uncertainty.thickness', 0.1e-3, 'Largest error of the thickness, likewise',
         unit='m', low=0.0, high=0.05),
-    row('uncertainty.mass', 0.01, 'How far the mass may be off, as a part of it',
+    row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise',
         low=0.0, high=0.9),
-    row('uncertainty.frequency', 0.1, 'How far the frequency may be off',
+    row('uncertainty.frequency', 0.1,
+        'Largest error of the frequency, likewise; divided by the square root of 3 it is the '
+        'standard deviation with which a fit of a measured plate begins',
         unit='Hz', low=0.0, high=500.0),
-    row('uncertainty.damping_ratio', 0.003, 'How far the damping ratio may be off',
+    row('uncertainty.damping_ratio', 0.003,
+        'Largest error of the damping ratio; used like that of the frequency',
         low=0.0, high=0.5),
     row('recommendation.objective', 'peak',
-        'What to look for: `peak`, the most energy per throw; `robust`, the most in the worst '
-        'case of the uncertainties; `versatile`, the most in the worst of several throws; `aim`, '
-        'the smallest amplitude that reaches a target',
-        choices=('peak', 'robust', 'versatile', 'aim')),
+        'Goal of the recommendation: '
+        + ''.join(f'`{name}`, {meaning}; ' for name, meaning in OBJECTIVES.items())
+        + '`aim`, the smallest amplitude that reaches a target',
+        choices=(*OBJECTIVES, 'aim')),
     row('recommendation.vary', 'both',
-        'What of the layer may be changed: thickness, wave speed, both, or all of it by a pick '
-        'from the library; or how the plate moves instead, for the most energy per throw; '
-        '`amplitude` is for aiming alone, which always changes it',
+        'Properties that may change: thickness or wave speed of the layer, both, or the layer as '
+        'one of the library; or the motion of the plate, for the most energy per throw; '
+        '`amplitude` for aiming alone, which always changes the amplitude',
         choices=('thickness', 'wave_speed', 'both', 'library', 'motion', 'amplitude')),
     row('recommendation.plate_speed', 0.0,
         'Largest speed of a plate whose motion is designed; 0 is that of its motion now',
@@ -209,85 +272,135 @@ _ENTRIES = (
 )
 
 
-def imply(settings: Settings, changes: Settings) -> dict[str, Value]:
+def resolve_stack(settings: Settings, changes: Settings) -> Settings:
     """
-    Add to `changes` what they imply.
-
-    A layer's name implies the layer's values, and a value that is not the named layer's makes it
-    `custom`. A stack implies the values of the whole, and another value that there is no stack.
-    Harmonic motion implies no damping, and damping that the motion is underdamped. A file implies
-    that the plate moves by it, and none that it does not. Aiming at a speed implies that no height
-    is aimed at, and the other way round. What was asked for is never replaced.
+    Write a stack that is set in numbers, so that settings contain all that they mean.
 
     Raises
     ------
     ParameterError
-        If the library has no layer of that name, or a file or a stack cannot be read.
+        If the library cannot be read, or a sheet is wrong.
 
     """
-    implied: dict[str, Value] = {}
+    text = changes.get('layer.stack')
+    if not text:
+        return changes
+    path = str({**settings, **changes}['layer.library'])
+    sheets = read_stack(str(text), lambda: library(path).materials)
+    return {**changes, 'layer.stack': write_stack(sheets)}
+
+
+def _require_library(_settings: Settings, changes: Settings) -> Settings:
+    """Refuse a library that cannot be read."""
+    if changes.get('layer.library'):
+        library(str(changes['layer.library']))
+    return {}
+
+
+def _values_of_named_layer(settings: Settings, changes: Settings) -> Settings:
+    """Imply the values of a layer by its name."""
+    name = changes.get('layer.name', CUSTOM)
+    if name == CUSTOM:
+        return {}
     layers = _layers({**settings, **changes})
-    name = changes.get('layer.name')
-    if name is not None and name not in (CUSTOM, *layers):
-        close = difflib.get_close_matches(str(name), layers, n=1)
+    if name not in layers:
+        names = layers if len(name) <= MAX_NAME else ()
+        close = difflib.get_close_matches(str(name), names, n=1)
         advice = f'did you mean {close[0]}?' if close else f'there are {", ".join(layers)}'
         raise ParameterError(
-            f'layer.name must be a name in the library, or {CUSTOM!r}, got {name!r}; {advice}',
+            f'layer.name must be a name in the library, or {CUSTOM!r}, got {quote(name)}; '
+            f'{advice}',
             'layer.name',
         )
-    if name is not None:
-        implied.update(layers.get(str(name), {}))
-    elif settings['layer.name'] != CUSTOM and (
-        settings['layer.name'] not in layers or _departures(layers, settings, changes)
-    ):
-        implied['layer.name'] = CUSTOM
-    stack = changes.get('layer.stack')
-    if stack:
-        implied.update(_whole({**settings, **changes}))
-    elif stack is None and settings['layer.stack'] and any(name in changes for name in STACKED):
-        implied.setdefault('layer.stack', '')
-    motions.of_settings({**settings, 'engine.motion': '', **changes})
+    return layers[name]
+
+
+def _custom_layer(settings: Settings, changes: Settings) -> Settings:
+    """Imply that a layer is `custom` if a value is not that of the layer in the library."""
+    name = settings['layer.name']
+    touched = {'layer.library', *_NAMED} & changes.keys()
+    if 'layer.name' in changes or name == CUSTOM or not touched:
+        return {}
+    try:
+        known = _layers({**settings, **changes})[name]
+    except (KeyError, ParameterError):  # the library has changed, or cannot be read any more
+        return {'layer.name': CUSTOM}
+    is_same = all(known[each] == changes.get(each, known[each]) for each in known)
+    return {} if is_same else {'layer.name': CUSTOM}
+
+
+def _values_of_stack(_settings: Settings, changes: Settings) -> Settings:
+    """Imply the values of a stack as a whole."""
+    return whole(_sheets(changes)) if changes.get('layer.stack') else {}
+
+
+def _no_stack(settings: Settings, changes: Settings) -> Settings:
+    """Imply that there is no stack if another value of the whole is set."""
+    is_changed = any(name in changes for name in STACKED)
+    return {'layer.stack': ''} if settings['layer.stack'] and is_changed else {}
+
+
+def _motion_of_file(settings: Settings, changes: Settings) -> Settings:
+    """Imply that the plate moves by a file if one is named, and not if none is."""
     if changes.get(motions.PARAMETER):
         motions.read(str(changes[motions.PARAMETER]))
-        implied['engine.motion'] = 'file'
-    elif motions.PARAMETER in changes and settings['engine.motion'] == 'file':
-        implied['engine.motion'] = 'underdamped'
-    motion = changes.get('engine.motion', implied.get('engine.motion'))
-    if motion == 'harmonic':
-        implied['engine.damping_ratio'] = 0.0
-    elif settings['engine.motion'] == 'harmonic':
-        if motion == 'underdamped':
-            implied['engine.damping_ratio'] = _RIG.engine.damping_ratio
-        elif changes.get('engine.damping_ratio'):
-            implied['engine.motion'] = 'underdamped'
-    for target, other in (_TARGETS, _TARGETS[::-1]):
-        if changes.get(target):
-            implied[other] = 0.0
-    return {**changes, **{name: implied[name] for name in implied if name not in changes}}
+        return {'engine.motion': 'file'}
+    is_ended = motions.PARAMETER in changes and settings['engine.motion'] == 'file'
+    return {'engine.motion': 'underdamped'} if is_ended else {}
 
 
-def contradictions(settings: Settings) -> Iterator[ParameterError]:
+def _require_motion(settings: Settings, changes: Settings) -> Settings:
+    """Refuse a motion by a file that is not named, or cannot be read."""
+    if changes.get('engine.motion') == 'file':
+        motions.of_settings({**settings, **changes})
+    return {}
+
+
+def _no_damping(_settings: Settings, changes: Settings) -> Settings:
+    """Imply no damping of a harmonic motion."""
+    return {'engine.damping_ratio': 0.0} if changes.get('engine.motion') == 'harmonic' else {}
+
+
+def _default_damping(settings: Settings, changes: Settings) -> Settings:
+    """Imply the default damping of any motion after a harmonic one."""
+    motion = changes.get('engine.motion', 'harmonic')
+    is_ended = settings['engine.motion'] == 'harmonic' and motion != 'harmonic'
+    return {'engine.damping_ratio': _RIG.engine.damping_ratio} if is_ended else {}
+
+
+def _damped_motion(settings: Settings, changes: Settings) -> Settings:
+    """Imply that a harmonic motion becomes an underdamped one if damping is set."""
+    is_damped = settings['engine.motion'] == 'harmonic' and changes.get('engine.damping_ratio')
+    return {'engine.motion': 'underdamped'} if is_damped else {}
+
+
+def _one_target(_settings: Settings, changes: Settings) -> Settings:
+    """Imply that no height is aimed at if a speed is, and the other way round."""
+    height, speed = _TARGETS
+    if changes.get(height):
+        return {speed: 0.0}
+    return {height: 0.0} if changes.get(speed) else {}
+
+
+def contradictions(settings: Settings, names: Collection[str]) -> Iterator[ParameterError]:
     """
-    Find values of complete settings that contradict each other.
+    Yield the contradictions among the values of some names in complete settings.
 
-    Any of them may come about by single changes, which are all accepted; refused is what is asked
-    for at once.
+    A single change may lead to a contradiction and is accepted; a request that sets all
+    contradicting values at once is refused.
     """
-    layers, layer = _layers(settings), settings['layer.name']
-    for name in _departures(layers, settings, settings):
-        yield ParameterError(
-            f'{name} of {layer} is {_shown(layers[layer][name])}, got {_shown(settings[name])}; '
-            f'leave one of the two out, or set layer.name to {CUSTOM!r}',
-            name,
-            'layer.name',
-        )
-    if settings['layer.stack']:
-        try:
-            values = _whole(settings)
-        except ParameterError as error:  # the library has changed
-            values = {}
-            yield error
-        for name, value in values.items():
+    layer = settings['layer.name']
+    if 'layer.name' in names and layer != CUSTOM:
+        for name, value in _layers(settings)[layer].items():
+            if name in names and settings[name] != value:
+                yield ParameterError(
+                    f'{name} of {layer} is {_shown(value)}, got {_shown(settings[name])}; '
+                    f'leave one of the two out, or set layer.name to {CUSTOM!r}',
+                    name,
+                    'layer.name',
+                )
+    if 'layer.stack' in names and settings['layer.stack']:
+        for name, value in _values_of_stack({}, settings).items():
             if settings[name] != value:
                 yield ParameterError(
                     f'{name} of the stack is {value:g}, got {settings[name]:g}; '
@@ -327,15 +440,46 @@ TWIN = Table(
         'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
         'set layer.wave_speed'
     },
-    imply=imply,
+    deprecated={
+        'measured.band': 'measured.residual_threshold',
+        'measured.window': 'measured.smoothing_window',
+        'measured.wait': 'measured.latency',
+        'layer.elasticity': 'layer.stress_strain_law',
+    },
+    resolve=resolve_stack,
+    rules=(
+        _require_library,
+        _values_of_named_layer,
+        _custom_layer,
+        _values_of_stack,
+        _no_stack,
+        _motion_of_file,
+        _require_motion,
+        _no_damping,
+        _default_damping,
+        _damped_motion,
+        _one_target,
+    ),
     contradictions=contradictions,
 )
 """The parameters of the twin."""
 
 
-def rig_of(settings: Settings) -> Rig:
+def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -> Rig:
     """
-    Make the rig that the settings describe; ParameterError if a file cannot be read.
+    Make the rig that complete settings describe.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        Complete settings of the twin.
+    motion_of : callable
+        Returns the motion of the plate by the path of its file; by default it reads the file.
+
+    Raises
+    ------
+    ParameterError
+        If a file cannot be read, or the motion is unknown.
 
     Examples
     --------
@@ -343,30 +487,27 @@ def rig_of(settings: Settings) -> Rig:
     True
 
     """
-    if settings['engine.motion'] == 'harmonic':
-        settings = {**settings, 'engine.damping_ratio': 0.0}
-
-    def values(part: type) -> dict[str, Any]:
-        group = part.__name__.lower()
-        names = (item.name for item in fields(part) if item.name != 'motion')
-        return {name: settings[f'{group}.{name}'] for name in names}
-
-    layer = Layer(**values(Layer))
+    motion = settings['engine.motion']
+    if motion not in MOTIONS:
+        raise ParameterError(
+            f'engine.motion must be one of {", ".join(MOTIONS)}, got {quote(motion)}',
+            'engine.motion',
+        )
+    layer: Layer | Stack = Layer(**_values_of(Layer, settings))
     if settings['layer.stack']:
-        shared = {name: getattr(layer, name) for name in ('diameter', 'elasticity', 'loss')}
-        sheets = library(settings['layer.library']).sheets(settings['layer.stack'])
-        layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in sheets))
+        shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
+        layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in _sheets(settings)))
     return Rig(
-        engine=Engine(**values(Engine), motion=motions.of_settings(settings)),
+        engine=MOTIONS[motion](settings, motion_of),
         layer=layer,
-        projectile=Projectile(**values(Projectile)),
+        projectile=Projectile(**_values_of(Projectile, settings)),
         gravity=settings['gravity'],
     )
 
 
 def rig_values(rig: Rig) -> dict[str, Scalar]:
     """
-    Return the numbers of a rig, and what its layer is, by the names of their parameters.
+    Return the values of a rig, including the description of its layer, by parameter name.
 
     Examples
     --------
@@ -375,12 +516,7 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
     '0.0168 7.8 1000.0 0.0, 0.01 7.8 1000.0 0.0'
 
     """
-    stack = ''
-    if isinstance(rig.layer, Stack):
-        stack = ', '.join(
-            ' '.join(str(getattr(sheet, name.removeprefix('layer.'))) for name in STACKED)
-            for sheet in rig.layer.sheets
-        )
+    stack = write_stack(rig.layer.sheets) if isinstance(rig.layer, Stack) else ''
     return {
         **{
             f'engine.{item.name}': getattr(rig.engine, item.name)
@@ -400,23 +536,19 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 
 
-def _whole(settings: Settings) -> dict[str, float]:
-    """Return what the stack of the settings has as a whole."""
-    return whole(library(str(settings['layer.library'])).sheets(str(settings['layer.stack'])))
+_NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
+"""Parameters that the name of a layer may set."""
+
+
+def _sheets(settings: Settings) -> list[Layer]:
+    """Return the sheets of a stack; journals of 0.2 may name installed materials."""
+    return read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
 
 
 def _shown(value: Value) -> str:
-    return f'{value:g}' if isinstance(value, float) else repr(value)
+    return f'{value:g}' if isinstance(value, float) else quote(value)
 
 
 def _layers(settings: Settings) -> Mapping[str, Mapping[str, float | str]]:
     """Return the layers of the library, that of the settings included."""
     return library(str(settings['layer.library'])).layers
-
-
-def _departures(
-    layers: Mapping[str, Mapping[str, float | str]], settings: Settings, values: Settings
-) -> list[str]:
-    """Name the values that are not those of the named layer."""
-    known = layers.get(settings['layer.name'], {})
-    return [name for name, value in known.items() if values.get(name, value) != value]

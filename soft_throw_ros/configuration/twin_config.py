@@ -12,50 +12,55 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The parameters of the twin as one typed value, made once where they come in.
+The parameters of the twin as one typed value, constructed once from the settings.
 
-Dotted names stay in the table, in the journal and in ROS; what computes reads these fields.
+The table, the journal and ROS use dotted names; computations read these fields.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
+from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
-from soft_throw_ros.configuration.twin import rig_of
+from soft_throw_ros.configuration.twin import rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import model_for, Rig
 
 _SECOND = 1_000_000_000  # [ns]
+
+_BOUND_PER_DEVIATION = math.sqrt(3.0)
+"""Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementConfig:
     """
-    How a measured plate is estimated, and when the model is off.
+    Parameters of the estimation of a measured plate, and of the test of the model.
 
     Parameters
     ----------
-    smoothing_window_ns, wait_ns : int
-        Over which the plate is smoothed, and for samples that come after later ones. [ns]
+    smoothing_window_ns, latency_ns : int
+        Length of the smoothing window, and the time to wait for samples out of order. [ns]
     position_noise, velocity_noise : float
-        Standard deviations. [m], [m/s]
+        Standard deviations of the heights and velocities of the plate. [m], [m/s]
     start_speed : float
-        Of the plate, upwards, at which a throw has begun. [m/s]
+        Upward speed of the plate at which a throw has begun. [m/s]
     residual_threshold : float
-        How far the projectile may be off the model, rms. [m]
+        Rms residual of the projectile beyond which the model is reported as wrong. [m]
     plate : Underdamped
-        About how the plate moves in a throw.
+        Expected motion of the plate in a throw.
     frequency_error, damping_error : float
-        Standard errors of its frequency [Hz] and damping ratio [-].
+        Standard deviations of its frequency [Hz] and damping ratio [-].
     prediction_error : float
-        Half of the 95 % interval of the ejection speed at which a throw is predicted, as a part
-        of it. [-]
+        Half of the 95 % interval of the ejection speed, relative to the speed, below which a
+        throw is predicted. [-]
 
     """
 
     smoothing_window_ns: int
-    wait_ns: int
+    latency_ns: int
     position_noise: float
     velocity_noise: float
     start_speed: float
@@ -67,20 +72,22 @@ class MeasurementConfig:
 
     @property
     def smoothing_window(self) -> float:
-        """Over which the plate is smoothed [s]."""
+        """Length of the smoothing window [s]."""
         return self.smoothing_window_ns / _SECOND
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
     """
-    What the twin is to be; what is asked of a recommendation is in `design.requests`.
+    The configuration of the twin; requests for recommendations are in `design.requests`.
 
     Parameters
     ----------
+    settings : mapping of str to value
+        The complete settings, the source of all other fields.
     rig, model, motion
-        The rig, the model by which it is followed (see `model_of`), and how the plate moves:
-        'underdamped', 'harmonic' or 'measured'.
+        The rig, its model (see `model_of`), and the kind of the plate's motion: 'underdamped',
+        'harmonic', 'file' or 'measured'.
     measurement : MeasurementConfig
         How the plate is estimated if it is measured.
     state_rate, field_rate : float
@@ -88,12 +95,13 @@ class TwinConfig:
     time_scale : float
         Time of the rig over time of the clock, 1 with a measured plate. [-]
     throw_period : float
-        From one throw to the next; 0 throws only on request. [s]
+        Time between the starts of two throws; 0 to throw only on request. [s]
     max_events, max_strain
         Contacts after which a throw is over, and where the linear range ends [-].
 
     """
 
+    settings: Settings
     rig: Rig
     model: str
     motion: str
@@ -107,13 +115,33 @@ class TwinConfig:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the plate moves as it is measured."""
+        """Whether the plate is measured."""
         return self.motion == 'measured'
 
     @classmethod
-    def from_settings(cls, settings: Settings) -> TwinConfig:
+    def from_settings(
+        cls,
+        settings: Settings,
+        motion_of: motions.MotionSource = motions.read,
+        *,
+        rig: Rig | None = None,
+    ) -> TwinConfig:
         """
         Make the configuration that complete settings describe.
+
+        Parameters
+        ----------
+        settings : mapping of str to value
+            Complete settings.
+        motion_of : callable
+            Returns the motion of the plate by the path of its file; by default it reads the file.
+        rig : Rig, optional
+            The rig that the settings describe, if it exists already.
+
+        Raises
+        ------
+        ParameterError
+            If a file cannot be read.
 
         Examples
         --------
@@ -122,23 +150,25 @@ class TwinConfig:
         True
 
         """
-        rig, motion = rig_of(settings), settings['engine.motion']
+        rig = rig_of(settings, motion_of) if rig is None else rig
+        motion = settings['engine.motion']
         plate = Underdamped.of(rig.engine)
         return cls(
+            settings=settings,
             rig=rig,
             model=model_of(settings, rig),
             motion=motion,
             measurement=MeasurementConfig(
-                smoothing_window_ns=round(settings['measured.window'] * _SECOND),
-                wait_ns=round(settings['measured.wait'] * _SECOND),
+                smoothing_window_ns=round(settings['measured.smoothing_window'] * _SECOND),
+                latency_ns=round(settings['measured.latency'] * _SECOND),
                 position_noise=settings['measured.position_noise'],
                 velocity_noise=settings['measured.velocity_noise'],
                 # relative to the plate's
                 start_speed=settings['measured.start'] * plate.peak_velocity,
-                residual_threshold=settings['measured.band'],
+                residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
-                frequency_error=settings['uncertainty.frequency'],
-                damping_error=settings['uncertainty.damping_ratio'],
+                frequency_error=settings['uncertainty.frequency'] / _BOUND_PER_DEVIATION,
+                damping_error=settings['uncertainty.damping_ratio'] / _BOUND_PER_DEVIATION,
                 prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],
@@ -149,13 +179,44 @@ class TwinConfig:
             max_strain=rig.layer.linear_range(settings['max_strain']),
         )
 
+    def change(
+        self, values: Settings, motion_of: motions.MotionSource = motions.read
+    ) -> TwinConfig:
+        """
+        Return the configuration after a change of settings.
+
+        The rig is built again, and the file of a motion read again, only if its parameters change.
+
+        Parameters
+        ----------
+        values : mapping of str to value
+            The changes, with all that they imply.
+        motion_of : callable
+            See `from_settings`.
+
+        Raises
+        ------
+        ParameterError
+            If a file cannot be read.
+
+        """
+        settings, before = {**self.settings, **values}, self.settings
+        rig, motion = self.rig, self.rig.engine.motion
+        if all(settings[name] == before[name] for name in _OF_RIG):
+            return self.from_settings(settings, rig=rig)
+        if motion is not None and settings[motions.PARAMETER] == before[motions.PARAMETER]:
+            return self.from_settings(settings, lambda _path: motion)
+        return self.from_settings(settings, motion_of)
+
+
+_OF_RIG = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model')
+"""Parameters that require a new rig when they change."""
+
 
 def model_of(settings: Settings, rig: Rig) -> str:
     """
-    Choose by which model a rig is followed.
+    Return the name of the model that follows a rig: the set one, or its fallback.
 
-    It is the one that is set, unless that is the travelling wave and the layer is a stack, not
-    linear, or has internal loss: then it is finite differences.
+    The fallback follows a layer that only cells can: a stack, one with loss, one not linear.
     """
-    is_wave = settings['model'] == 'travelling_wave'
-    return 'finite_difference' if is_wave and rig.layer.needs_cells else str(settings['model'])
+    return model_for(rig, str(settings['model']))

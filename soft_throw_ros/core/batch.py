@@ -17,15 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-import os
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.processors import usable_processors
 
 Floats = NDArray[np.float64]
-
-_CORES = os.cpu_count() or 1
 
 _CHECKS = {
     'mass_ratio': checks.require_positive_array,
@@ -40,12 +38,12 @@ _CHECKS = {
 
 
 class ThrowUnresolvedError(ValueError):
-    """No release within the time that is followed, or none to the promised accuracy."""
+    """No release within the simulated time, or none with the promised accuracy."""
 
 
 def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
     """
-    Check ratios, in the order of `describe_ratios`, and give a row of each, with their shape.
+    Check ratios, in the order of `describe_ratios`; return a row of each, and their shape.
 
     Raises
     ------
@@ -58,13 +56,13 @@ def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tupl
     arrays = [_CHECKS[name](name, ratio) for name, ratio in ratios.items()]
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
     rows = np.empty((len(arrays), *shape))
-    for place, array in enumerate(arrays):
-        rows[place, ...] = array
+    for index, array in enumerate(arrays):
+        rows[index, ...] = array
     return rows.reshape(len(arrays), -1), shape
 
 
 def describe_ratios(ratios: Iterable[float]) -> str:
-    """Name the ratios of one throw, of which later ones may be left out."""
+    """Format the ratios of one throw for a message; trailing ratios may be missing."""
     return ', '.join(f'{name} {value:g}' for name, value in zip(_CHECKS, ratios, strict=False))
 
 
@@ -72,16 +70,16 @@ def in_threads(
     run: Callable[[int, int], None], *, count: int, per_thread: int, threads: int | None
 ) -> None:
     """
-    Do the parts of a loop in threads, made anew: numba's own may not be entered from two at once.
+    Run a loop in fresh threads, because numba's thread pool is not re-entrant.
 
     Parameters
     ----------
     run : callable
-        Does what belongs to a part, given its number and how many there are.
+        Runs one part, given its number and the number of parts.
     count, per_thread : int
-        How many throws there are, and the fewest that are worth a thread.
+        Number of throws, and the fewest that are worth a thread.
     threads : int, optional
-        Largest number of threads, all cores if None.
+        Largest number of threads, by default `usable_processors`.
 
     Raises
     ------
@@ -91,11 +89,11 @@ def in_threads(
     """
     if threads is not None and not (type(threads) is int and threads > 0):
         raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
-    parts = max(1, min(threads or _CORES, count // per_thread))
+    parts = max(1, min(threads or usable_processors(), count // per_thread))
     if parts == 1:
         run(0, 1)
         return
     with ThreadPoolExecutor(parts - 1) as pool:
         others = pool.map(lambda part: run(part, parts), range(1, parts))
         run(0, parts)
-        list(others)  # raises what they raised
+        list(others)  # raises the exceptions of the threads

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-When and how fast a rigid projectile first leaves the layer, exactly (Sec. IV of the paper).
+Exact time and speed of the first release of a rigid projectile (Sec. IV of the paper).
 
-In closed form and for any number of crossings of the wave. What happens later, peak strains,
-fields and measured plates are for `soft_throw_ros.core.wave_stepper`.
+The closed form takes any number of crossings of the wave. Later events, peak strains, fields and
+measured plates need `soft_throw_ros.core.wave_stepper`.
 
 Notes
 -----
@@ -29,9 +29,9 @@ Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, 
     V_m &= \Im\, \frac{2 Q_k}{1 + \lambda \mu} e^{\lambda \sigma}
            + \sum_{j \le k} (c_{k-j} - c_{k-1-j})\, \phi_j(\sigma / \mu)
 
-where :math:`\phi_j(u) = e^{-u} L_j(2 u)` are Laguerre functions. They are what the powers of the
-all-pass response :math:`r(s) = (\tau s - 1)/(\tau s + 1)` look like in time, never exceed 1, and
-so nothing cancels, however small :math:`\mu` is. With :math:`Q_k = e^{2 k \lambda} +
+where :math:`\phi_j(u) = e^{-u} L_j(2 u)` are Laguerre functions: the powers of the all-pass
+response :math:`r(s) = (\tau s - 1)/(\tau s + 1)` in the time domain. They never exceed 1, so
+nothing cancels, however small :math:`\mu` is. With :math:`Q_k = e^{2 k \lambda} +
 r(\lambda) Q_{k-1}`, and :math:`c_k` from the continuity of :math:`V_m`,
 
 .. math::
@@ -65,30 +65,46 @@ from soft_throw_ros.core.kernels import inlined, kernel, part
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 
 MAX_INTERVALS = 2048
-"""Wave intervals (two crossings each) that are followed before a named error is raised."""
+"""Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
 
 _RELEASED = 0
 _NOT_WITHIN = 1
 _INACCURATE = 2
 
-_GROWTH_LIMIT = 1e4  # of |Q_k|; alpha loses at most 1e-14 of it, and has 34 within the box
-# Bounds the error by what it grows from: of 195 throws with mu up to 1e10, kappa up to 1e5 and at
-# most 110 intervals, computed once more with 260 digits, none was off by a tenth as much; the
-# throw (1e6, 1e4), of 1928 intervals, by three quarters
+_GROWTH_LIMIT = 1e4
+"""Largest |Q_k|; alpha loses at most 1e-14 |Q_k|, and |Q_k| is 34 at most within the box. [-]"""
+
 _ROUNDING = 9.0 * 2.0**-52
-_ACCURACY = 1e-9  # what is promised of alpha
-_LEAST_SPEED = 1e-150  # the square of which is a normal number
+"""
+Factor of the bound of the rounding error. [-]
 
-_SEARCH_EFFORT = 1e6  # terms of Laguerre sums, some milliseconds
-_THROWS_PER_THREAD = 2048  # fewer are done before a thread has started
+Of 195 throws with mu up to 1e10, kappa up to 1e5 and at most 110 intervals, computed again with
+260 digits, none had an error of a tenth of the bound; the throw (1e6, 1e4), of 1928 intervals, had
+an error of three quarters of the bound.
+"""
+
+_ACCURACY = 1e-9
+"""Promised relative error of alpha. [-]"""
+
+_LEAST_SPEED = 1e-150
+"""Speed whose square is still a normal number. [-]"""
+
+_SEARCH_EFFORT = 1e6
+"""Terms of Laguerre sums after which a search is given up: some milliseconds."""
+
+_THROWS_PER_THREAD = 2048
+"""Throws that take as long as the start of a thread."""
+
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
+"""Reciprocals of 1, 1, 2, 3 ..."""
 
-_FIRST = np.int64(0)  # interval; a literal 0 would have its functions compiled a second time
+_FIRST = np.int64(0)
+"""Number of the first interval; a literal 0 would compile its functions a second time."""
 
 
 class FirstRelease(NamedTuple):
     r"""
-    When and how fast the projectile first leaves the layer, as floats or arrays.
+    Time, speed and energy of first releases in ratios, as floats or arrays.
 
     They are :math:`t_e f`, :math:`V_e / (A \omega)` and :math:`\alpha = (V_e / V_p^*)^2`.
     """
@@ -106,7 +122,7 @@ def first_release(
     gravity_ratio: float = 0.0,
 ) -> FirstRelease:
     r"""
-    Find when a rigid projectile first leaves the layer, and how fast.
+    Compute time and speed of the first release of a rigid projectile.
 
     The plate moves as `plate.Underdamped`; the layer is lossless.
 
@@ -117,7 +133,7 @@ def first_release(
     speed_ratio : float
         Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
     damping_ratio : float
-        Of the plate, :math:`\zeta`. [-]
+        Damping ratio of the plate, :math:`\zeta`. [-]
     gravity_ratio : float
         :math:`g / (A \omega^2)`. [-]
 
@@ -183,16 +199,16 @@ def first_releases(
     threads: int | None = None,
 ) -> FirstRelease:
     """
-    Find when and how fast rigid projectiles first leave their layers, for many throws.
+    Compute times and speeds of the first releases of rigid projectiles, for many throws.
 
     Parameters
     ----------
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
-        As for `first_release`; broadcast against each other. [-]
+        Arguments of `first_release`, broadcast against each other. [-]
     unresolved : {'raise', 'nan'}
-        What becomes of throws without a release: the first is raised, or all are NaN.
+        Treatment of throws without a release: raise an error for the first one, or return NaN.
     threads : int, optional
-        Largest number of threads, all cores if not given. Results do not depend on it.
+        Largest number of threads, all cores if not given. The number does not change the results.
 
     Returns
     -------
@@ -283,7 +299,7 @@ def _release_part(ratios, phase, speed, status, part, parts):
 
 
 class _Wave(NamedTuple):
-    """What stays the same from interval to interval."""
+    """Constants of all intervals."""
 
     mu: float
     rate: float  # 1 / mu
@@ -332,9 +348,9 @@ def _wave(mu, kappa, zeta, gravity):
 @inlined
 def _find(wave, c, b):
     """
-    Go through the intervals to that of the release; fill c with c_j, b with phi_j(2 / mu).
+    Find the wave interval of the release; fill c with c_j, b with phi_j(2 / mu).
 
-    Returns status, interval k, a bracket and a guess of the root in it, and Q_k.
+    Returns status, interval k, a bracket of the root, a first guess of the root, and Q_k.
     """
     turn = wave.lam.imag
     weight = wave.weight
@@ -409,7 +425,7 @@ def _size(z):
 
 @inlined
 def _underflows(k, mu):
-    """Tell whether e^{-sigma / mu} may be lost where phi_k is not negligible."""
+    """Return whether e^{-sigma / mu} may underflow where phi_k is not negligible."""
     return k > 250 and mu < 2.0 / 700.0
 
 
@@ -477,7 +493,7 @@ def _polish(k, low, high, sigma, wave, steady, c):
 
 @inlined
 def _rounding_error(k, sigma, wave, steady, c):
-    """Bound what rounding does to the speed: a heavy projectile is slow in a wave that is not."""
+    """Bound the rounding error of the speed; a heavy projectile is much slower than the wave."""
     square = 0.0
     for j in range(k + 1):
         square += c[j] * c[j]

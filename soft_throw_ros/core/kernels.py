@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How functions are compiled: kernels that Python calls, and parts of which they consist."""
+"""Decorators that compile functions: kernels that Python calls, and their parts."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ Record: TypeAlias = Any
 _OPTIONS: dict[str, Any] = {'error_model': 'numpy'}
 
 kernel = nb.njit(cache=True, nogil=True, **_OPTIONS)
-"""What Python calls, from any thread."""
+"""Compile a function that Python calls, from any thread."""
 
 _PART: dict[str, Any] = {**_OPTIONS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
 part = nb.njit(**_PART)
-"""What only kernels call: without a way in from Python it takes half as long to compile."""
+"""Compile a function that only kernels call, which takes half as long."""
 
 _INLINED: dict[str, Any] = {**_PART, 'forceinline': True}
 inlined = nb.njit(**_INLINED)
-"""A part that every step calls."""
+"""Compile a part that every step calls."""
 
 _REDUCTION: dict[str, Any] = {**_INLINED, 'fastmath': {'reassoc'}}
 reduction = nb.njit(**_REDUCTION)
-"""A part that adds up, in whatever order is fastest."""
+"""Compile a part whose sums may be reordered, which is faster."""
 
 
 def compiled(function: Any, *types: nb.types.Type) -> Callable[[], Callable[..., Any]]:
     """
-    Give what compiles a kernel, or loads it, for the only types that its arguments ever have.
+    Return a function that compiles or loads a kernel for its only signature.
 
-    It returns the compiled function itself. Calling that takes half as long as calling the kernel,
-    which looks at the types of all arguments each time.
+    Calling the compiled function takes half as long as calling the kernel, which looks up the
+    types of all arguments each time.
     """
     return cache(lambda: function.compile(types))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-What a layer is made of: how its stress follows strain, and how it loses energy.
+Materials of a layer: laws of stress and strain, and of internal loss.
 
 Notes
 -----
@@ -20,8 +20,8 @@ With the stretch :math:`\lambda = 1 + \epsilon` the nominal stress of a rod is :
 or that of a neo-Hookean one, :math:`\frac{E}{3} (\lambda - \lambda^{-2})`. Where the stress grows
 faster than strain, compression waves steepen into shocks. They are resolved by an artificial
 viscosity (von Neumann and Richtmyer, [1]_), a stress :math:`2 \rho (\Delta v)^2` in cells that are
-being compressed, which is of second order where waves are smooth; what it takes counts as heat.
-In very strong shocks it grows in proportion only, so that every throw can be stepped.
+being compressed, which is of second order where waves are smooth; its work counts as heat.
+In very strong shocks the stress grows only linearly, so that the step stays stable.
 
 A constant loss tangent is that of a spring beside a few Maxwell elements,
 
@@ -47,21 +47,27 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.kernels import part
-from soft_throw_ros.core.rig import LARGEST_STRAIN
+
+LARGEST_STRAIN = 0.5
+"""
+Largest compression at which a neo-Hookean layer follows its law. [-]
+
+Beyond this compression the stress continues along the tangent, which bounds the wave speed and
+therefore the time step. No design compresses a layer further.
+"""
 
 LARGEST_CONSTANT_LOSS = 0.8
 """Largest constant loss tangent: a material that loses more is almost a liquid."""
 
 BAND = (0.25, 16.0)
-"""Where the loss tangent is fitted, to 5 % up to 0.2 and 12 % up to 0.8; in plate frequencies."""
+"""
+Range of frequencies in which the loss tangent is fitted. [plate frequencies]
+
+The fit deviates by 5 % up to a loss tangent of 0.2, and by 12 % up to 0.8.
+"""
 
 RELAXATION_RATES = (0.2, 2.0, 20.0)
-"""Of the Maxwell elements, over the plate's angular frequency."""
-
-
-Floats = NDArray[np.float64]
+"""Relaxation rates of the Maxwell elements, over the plate's angular frequency. [-]"""
 
 
 class Relaxation(NamedTuple):
@@ -69,6 +75,15 @@ class Relaxation(NamedTuple):
 
     relaxed: float = 1.0
     strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def require_constant_loss(loss_tangent: float) -> None:
+    """Raise ValueError for a constant loss tangent above `LARGEST_CONSTANT_LOSS`."""
+    if loss_tangent > LARGEST_CONSTANT_LOSS:
+        raise ValueError(
+            f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
+            f'got {loss_tangent:g}'
+        )
 
 
 @lru_cache(maxsize=4096)
@@ -90,11 +105,7 @@ def relaxation(loss_tangent: float) -> Relaxation:
     (0.821, 1.336)
 
     """
-    if loss_tangent > LARGEST_CONSTANT_LOSS:
-        raise ValueError(
-            f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
-            f'got {loss_tangent:g}'
-        )
+    require_constant_loss(loss_tangent)
     if loss_tangent == 0.0:
         return Relaxation()
     from scipy.optimize import nnls  # which takes long to import, and few layers need
@@ -108,31 +119,16 @@ def relaxation(loss_tangent: float) -> Relaxation:
     return Relaxation(float(1.0 - shares.sum()) / storage, (first, second, third))
 
 
-def strain_bounds(
-    strain_ratio: ArrayLike, mass_ratio: ArrayLike, static_strain: ArrayLike
-) -> Floats:
-    r"""
-    Bound the strains of throws, so that the time step can be chosen for their fastest waves.
+def static_stretch(load: float) -> float:
+    """
+    Find the stretch of a neo-Hookean layer under a steady compressive load.
 
     Parameters
     ----------
-    strain_ratio, mass_ratio, static_strain : array_like
-        :math:`A \omega / c_s`, :math:`\mu`, and the compression at rest. [-]
-
-    Returns
-    -------
-    ndarray
-        More than any linear throw has up to the first release, from 1.5 crossings of
-        the wave per plate period on; at most `LARGEST_STRAIN`. [-]
+    load : float
+        Over a third of modulus times section. [-]
 
     """
-    largest = np.asarray(strain_ratio) * (1.0 + 0.8 * np.sqrt(mass_ratio))
-    return np.minimum(LARGEST_STRAIN, np.asarray(static_strain) + largest)
-
-
-@part
-def static_stretch(load: float) -> float:
-    """Find the stretch under a compressive load, in E S / 3, of a neo-Hookean layer."""
     stretch = 1.0
     for _ in range(50):  # Newton, from above: the curve is concave
         excess = stretch - 1.0 / (stretch * stretch) + load

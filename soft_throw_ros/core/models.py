@@ -11,21 +11,78 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What models and materials are called; apart, so that to know them compiles nothing."""
+"""Names and abilities of the models of the layer; importing them compiles nothing."""
 
-CELL_MODELS = (
-    'finite_difference',
-    'finite_difference_elastic',
-    'finite_difference_glued',
-    'spring_mass',
-)
-"""Cells of the layer; of the projectile, too; of a layer on the projectile; a massless layer."""
+from __future__ import annotations
 
-MODELS = ('travelling_wave', *CELL_MODELS)
-"""All that `throw.simulate` knows, and that the twin can follow in real time."""
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
 
-ELASTICITIES = ('linear', 'neo_hookean')
-"""How the stress of a layer follows strain."""
+_ALL = frozenset({'damping', 'gravity', 'loss', 'large_strain', 'stack', 'motion', 'last_release'})
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerModel:
+    """
+    Abilities of a model of the layer.
+
+    Parameters
+    ----------
+    batch : {'cells', 'waves', 'spring'} or None
+        Method that computes first releases of many throws, see `throws`; None if there is none.
+    knows : frozenset of str
+        Influences that this method takes into account: `damping` of the plate, `gravity`, `loss`,
+        `large_strain`, a `stack` of sheets, a sampled `motion` of the plate, and the
+        `last_release`.
+    fallback : str
+        Name of the model that takes over the layers which only cells can follow; empty if this
+        model follows all, or refuses them.
+    has_elastic_projectile : bool
+        Whether the projectile has cells, too.
+    glued_to : {'plate', 'projectile'}
+        End at which the layer is glued.
+
+    """
+
+    batch: Literal['cells', 'waves', 'spring'] | None
+    knows: frozenset[str] = _ALL
+    fallback: str = ''
+    has_elastic_projectile: bool = False
+    glued_to: Literal['plate', 'projectile'] = 'plate'
+
+
+MODELS: Mapping[str, LayerModel] = {
+    'travelling_wave': LayerModel(
+        batch='waves', knows=_ALL - {'loss', 'large_strain', 'stack'}, fallback='cells'
+    ),
+    'cells': LayerModel(batch='cells'),
+    'cells_elastic': LayerModel(batch='cells', has_elastic_projectile=True),
+    'cells_glued': LayerModel(batch='cells', glued_to='projectile'),
+    'spring_mass': LayerModel(batch='spring', knows=frozenset()),
+}
+"""Models that `throw.simulate` knows, and that the twin can follow in real time."""
+
+CELL_MODELS = tuple(name for name in MODELS if name != 'travelling_wave')
+"""Names of the models that `cell_stepper` follows."""
+
+STRESS_STRAIN_LAWS = ('linear', 'neo_hookean')
+"""Laws of stress over strain of a layer."""
 
 LOSSES = ('kelvin_voigt', 'constant')
-"""How its loss tangent depends on frequency: in proportion to it, or not at all."""
+"""Frequency dependence of the loss tangent: in proportion to the frequency, or constant."""
+
+
+def model_of(name: str) -> LayerModel:
+    """
+    Return a model by its name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model.
+
+    """
+    if name not in MODELS:
+        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {name!r}')
+    return MODELS[name]

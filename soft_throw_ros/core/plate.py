@@ -12,21 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-How the plate moves.
+Motions of the plate.
 
 Every motion is at rest at height 0 before time 0 (a sampled one: before its first sample), and
-answers position and velocity for any times. `Underdamped` is what the closed form is made for,
-`SampledMotion` is what was measured, or read from a file. Inside compiled steppers both are
-`soft_throw_ros.core.plate_kernels`.
+has a position and a velocity at any time. The closed form takes `Underdamped`; measured motions
+and those from files are `SampledMotion`. `soft_throw_ros.core.plate_kernels` evaluates both inside
+compiled steppers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import NamedTuple, TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,21 +33,9 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Engine
 
 if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a motion is sampled
-    from scipy.interpolate import BSpline, PPoly
+    from scipy.interpolate import PPoly
 
 Floats = NDArray[np.float64]
-
-FEWEST_SAMPLES = 8
-"""Of the height of a plate, from which its motion can be told."""
-
-FASTEST_END = 0.25
-"""Speed of a plate at the end of a record over its largest, which it must not exceed. [-]"""
-
-_CLEAN = 1e-5  # noise over the range of heights below which samples are taken as they are
-_SEEN = 6.0  # standard deviations of the noise from which on a plate is seen to move
-_FAR = 0.3  # part of the largest height at which a plate has certainly started
-_CAUTION = 1.4  # by which cross-validation counts a coefficient, since it smooths too little
-_KNOT_STRIDES = (2, 3, 4, 6, 8, 12, 16, 24, 32)  # samples from knot to knot that are tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +158,7 @@ class SampledMotion:
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
-    Make it of what was measured with `from_positions` or `from_record`.
+    `from_positions` makes it of samples, `configuration.recorded_motion` of a noisy record.
 
     Parameters
     ----------
@@ -224,68 +211,14 @@ class SampledMotion:
             If fewer than 4 samples are given, a value is not finite, or times do not increase.
 
         """
-        times, positions = _as_samples(times, positions, 'positions')
+        times, positions = require_samples(times, positions, 'positions')
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, positions - positions[0], bc_type=((1, 0.0), 'not-a-knot'))
         return cls(times, np.stack([spline(times, order) for order in range(3)], axis=1))
 
-    @classmethod
-    def from_record(cls, times: ArrayLike, heights: ArrayLike) -> SampledMotion:
-        """
-        Make a motion of what was recorded of a plate: it starts from rest, at time 0, and stays.
-
-        Parameters
-        ----------
-        times, heights : array_like, shape (n,)
-            Times increase; before the start the plate may rest for as long as it likes. [s], [m]
-
-        Raises
-        ------
-        ValueError
-            If fewer than `FEWEST_SAMPLES` are given or left after the start, a value is not
-            finite, times do not increase, or the plate does not move, or moves at the end.
-
-        Notes
-        -----
-        A cubic spline goes through the samples if they are clean, to fourth order in the spacing:
-        its second derivative, the acceleration, is continuous, as a real plate's is. Otherwise
-        fewer knots are fitted by least squares; how many, generalised cross-validation tells [1]_,
-        which knows neither the noise nor the motion. A smoothing filter would round off the start
-        as well, where the acceleration jumps. So the spline begins there, with height and velocity
-        0: at the moment from which it fits best.
-
-        References
-        ----------
-        .. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numer. Math. 31
-           (1979).
-
-        Examples
-        --------
-        >>> plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
-        >>> times = np.arange(0.0, 0.1, 2e-4)
-        >>> motion = SampledMotion.from_record(times, plate.position(times - 0.02003))
-        >>> round(motion.peak_velocity, 4)
-        0.721
-
-        """
-        times, heights = _as_samples(times, heights, 'heights')
-        if times.size < FEWEST_SAMPLES:
-            raise ValueError(f'heights must be at least {FEWEST_SAMPLES}, got {times.size}')
-        start, rest = _find_start(times, heights)
-        spline = _fit_record(times - start, heights - rest)
-        knots = np.unique(spline.t)
-        states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
-        motion = cls(knots, states)
-        last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
-        if last > FASTEST_END * np.abs(states[:, 1]).max():
-            raise ValueError(
-                f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
-            )
-        return motion
-
     def scaled(self, *, time: float = 1.0, height: float = 1.0) -> SampledMotion:
-        """Return the motion with all times and all heights multiplied by a factor each."""
+        """Return the motion with scaled times and scaled heights."""
         states = self.states * height / time ** np.arange(3.0)
         return SampledMotion(self.times * time, states)
 
@@ -305,6 +238,11 @@ class SampledMotion:
         between = np.linspace(self.times[:-1], self.times[1:], 17)
         return float(self.velocity(between).max())
 
+    @property
+    def peak_acceleration(self) -> float:
+        """Largest magnitude of the acceleration in the states [m/s2]."""
+        return float(np.abs(self.states[:, 2]).max())
+
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate [m]."""
         return np.asarray(self._path(np.clip(time, self.start_time, self.end_time)))
@@ -317,7 +255,7 @@ class SampledMotion:
 
 
 PlateMotion: TypeAlias = Underdamped | SampledMotion
-"""What a model of a throw asks of the plate."""
+"""A motion that every model of a throw accepts."""
 
 
 def motion_of(engine: Engine) -> PlateMotion:
@@ -325,105 +263,7 @@ def motion_of(engine: Engine) -> PlateMotion:
     return engine.motion or Underdamped.of(engine)
 
 
-def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
-    """Find when a recorded plate starts to move, and its height before that."""
-    noise = _noise(heights)
-    moved = np.abs(heights - np.median(heights[:3]))
-    seen = max(_SEEN * noise, 1e-6 * np.ptp(heights))
-    if not moved.max() > 2.0 * seen:
-        raise ValueError(
-            f'the plate must move, got heights from {heights.min():g} to {heights.max():g} m '
-            f'with a noise of {noise:g} m'
-        )
-    # The last time that it was seen at rest before it was first far away
-    far = int((moved > max(_FAR * moved.max(), seen)).argmax())
-    first = far - int((moved[:far][::-1] <= seen).argmax()) if (moved[:far] <= seen).any() else 0
-    if first < 2:
-        return float(times[0]), float(heights[0])
-    rest = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
-    t, z = times[: far + 1], heights[: far + 1] - rest
-
-    def residual(start: float) -> float:
-        s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
-        basis = np.stack([s**2, s**3, s**4, s**5], axis=1)
-        return float(np.sum((z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]) ** 2))
-
-    return _lowest(residual, float(times[max(2 * first - far - 2, 0)]), float(times[first])), rest
-
-
-def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
-    """Find where a function of a time is lowest: on a grid, then closely."""
-    from scipy.optimize import minimize_scalar
-
-    trials = np.linspace(low, high, 41)
-    best = int(np.argmin([function(trial) for trial in trials]))
-    bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
-    options = {'xatol': 1e-6 * (high - low)}
-    return float(minimize_scalar(function, bounds=bounds, method='bounded', options=options).x)
-
-
-def _noise(heights: Floats) -> float:
-    """Estimate the standard deviation of white noise from sixth differences."""
-    return float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
-
-
-class _Fit(NamedTuple):
-    """A cubic spline from rest, its sum of squares, and samples less coefficients."""
-
-    spline: BSpline
-    misfit: float
-    spare: float
-
-
-def _fit_record(times: Floats, heights: Floats) -> BSpline:
-    """Fit a spline to heights of a plate that starts near time 0, see `from_record`."""
-
-    def fit(stride: int, start: float = 0.0) -> _Fit:
-        moving = times > start + 1e-3 * step
-        return _fit_spline(times[moving] - start, heights[moving], stride)
-
-    step = float(np.median(np.diff(times)))
-    after = int((times > 0.0).sum())
-    if after < FEWEST_SAMPLES:
-        raise ValueError(f'heights after the start must be at least {FEWEST_SAMPLES}, got {after}')
-    if _noise(heights[-after:]) < _CLEAN * np.ptp(heights):
-        return fit(1).spline
-    strides = [stride for stride in _KNOT_STRIDES if stride <= after // 4]
-    fits = {stride: fit(stride) for stride in strides}
-    stride = min(fits, key=lambda stride: fits[stride].misfit / fits[stride].spare ** 2)
-    best = fits[stride]
-    if times[0] < 0.0:
-        reach = 0.5 * stride * step
-
-        def misfit(start: float) -> float:
-            return fit(stride, start).misfit + float(np.sum(heights[times <= start] ** 2))
-
-        best = fit(stride, _lowest(misfit, max(-reach, float(times[0])), reach))
-    return best.spline
-
-
-def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
-    """Fit by least squares from rest at time 0, with a knot at every so many samples, or all."""
-    from scipy.interpolate import BSpline
-    from scipy.sparse.linalg import spsolve
-
-    inner = times[:-2] if stride == 1 else times[:-1][stride - 1:: stride]
-    knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
-    basis = BSpline.design_matrix(times, knots, 3).tocsc()
-    away = heights[(np.abs(heights) > _FAR * np.abs(heights).max()).argmax()]
-    # Height and velocity at the start are 0. Noise must not make it a jump the other way, which
-    # would throw the projectile off at once.
-    for zeros in (2, 3, 4):
-        free = basis[:, zeros:]
-        coefficients = np.append(np.zeros(zeros), spsolve(free.T @ free, free.T @ heights))
-        if coefficients[zeros] * away >= 0.0 or stride == 1:
-            break
-    spline = BSpline(knots, coefficients, 3)
-    misfit = float(np.sum((spline(times) - heights) ** 2))
-    return _Fit(spline, misfit, heights.size - _CAUTION * free.shape[1])
-
-
-def _as_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:
+def require_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:
     """Return both as float arrays, or raise ValueError."""
     times = np.asarray(times, dtype=np.float64)
     values = np.asarray(values, dtype=np.float64)

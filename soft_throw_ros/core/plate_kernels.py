@@ -24,12 +24,12 @@ stepper runs overwrite those that it has passed.
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel, part, Record
-from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, PlateMotion
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ DAMPED, PIECES = 0, 1
 """Kinds of plate motion."""
 
 BLOCK = 256
-"""Steps between exact evaluations of an underdamped plate, rotations of which are its path."""
+"""Steps of an underdamped plate from one exact evaluation to the next, by rotations. [-]"""
 
 _ROWS = 7
 
@@ -67,39 +67,46 @@ def write_motion(
     engine: Engine,
     step: float,
 ) -> Floats:
-    """Write a motion into the third record, whose fields `PLATE` are zero; return its path."""
+    """
+    Write a motion into the third record, whose fields `PLATE` are zero; return its path.
+
+    A motion with the attribute `exponent` is taken as `Underdamped`, and one with `states` as
+    `SampledMotion`; a class of its own needs the attributes of the one or the other that are read
+    here.
+    """
     record = core[2]
     record['horizon'] = math.inf
     if motion is None:
         motion = motion_of(engine)
-    if isinstance(motion, Underdamped):
-        exponent = motion.exponent
+    given: Any = motion
+    if hasattr(given, 'exponent'):
+        exponent = given.exponent
         record['plate_kind'] = DAMPED
-        record['amplitude'] = motion.amplitude
+        record['amplitude'] = given.amplitude
         record['growth'] = exponent.real
         record['turn'] = exponent.imag
-        record['factor'] = motion.velocity_factor
+        record['factor'] = given.velocity_factor
         turns = np.exp(exponent * step * np.arange(BLOCK))
         return np.array([turns.real, turns.imag])
     record['plate_kind'] = PIECES
     record['pieces'] = 1
     record['horizon'] = 0.0
     record['last'][0] = -math.inf
-    if isinstance(motion, str) and motion == 'measured':
+    if given == 'measured':
         return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
-    if not isinstance(motion, SampledMotion):
+    if isinstance(given, str) or not hasattr(given, 'states'):
         raise ValueError(
-            "motion must be Underdamped, SampledMotion, 'measured' or None, "
-            f'got {motion!r}; SampledMotion.from_positions takes any other'
+            "motion must be 'measured', None, or an object with the attributes of Underdamped or "
+            f'SampledMotion, got {given!r}; SampledMotion.from_positions takes any other'
         )
-    if motion.start_time < 0.0:
+    if given.start_time < 0.0:
         raise ValueError(
             'a sampled motion must begin at time 0 or later, got a first sample at '
-            f'{motion.start_time:g} s'
+            f'{given.start_time:g} s'
         )
-    path = np.zeros((_ROWS, motion.times.size + 1))
-    pieces = append_states(record['last'], 1, path, motion.times, motion.states)
-    path[:2, -1] = motion.end_time, motion.states[-1, 0]  # there it stays
+    path = np.zeros((_ROWS, given.times.size + 1))
+    pieces = append_states(record['last'], 1, path, given.times, given.states)
+    path[:2, -1] = given.end_time, given.states[-1, 0]  # there it stays
     record['pieces'], record['horizon'] = pieces + 1, math.inf
     return path
 
@@ -131,7 +138,7 @@ def start_block(s: Record, index: int) -> None:
 
 @part
 def piece_at(s: Record, path: Floats, time: float) -> int:
-    """Go to the piece at `time`, which never goes back, and return its column."""
+    """Advance to the piece at `time`, which must not decrease, and return its column."""
     capacity = path.shape[1]
     while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
         s.piece += 1
@@ -190,7 +197,7 @@ def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states
 
 
 def extrapolate(core: NDArray[np.void], path: Floats) -> None:
-    """Let the plate go on for ever with the acceleration that it has at the horizon."""
+    """Extend the plate's motion for ever, with its acceleration at the horizon."""
     s = core[0]
     time, height, velocity, acceleration = s['last'].tolist()
     if math.isfinite(s['horizon']) and time >= 0.0:

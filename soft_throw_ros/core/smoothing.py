@@ -14,10 +14,10 @@
 """
 Position, velocity and acceleration from noisy samples, a little behind the last one.
 
-The filter of Savitzky and Golay [1]_, for samples at any times: through all that lie in a window a
-cubic is laid by least squares, weighted by their noise, and evaluated at three quarters of the
-window. The noise of velocities is there what it is in the middle, since near there a cubic does
-not add to that of a parabola, and they are late by a quarter of the window instead of half of it.
+The filter of Savitzky and Golay [1]_, for samples at any times: a cubic is fitted to the samples
+in a window by least squares, weighted by the noise of the samples, and evaluated at three quarters
+of the window. There the noise of the velocity is as small as in the middle, because a cubic is not
+noisier than a parabola at this point, and the delay is a quarter instead of half a window.
 
 References
 ----------
@@ -69,12 +69,12 @@ def smooth(
     velocity_noise: float = 1.0,
 ) -> Smoothed:
     """
-    Fit a cubic around each of some times; the error of the velocity is of third order.
+    Fit a cubic around each time; the error of the velocity is of third order.
 
     Parameters
     ----------
     at : array_like, shape (n,)
-        When, increasing. [s]
+        Times of the estimates, increasing. [s]
     times, positions, velocities : array_like, shape (m,)
         Samples, times increasing; velocities are NaN where not measured. [s], [m], [m/s]
     window : float
@@ -112,8 +112,8 @@ def smooth(
     window = checks.require_positive('window', window)
     noise = checks.require_positive('position_noise', position_noise)
     ratio = noise / checks.require_positive('velocity_noise', velocity_noise)
-    states, errors = np.empty((at.size, 3)), np.empty(at.size)
-    fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors)
+    states, errors, misfits = np.empty((at.size, 3)), np.empty(at.size), np.empty((at.size, 2))
+    fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors, misfits)
     return Smoothed(states, noise * errors)
 
 
@@ -127,46 +127,58 @@ def fit_cubics(
     ratio: float,
     states: Floats,
     errors: Floats,
+    misfits: Floats,
 ) -> None:
     """
     Fit a cubic around each time, unchecked, with windows `half` to either side of their middle.
 
-    `ratio` is that of the noise of positions to that of velocities, and `errors` are those of the
-    velocity for unit noise of the position.
+    `ratio` is the noise of positions over the noise of velocities, `errors` are the errors of the
+    velocity for unit noise of the position, and `misfits` contains the weighted sums of squares of
+    the residuals [m2] and their degrees of freedom.
     """
     first = 0
     behind, ahead = 2.0 * BEHIND, 2.0 * AHEAD
     normal, right, unit = np.empty((4, 4)), np.empty(4), np.empty(4)
-    row = np.empty(4)
+    row, solution = np.empty(4), np.empty(4)
     for n in range(at.size):
         while first < times.size and (times[first] - at[n]) / half < -behind:
             first += 1
         normal[:], right[:], unit[:] = 0.0, 0.0, 0.0
         unit[1] = 1.0
-        count, before = 0, 0
+        count, before, equations, squares = 0, 0, 0, 0.0
         k = first
         while k < times.size and (times[k] - at[n]) / half <= ahead:
             u = (times[k] - at[n]) / half
             row[0], row[1], row[2], row[3] = 1.0, u, u * u, u * u * u
-            _add(normal, right, row, positions[k] - positions[first])
+            value = positions[k] - positions[first]
+            _add(normal, right, row, value)
+            squares += value * value
+            equations += 1
             if np.isfinite(velocities[k]):
                 weight = ratio / half  # a velocity changes the position by so much
                 row[0], row[1] = 0.0, weight
                 row[2], row[3] = 2.0 * u * weight, 3.0 * u * u * weight
-                _add(normal, right, row, velocities[k] * ratio)
+                value = velocities[k] * ratio
+                _add(normal, right, row, value)
+                squares += value * value
+                equations += 1
             count += 1
             before += u <= 0.0
             k += 1
         if count < FEWEST or before in (0, count) or not factorise(normal):
             states[n] = np.nan
             errors[n] = np.nan
+            misfits[n] = 0.0
             continue
-        solve(normal, right)
+        solution[:] = right
+        solve(normal, solution)
         solve(normal, unit)
-        states[n, 0] = right[0] + positions[first]
-        states[n, 1] = right[1] / half
-        states[n, 2] = 2.0 * right[2] / (half * half)
+        states[n, 0] = solution[0] + positions[first]
+        states[n, 1] = solution[1] / half
+        states[n, 2] = 2.0 * solution[2] / (half * half)
         errors[n] = np.sqrt(unit[1]) / half
+        misfits[n, 0] = max(squares - (right * solution).sum(), 0.0)
+        misfits[n, 1] = equations - 4
 
 
 @_jit

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-When and how fast a projectile leaves a massless spring (App. A of the paper).
+Time and speed of the release of a projectile from a massless spring (App. A of the paper).
 
-What is left of the layer when no time is given to waves: good for light, stiff layers, and a
-yardstick elsewhere. It knows one number, the natural frequency of the projectile on the layer
-over the engine's, :math:`q = f_0 / f`.
+The spring is the limit of a layer with a crossing time of zero: accurate for light, stiff layers,
+and a reference for others. The only parameter is the natural frequency of the projectile on the
+layer over the frequency of the engine, :math:`q = f_0 / f`.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from soft_throw_ros.core.closed_form import FirstRelease
 
 def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     r"""
-    Find when a projectile first leaves a massless spring, and how fast.
+    Compute time and speed of the first release from a massless spring.
 
     The plate is harmonic, and there is no gravity.
 
     Parameters
     ----------
     frequency_ratio : array_like
-        :math:`q = f_0 / f`, `Rig.natural_frequency` over that of the engine. [-]
+        :math:`q = f_0 / f`, `Rig.natural_frequency` over the frequency of the engine. [-]
 
     Returns
     -------
     FirstRelease
-        Of floats or arrays, as `frequency_ratio` is.
+        Floats or arrays, with the shape of `frequency_ratio`.
 
     Raises
     ------
@@ -57,8 +57,8 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     .. math:: \frac{V_e}{V_p^*} = \frac{q}{q - 1} \sin \frac{2 \pi}{q + 1},
 
     written as :math:`\pi q / (q + 1)\, \mathrm{sinc}\, \pi (q - 1) / (q + 1)`, which is
-    :math:`\pi / 2` at :math:`q = 1` instead of 0/0. The plate's damping is left out, as in the
-    paper, so next to a damped throw it errs by the few percent that damping makes, too.
+    :math:`\pi / 2` at :math:`q = 1` instead of 0/0. As in the paper, the plate has no damping;
+    typical damping changes a throw by a few percent.
 
     Examples
     --------

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What a stepper is: a model of one throw that goes forward in time, at once or tick by tick.
+The common contract of steppers: models of one throw that go forward in time, tick by tick.
 
 `soft_throw_ros.core.wave_stepper` follows travelling waves, `soft_throw_ros.core.cell_stepper`
-cells of finite size. What is computed offline is the same kernel run to the end of the throw.
+cells of finite size. An offline result is the same kernel, run to the end of the throw.
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ MAX_EVENTS = 4096
 """Most events of one throw."""
 
 BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
-"""What a kernel returns instead of the number of events."""
+"""Error codes that a kernel returns instead of the number of events."""
 
 
 class HorizonError(ValueError):
-    """The plate is not known that far ahead (yet)."""
+    """A time beyond the known motion of the plate."""
 
 
 class EventLimitError(RuntimeError):
@@ -87,9 +87,9 @@ class Event(NamedTuple):
     time : float
         Since the start. [s]
     position : float
-        Of the projectile's lower face, above the plate's rest position. [m]
+        Height of the projectile's lower face above the plate's rest position. [m]
     velocity : float
-        Of the projectile, which no event changes. [m/s]
+        Velocity of the projectile, the same before and after the event. [m/s]
 
     """
 
@@ -101,7 +101,7 @@ class Event(NamedTuple):
 
 class Loads(NamedTuple):
     """
-    Largest magnitudes from the start to the first release, or so far if that is to come.
+    Largest magnitudes from the start to the first release, or up to now before the release.
 
     Strains [-] anywhere in the layer, at the plate and at its top, the projectile's acceleration
     [m/s2], and the force of the layer on the plate [N].
@@ -116,7 +116,7 @@ class Loads(NamedTuple):
 
 class FirstThrows(NamedTuple):
     r"""
-    First releases of many throws and what they ask of the rig, without units.
+    First releases and loads of many throws, without units.
 
     Attributes
     ----------
@@ -127,13 +127,13 @@ class FirstThrows(NamedTuple):
     energy_transfer : ndarray
         :math:`\alpha = (V_e / V_p^*)^2`. [-]
     peak_strain : ndarray
-        Largest magnitude anywhere in the layer. In :math:`A \omega / c_s`. [-]
+        Largest strain in the layer, over :math:`A \omega / c_s`. [-]
     peak_acceleration : ndarray
-        Of the projectile. In :math:`A \omega^2`. [-]
+        Largest acceleration of the projectile, over :math:`A \omega^2`. [-]
     peak_plate_force : ndarray
-        Of the layer on the plate. In :math:`A \omega E_s S / c_s`. [-]
+        Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]
     plate_work : ndarray
-        Of the plate up to the release. In :math:`m (A \omega)^2`. [-]
+        Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]
 
     """
 
@@ -177,10 +177,10 @@ class Stepper(ABC):
 
     Notes
     -----
-    What comes out at some time depends on that time alone, to the last bit: not on the times
-    that were asked for before, nor (given the states) on how they were appended. Nothing is
-    allocated after construction, except for `events`, and nothing holds Python's lock while a
-    kernel runs.
+    The results at a time depend on this time alone, to the last bit: not on the times of earlier
+    requests, nor (given the states of a measured plate) on the size of the appended pieces.
+    Nothing is allocated after construction, except for `events`, and no kernel holds Python's
+    lock.
 
     A subclass has two records in `_core`: the first stands at a step of its grid, the second at
     the time asked for. Their fields include `plate_kernels.PLATE`, and contact, events, state,
@@ -194,17 +194,17 @@ class Stepper(ABC):
 
     _core: NDArray[np.void]
     _numbers: Floats
-    """The same as plain numbers, a row for each record, which are copied faster."""
+    """View of the records as plain numbers, a row for each record, for faster copies."""
     _path: Floats
-    """How the plate moves."""
+    """Motion of the plate, see `plate_kernels`."""
     _events: Floats
     """A row for each event: kind, time, position, velocity."""
     _advance: Callable[[float], int]
-    """Goes to a time, and returns the number of events, or what is wrong."""
+    """Goes to a time, and returns the number of events, or an error code."""
     _read_layer: Callable[[Floats], None]
     """Writes heights, velocities, forces and, if there is a fourth row, strains."""
-    _changing: ClassVar[str]
-    """Name of the array that changes as the stepper goes on, beside records, path and events."""
+    _changing: ClassVar[tuple[str, ...]]
+    """Names of the arrays that the kernels change, beside records, path and events."""
 
     def __init__(self, rig: Rig, field_points: int) -> None:
         self.rig = rig
@@ -256,12 +256,12 @@ class Stepper(ABC):
         Parameters
         ----------
         time : float
-            Since the start, not before the time of the last call. [s]
+            Time since the start; must not decrease from call to call. [s]
 
         Returns
         -------
         int
-            How many events there have been.
+            Number of events until now.
 
         Raises
         ------
@@ -279,7 +279,7 @@ class Stepper(ABC):
         return count
 
     def _refusal(self, status: int, time: float) -> Exception:
-        """Say what is wrong."""
+        """Return the exception for a failed advance."""
         if status == BEYOND_HORIZON:
             return HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
         if status == TOO_MANY_EVENTS:
@@ -292,10 +292,10 @@ class Stepper(ABC):
 
     def append_plate_states(self, times: ArrayLike, states: ArrayLike) -> None:
         """
-        Append states of a plate that is measured while the stepper goes on, joined by quintics.
+        Append states of a measured plate in real time; quintics join the states.
 
-        It is known up to the last state, before the second one up to the first, before which it is
-        at rest.
+        The plate is known up to the last state; with a single state, up to this state. It is at
+        rest before the first state.
 
         Parameters
         ----------
@@ -350,19 +350,20 @@ class Stepper(ABC):
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other._use_records(self._core.copy())
-        setattr(other, self._changing, getattr(self, self._changing).copy())
+        for name in self._changing:
+            setattr(other, name, getattr(self, name).copy())
         other._bind()
         other._is_measured = False
         return other
 
     def sync_from(self, origin: Stepper) -> None:
         """
-        Take over where `origin`, of which this is a fork, is now, so as to go ahead from there.
+        Copy the state of `origin`, the stepper that this fork runs ahead of.
 
-        Beyond its horizon the plate keeps its acceleration. What a wave from the plate has not
-        reached yet does not depend on that: the projectile is right for one crossing of the wave
-        beyond the horizon of `origin`. Internal loss spreads in no time: a loss tangent of 0.05
-        makes the velocity uncertain by 2e-3 of its scale at the end of that time.
+        Beyond its horizon the plate keeps its acceleration. The extrapolated motion reaches the
+        projectile only after a crossing of the wave; until then the motion of the projectile is
+        exact. Internal loss acts without delay: a loss tangent of 0.05 makes the velocity
+        uncertain by 2e-3 of its scale at the end of this crossing.
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
@@ -370,17 +371,17 @@ class Stepper(ABC):
 
     @abstractmethod
     def _copy_layer(self, origin: Stepper) -> None:
-        """Take over what changes in the layer."""
+        """Copy the state of the layer."""
 
     def read_layer(self, out: Floats) -> None:
         """
-        Write what the layer does at the present time, from plate to top.
+        Write heights, velocities and forces of the layer at the present time, from plate to top.
 
         Parameters
         ----------
         out : ndarray, shape (3, field_points)
-            Of float64: heights above the plate's rest position [m], velocities [m/s], and forces
-            of what is below on what is above, so positive where compressed [N]; else ValueError.
+            Of float64, else ValueError: heights above the plate's rest position [m], velocities
+            [m/s], and forces through the layer, positive in compression [N].
 
         """
         if out is not self._readable:
@@ -390,14 +391,14 @@ class Stepper(ABC):
 
     def sample_strain(self, times: ArrayLike, out: Floats) -> None:
         """
-        Go forward through `times` as `advance_to`, and write the total strain at each to `out`.
+        Advance through `times` and write the total strain at each time to `out`.
 
         Parameters
         ----------
         times : array_like, shape (n,)
             Increasing. [s]
         out : ndarray, shape (n, field_points)
-            Of float64; else ValueError. [-]
+            Array of float64 for the result. [-]
 
         """
         times = np.ascontiguousarray(times, dtype=np.float64)
@@ -421,14 +422,14 @@ class Stepper(ABC):
 
     @property
     def event_count(self) -> int:
-        """How many events there have been."""
+        """Number of events so far."""
         return int(self._core['events'][1])
 
-    def events(self) -> list[Event]:
-        """Return the events so far."""
+    def events(self, start: int = 0) -> list[Event]:
+        """Return the events until now, from number `start` on, counted from 0."""
         return [
-            Event(EVENT_KINDS[int(kind)], *rest)
-            for kind, *rest in self._events[: self.event_count].tolist()
+            Event(EVENT_KINDS[int(kind)], *numbers)
+            for kind, *numbers in self._events[start:self.event_count].tolist()
         ]
 
     @property
@@ -449,11 +450,11 @@ class Stepper(ABC):
     @property
     @abstractmethod
     def loads(self) -> Loads:
-        """Largest loads up to the first release, or so far if that is to come."""
+        """Largest loads up to the first release, or up to now before the release."""
 
     @property
     def plate_work(self) -> float:
-        """Work of the plate up to the first release, or so far if that is to come [J]."""
+        """Work of the plate up to the first release, or up to now before the release [J]."""
         if not self.event_count:
             return self.work_so_far
         return float(self._work_unit * self._core['first_work'][1])
@@ -461,11 +462,11 @@ class Stepper(ABC):
     @property
     @abstractmethod
     def work_so_far(self) -> float:
-        """Work of the plate from the start to now, whatever has happened [J]."""
+        """Work of the plate from the start to now [J]."""
 
     @property
     def heat(self) -> float:
-        """Return what internal loss has taken so far [J]."""
+        """Heat of internal loss so far [J]."""
         return 0.0
 
     @abstractmethod
@@ -477,7 +478,7 @@ class Stepper(ABC):
 def note_event(
     s: Record, events: Floats, kind: int, time: float, height: float, velocity: float
 ) -> None:
-    """Write down an event, its height from rest; without room for it, the march ends."""
+    """Append an event, with its height from rest; the march ends if the table is full."""
     s.events += 1
     if s.events <= events.shape[0]:
         row = events[s.events - 1]
@@ -485,7 +486,7 @@ def note_event(
 
 
 def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
-    """Tell whether states are finite, and times increase after `last` and are not negative."""
+    """Return whether states are finite, and times increase after `last` and are not negative."""
     for time in times.tolist():
         if not (last < time < math.inf and time >= 0.0):
             return False
@@ -494,13 +495,14 @@ def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
 
 
 def load_kernels(stepper: Stepper) -> None:
-    """Have a new stepper for a measured plate compile or load the kernels of real time."""
+    """Compile or load the kernels of a stepper, which is new and has a measured plate."""
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
     stepper.read_layer(np.empty((3, stepper.field_points)))
     stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
     stepper.fork().sync_from(stepper)
-    assert stepper.loads
+    stepper.stored_energy()
+    _ = stepper.loads
 
 
 def require_count(name: str, value: object, *, low: int, high: int) -> int:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One throw with all that a user asks of it: ejections, loads, energies, trajectories, fields."""
+"""The complete result of one throw: ejections, loads, energies, trajectories, fields."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cell_stepper import CellStepper
-from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.models import model_of
+from soft_throw_ros.core.plate import motion_of, PlateMotion
+from soft_throw_ros.core.rig import LINEAR_STRAIN, Rig
 from soft_throw_ros.core.stepper import (
     Event,
     Loads,
@@ -43,11 +43,14 @@ Floats = NDArray[np.float64]
 MAX_DURATION = 60.0
 """Longest that a throw is followed if nothing else ends it. [s]"""
 
-_BUDGET = 0.5  # of a processor for a throw that `until` does not end [s]
-_WAIT_CROSSINGS = 100.0  # and ...
-_WAIT_PERIODS = 50.0  # for the first release, then ...
-_QUIET_CROSSINGS = 8.0  # and ...
-_QUIET_PERIODS = 2.0  # without gravity, to see how far up the free top swings
+_BUDGET = 0.5
+"""Processor time after which a throw ends that `until` does not end. [s]"""
+
+_WAIT_CROSSINGS, _WAIT_PERIODS = 100.0, 50.0
+"""Crossings of the layer plus periods of the plate within which the first release must come."""
+
+_QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
+"""Crossings plus periods after a release that show how far up the free top swings."""
 
 
 class ThrowUnfinishedError(RuntimeError):
@@ -55,7 +58,7 @@ class ThrowUnfinishedError(RuntimeError):
 
 
 class Energies(NamedTuple):
-    """What the plate has done, what layer and projectile have of it, and what became heat [J]."""
+    """Work of the plate, energy stored in layer and projectile, and heat [J]."""
 
     plate_work: float
     stored: float
@@ -124,8 +127,7 @@ def make_stepper(
         For an unknown model, or a rig or an option that the model refuses.
 
     """
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    model_of(model)
     if model == 'travelling_wave':
         if cells is not None:
             raise ValueError(f'cells are for finite differences only, got {cells!r}')
@@ -136,7 +138,7 @@ def make_stepper(
 @dataclass(frozen=True, kw_only=True)
 class Throw:
     """
-    What became of one throw. Made by `simulate`.
+    Result of one throw. Made by `simulate`.
 
     Times count from the start of the plate's clock, heights from the plate's rest position; loads
     and energies are those up to the first release.
@@ -147,10 +149,12 @@ class Throw:
     model: str
     cells: int | None = field(repr=False)
     max_strain: float
+    rest_height: float
+    """Height of the projectile's lower face before the throw. [m]"""
     events: tuple[Event, ...]
     """Releases, re-contacts and landings in order; the first is a release."""
     end_time: float
-    """Until when it was followed. [s]"""
+    """Time until which it was followed. [s]"""
     loads: Loads
     energies: Energies
 
@@ -186,7 +190,7 @@ class Throw:
 
     @property
     def heat(self) -> float:
-        """Return what internal loss has taken [J]."""
+        """Energy that internal loss has taken [J]."""
         return self.energies.heat
 
     @property
@@ -196,17 +200,17 @@ class Throw:
 
     @property
     def first_release(self) -> Event:
-        """When the projectile first leaves the layer."""
+        """Event at which the projectile first leaves the layer."""
         return self.ejections[0]
 
     @property
     def last_release(self) -> Event:
-        """When it leaves for the last time, after all re-contacts that were followed."""
+        """Event at which it leaves for the last time, after all re-contacts that were followed."""
         return self.ejections[-1]
 
     @property
     def recontacts(self) -> int:
-        """How often the layer caught up with the projectile between the two."""
+        """Number of re-contacts between the two."""
         return len(self.ejections) - 1
 
     @property
@@ -235,13 +239,18 @@ class Throw:
         return self.peak_strain > self.max_strain
 
     @property
+    def has_shocks(self) -> bool:
+        """Whether shocks form in a neo-Hookean layer, so that errors reach 4e-3."""
+        return self.ejection_time > self.rig.shock_time
+
+    @property
     def apex_height(self) -> float:
-        """How high the projectile's lower face flies, see `apex_height` [m]."""
+        """Highest position of the projectile's lower face, see `apex_height` [m]."""
         return apex_height(self.last_release, self.rig.gravity)
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
         """
-        Give positions and velocities at increasing times [s], by following the throw once more.
+        Return positions and velocities at increasing times [s]; this follows the throw again.
 
         Raises
         ------
@@ -260,7 +269,7 @@ class Throw:
 
     def fields(self, time: ArrayLike, *, points: int = 64) -> Fields:
         """
-        Give strain and velocity of the layer, by following the throw once more.
+        Return strain and velocity of the layer; this follows the throw again.
 
         Parameters
         ----------
@@ -300,31 +309,32 @@ def simulate(
     cells: int | None = None,
     until: float | None = None,
     max_events: int | None = None,
-    max_strain: float = 0.1,
+    max_strain: float = LINEAR_STRAIN,
 ) -> Throw:
     """
-    Throw once: run the stepper of a model to the end of the throw.
+    Simulate a throw to its end with the stepper of a model.
 
     Parameters
     ----------
     rig : Rig
         The throwing rig.
     motion : PlateMotion, optional
-        How the plate moves; that of the rig's engine if not given.
+        Motion of the plate; the motion of the rig's engine if not given.
     model : str
         One of `models.MODELS`, see below.
     cells : int, optional
-        Of the layer, for all but travelling waves; chosen for errors of 1e-4 if not given.
+        Number of cells of the layer, not for travelling waves; by default for errors of 1e-4.
     until : float, optional
         Stop at this time. [s]
     max_events : int, optional
         Stop after so many events. If not given, and neither is `until`, stop when the projectile
-        has come down on the layer, since a lossless bounce has no end. Without gravity, and where
-        following it so long would take more than about half a second, stop when it is far above
-        all that the free top did in eight crossings and two periods of the plate.
+        has come down on the layer, since a lossless bounce has no end. Without gravity, or if the
+        simulation until then would take more than about half a second, stop when the projectile
+        is far above every height that the free top reached in eight crossings and two periods of
+        the plate.
     max_strain : float
-        Strain magnitude up to which a linear layer is to be trusted; a neo-Hookean one is up to
-        `rig.LARGEST_STRAIN`. [-]
+        Largest strain magnitude with reliable results for a linear layer; for a neo-Hookean one it
+        is `material.LARGEST_STRAIN`. [-]
 
     Returns
     -------
@@ -341,9 +351,9 @@ def simulate(
     Notes
     -----
     `travelling_wave` is for a rigid projectile on a layer of one material without loss.
-    `finite_difference` takes any layer, with loss and large strain; `finite_difference_elastic`
+    `cells` takes any layer, with loss and large strain; `cells_elastic`
     an elastic projectile, too, whose speed is that of its centre of mass;
-    `finite_difference_glued` has the layer glued to the projectile and thrown along, as in [1]_,
+    `cells_glued` has the layer glued to the projectile and thrown along, as in [1]_,
     and speeds of their common centre of mass. `spring_mass` is a layer without mass (App. A of
     [2]_), for any plate and with gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper`
     say how exact they are.
@@ -363,9 +373,9 @@ def simulate(
     The same gelatin with a loss tangent of 0.05, and glued to the projectile instead of the plate:
 
     >>> layer = Layer(thickness=16.8e-3, loss_tangent=0.05)
-    >>> round(simulate(Rig(layer=layer), model='finite_difference').energy_transfer, 3)
+    >>> round(simulate(Rig(layer=layer), model='cells').energy_transfer, 3)
     3.256
-    >>> round(simulate(Rig(layer=layer), model='finite_difference_glued').energy_transfer, 3)
+    >>> round(simulate(Rig(layer=layer), model='cells_glued').energy_transfer, 3)
     1.996
 
     """
@@ -392,6 +402,7 @@ def simulate(
         model=model,
         cells=cells,
         max_strain=rig.layer.linear_range(max_strain),
+        rest_height=stepper.rest_position,
         events=events,
         end_time=end_time,
         loads=stepper.loads,
@@ -407,8 +418,7 @@ def _run(
     latest = MAX_DURATION if until is None else until
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
-    if isinstance(motion, SampledMotion):
-        wait += motion.end_time
+    wait += getattr(motion, 'end_time', 0.0)  # which a damped step does not have
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position
@@ -416,9 +426,10 @@ def _run(
     while time < latest and (max_events is None or seen < max_events):
         ticks += 1
         time = min(ticks * tick, latest)
-        if stepper.advance_to(time) > seen:
-            seen = stepper.event_count
-            last = stepper.events()[-1]
+        count = stepper.advance_to(time)
+        if count > seen:
+            last = stepper.events(seen)[-1]
+            seen = count
             low = high = stepper.surface_position
             if last.kind == 'landing' and max_events is None and until is None:
                 return

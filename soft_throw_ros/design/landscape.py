@@ -12,20 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-When and with how much energy a projectile leaves, over any two parameters of a rig.
+Ejection phase and energy transfer over any two parameters of a rig.
 
 Notes
 -----
-A few ratios decide a throw, and every axis is a way through their space. The axes of [1]_ are
-other names for two of them, the mass ratio :math:`\mu` and the speed ratio :math:`\kappa`:
+A few ratios determine a throw, and every axis is a curve in their space. The axes of [1]_ are
+functions of two ratios, the mass ratio :math:`\mu` and the speed ratio :math:`\kappa`:
 
 .. math::
 
     x = \frac{L_s}{L_s + L_r}, \quad C = \frac{c_s}{(L_s + L_r) f}: \qquad
     \mu = \frac{\rho_r}{\rho_s} \frac{1 - x}{x}, \quad \kappa = \frac{C}{x},
 
-for which one has to know the ratio of the densities of projectile and layer. The maps of [1]_ are
-those of equal densities, though its rig has 1.3.
+and depend on the density ratio of projectile and layer as well. The maps of [1]_ use equal
+densities, though the rig of [1]_ has a ratio of 1.3.
 
 References
 ----------
@@ -40,7 +40,6 @@ from concurrent.futures import as_completed, Executor
 from dataclasses import dataclass
 import functools
 import itertools
-import json
 import math
 from operator import attrgetter
 from pathlib import Path
@@ -54,20 +53,21 @@ from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.models import model_of, MODELS
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import first_throws, last_release, rig_with
+from soft_throw_ros.core.throws import last_release, rig_with, throw_many
 
 Floats = NDArray[np.float64]
 
 Release = Literal['first', 'last']
 
 Progress = Callable[[int], object]
-"""Is told that so many more throws are done."""
+"""Called with the number of throws that have been computed since the last call."""
 
 
 class QuantityLabel(NamedTuple):
-    """What numbers are: their symbol, their unit (SI, empty if none), their meaning."""
+    """Symbol, unit (SI, empty if none) and meaning of numbers."""
 
     symbol: str
     unit: str
@@ -97,34 +97,22 @@ AXES: Mapping[str, QuantityLabel] = {
         for name, symbol in _SYMBOLS.items()
     },
 }
-"""What can be an axis: those of the paper, the ratios behind them, and parameters of the rig."""
+"""Axes: those of the paper, the ratios behind them, and parameters of the rig."""
 
 RESULTS: Mapping[str, QuantityLabel] = {
     'ejection_phase': QuantityLabel('tₑ f', '', 'Ejection time in plate periods'),
     'energy_transfer': QuantityLabel('α', '', 'Energy transfer factor'),
 }
-"""What a landscape has at every point, by the names of its arrays."""
+"""Results at every point of a landscape, by the names of its arrays."""
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
-_RATIO_OF = {
-    'engine.damping_ratio': 'damping_ratio',
-    'engine.amplitude': 'gravity_ratio',
-    'gravity': 'gravity_ratio',
-    'layer.loss_tangent': 'loss_tangent',
+_ABILITIES = {
+    'engine.damping_ratio': 'damping',
+    'engine.amplitude': 'gravity',
+    'gravity': 'gravity',
+    'layer.loss_tangent': 'loss',
 }
-"""Parameters that the ratios leave open and not every model knows, and what they are for."""
-
-_RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
-_LOSSY = (*_RIGID, 'loss_tangent', 'strain_ratio', 'constant_loss')
-
-MODELS: Mapping[str, tuple[str, ...]] = {
-    'travelling_wave': _RIGID,
-    'finite_difference': _LOSSY,
-    'finite_difference_elastic': (*_LOSSY, 'crossing_ratio'),
-    'finite_difference_glued': _LOSSY,
-    'spring_mass': _RIGID[:2],
-}
-"""Models of the layer by name, with the ratios that each knows."""
+"""Parameters that go with the ratios, and the ability of a model that each needs."""
 
 
 def check_axis(name: str, values: ArrayLike) -> Floats:
@@ -145,7 +133,7 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
 
     """
     if name not in AXES:
-        raise ValueError(f'no axis is named {name!r}; there are: {", ".join(AXES)}')
+        raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
     array = checks.require_not_negative_array(name, values)
     if array.ndim != 1 or not array.size:
         raise ValueError(f'{name} must be a row of numbers, got shape {array.shape}')
@@ -163,7 +151,7 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
 
 
 class HighestPoint(NamedTuple):
-    """The best point of a landscape: where it is on each axis, and what it gives."""
+    """The best point of a landscape: its position on each axis, and the results there."""
 
     place: tuple[float, float]
     ejection_phase: float
@@ -178,7 +166,7 @@ class Landscape:
     Parameters
     ----------
     rig : Rig
-        What all throws have in common.
+        The rig of all throws, apart from the axes.
     axes : mapping of str to ndarray
         The values of the two axes, of shapes (n,) and (m,). [SI]
     ejection_phase, energy_transfer : ndarray, shape (n, m)
@@ -211,7 +199,7 @@ class Landscape:
         )
 
     def place(self, rig: Rig) -> tuple[float, float]:
-        """Tell where on the axes a rig is; on x and C, with the landscape's density ratio."""
+        """Return the position of a rig on the axes; x and C take the landscape's density ratio."""
         x = self.density_ratio / (self.density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
         first, second = (
@@ -221,17 +209,17 @@ class Landscape:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Name the parameters of the rig that would count, but not in this model."""
-        known = MODELS[self.model]
+        """Names of the rig's parameters that the model does not take into account."""
+        known = MODELS[self.model].knows
         return tuple(
             name
             for name in ('engine.damping_ratio', 'gravity')
-            if attrgetter(name)(self.rig) > 0.0 and _RATIO_OF[name] not in known
+            if attrgetter(name)(self.rig) > 0.0 and _ABILITIES[name] not in known
         )
 
     @property
     def attributes(self) -> dict[str, str | float]:
-        """All but the arrays, flat: what files and data sets note down."""
+        """Description of the landscape for files: everything but the arrays, in a flat mapping."""
         return {
             'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
             'source': f'soft_throw_ros {soft_throw_ros.__version__}',
@@ -244,42 +232,35 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """
-        Write it into a file, which is there as a whole or not at all.
+        Write NetCDF 3, which xarray, MATLAB and others read; the file is complete or not there.
 
         Parameters
         ----------
         path : Path
-            Ends on `.npz` (NumPy) or `.nc` (NetCDF 3, which xarray, MATLAB and others read).
+            Name of the file.
 
         Raises
         ------
-        ValueError
-            For another ending.
         OSError
-            If it cannot be written.
+            If the file cannot be written.
 
         """
-        if path.suffix not in ('.npz', '.nc'):
-            raise ValueError(f'a landscape is saved as .npz or .nc, got {str(path)!r}')
         labels = {name.replace('.', '_'): AXES[name] for name in self.axes} | dict(RESULTS)
-        results = [getattr(self, name) for name in RESULTS]
-        arrays = dict(zip(labels, [*self.axes.values(), *results], strict=True))
-        keys = list(labels)[:2]
-        with atomic_file(path) as unfinished, unfinished.open('wb') as file:
-            if path.suffix == '.npz':
-                attributes = json.dumps({'dimensions': keys, **self.attributes})
-                np.savez(file, allow_pickle=False, attributes=np.array(attributes), **arrays)
-                return
-            with netcdf_file(file, 'w', version=2) as data:
-                for name, value in {'Conventions': 'CF-1.11', **self.attributes}.items():
-                    setattr(data, name, value)
-                for key in keys:
-                    data.createDimension(key, arrays[key].size)
-                for name, values in arrays.items():
-                    variable = data.createVariable(name, 'f8', keys if name in RESULTS else [name])
-                    variable[:] = values
-                    variable.long_name = labels[name].meaning
-                    variable.units = labels[name].unit or '1'
+        arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
+        axes = list(labels)[:2]
+        with (
+            atomic_file(path) as unfinished,
+            netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
+        ):
+            for name, value in {'Conventions': 'CF-1.11', **self.attributes}.items():
+                setattr(data, name, value)
+            for name, values in zip(axes, arrays, strict=False):
+                data.createDimension(name, values.size)
+            for (name, label), values in zip(labels.items(), arrays, strict=True):
+                variable = data.createVariable(name, 'f8', axes if name in RESULTS else [name])
+                variable[:] = values
+                variable.long_name = label.meaning
+                variable.units = label.unit or '1'
 
 
 def compute_landscape(
@@ -298,21 +279,21 @@ def compute_landscape(
     Parameters
     ----------
     rig : Rig
-        What all throws have in common, apart from the axes.
+        Rig of all throws, apart from the axes.
     axes : mapping of str to array_like
-        Two of `AXES` with their values, increasing. x, C, mu and kappa replace whatever the rig
-        says about them, and go with each other and with the plate's amplitude and damping, the
-        loss tangent, and gravity.
+        Two of `AXES` with their values, increasing. x, C, mu and kappa replace the values of the
+        rig, and go with each other and with the plate's amplitude and damping, the loss tangent,
+        and gravity.
     model : str
-        One of `MODELS`.
+        One of `models.MODELS`.
     release : {'first', 'last'}
         The first one, or the last one before the projectile falls back for good.
     density_ratio : float, optional
         Projectile over layer, for the axes x and C; that of the rig if not given. [-]
     executor : Executor, optional
-        Who computes blocks of throws; the caller if not given. Results do not depend on it.
+        Executor of blocks of throws; the caller if not given. The choice does not change results.
     progress : callable, optional
-        Told how many more throws are done.
+        Called with the number of throws since the last call.
 
     Returns
     -------
@@ -329,9 +310,9 @@ def compute_landscape(
     model                     is for                                               error
     ========================= ==================================================== =======
     travelling_wave           a rigid projectile on a lossless layer               1e-9
-    finite_difference         a rigid projectile, with or without loss             1e-4
-    finite_difference_elastic an elastic projectile                                1e-4
-    finite_difference_glued   the layer on the projectile, thrown along            1e-4
+    cells                     a rigid projectile, with or without loss             1e-4
+    cells_elastic             an elastic projectile                                1e-4
+    cells_glued               the layer on the projectile, thrown along            1e-4
     spring_mass               a layer without mass, a harmonic plate, no gravity   large
     ========================= ==================================================== =======
 
@@ -370,7 +351,7 @@ def compute_landscape(
     cases = np.stack([np.broadcast_to(each, shape).ravel() for each in changes.values()])
     threads = None if executor is None else 1
     compute = functools.partial(_compute, rig, model, release, threads, tuple(changes))
-    is_fast = rig.engine.motion is None and model in ('travelling_wave', 'spring_mass')
+    is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = {start: cases[:, start:start + size] for start in range(0, cases.shape[1], size)}
     results = np.empty((len(RESULTS), cases.shape[1]))
@@ -391,41 +372,41 @@ def compute_landscape(
 
 
 def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: Release) -> None:
-    """Refuse what a model does not know."""
-    if model not in MODELS:
-        raise ValueError(f'model must be one of {", ".join(MODELS)}, got {model!r}')
+    """Refuse rigs, axes and releases that a model does not know."""
+    knows = model_of(model).knows
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
-    if rig.engine.motion and model == 'spring_mass':
+    if rig.engine.motion and 'motion' not in knows:
         raise ValueError(f'the motion of a file takes other models, got model {model!r}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
-    if model == 'spring_mass' and release == 'last':
-        raise ValueError(f'the last release is known to all models but one, got model {model!r}')
-    for name, ratio in _RATIO_OF.items():
-        if name in axes and ratio not in MODELS[model]:
+    if release == 'last' and 'last_release' not in knows:
+        raise ValueError(f'the last release takes other models, got model {model!r}')
+    for name, ability in _ABILITIES.items():
+        if name in axes and ability not in knows:
             raise ValueError(f'{name} is an axis, but the model {model} does not know it')
     layer = rig.layer
-    if not layer.is_uniform and (release == 'last' or not model.startswith('finite_difference')):
+    if not layer.is_uniform and (release == 'last' or 'stack' not in knows):
         raise ValueError(
             f'layer.stack needs the first release by finite differences, got the {release} one by '
             f'the model {model}'
         )
-    if layer.loss_tangent > 0.0 and 'loss_tangent' not in MODELS[model]:
+    if layer.loss_tangent > 0.0 and 'loss' not in knows:
         raise ValueError(
             f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
             f'got {layer.loss_tangent:g}'
         )
-    if layer.elasticity != 'linear' and 'strain_ratio' not in MODELS[model]:
+    if layer.stress_strain_law != 'linear' and 'large_strain' not in knows:
         raise ValueError(
-            f'layer.elasticity must be linear for the model {model}, got {layer.elasticity}'
+            f'layer.stress_strain_law must be linear for the model {model}, '
+            f'got {layer.stress_strain_law}'
         )
 
 
 def _computed(
     compute: Callable[[Floats], Floats], blocks: Mapping[int, Floats], executor: Executor | None
 ) -> Iterator[tuple[int, Floats]]:
-    """Yield where blocks begin, and their results, in whatever order they come."""
+    """Yield the starts of blocks and their results in the order of completion."""
     if executor is None:
         for start, block in blocks.items():
             yield start, compute(block)
@@ -440,18 +421,19 @@ def _computed(
 
 
 def _check_axes(first: str, second: str) -> None:
-    """Refuse two axes of which one decides the other."""
+    """Refuse two axes that are functions of each other."""
     if {first, second} in _SAME:
-        raise ValueError(f'{first} and {second} are one and the same, so they make no landscape')
+        raise ValueError(f'the axes {first} and {second} are not independent; choose others')
     ratios = {name for same in _SAME for name in same}
     for ratio, other in ((first, second), (second, first)):
-        if ratio in ratios and other not in ratios and other not in _RATIO_OF:
+        if ratio in ratios and other not in ratios and other not in _ABILITIES:
             allowed = sorted(next(ratios - same for same in _SAME if ratio in same))
-            raise ValueError(f'{ratio} goes with {", ".join([*allowed, *_RATIO_OF])}, got {other}')
+            names = ', '.join([*allowed, *_ABILITIES])
+            raise ValueError(f'the axis {ratio} can be combined with {names}, got {other}')
 
 
 def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Floats]:
-    """Return what is other than in the rig along axes, as `rig_with` takes it."""
+    """Return the changes of the rig along the axes, for `rig_with`."""
     changes = {name.rpartition('.')[2]: along[name] for name in along if name in TWIN.by_name}
     if len(changes) == len(along):
         return changes
@@ -462,7 +444,7 @@ def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dic
     if 'C' in along:
         kappa = along['C'] / along.get('x', density_ratio / (density_ratio + mu))
     kappa = along.get('kappa', kappa)
-    # A layer with these ratios, and with the wave speed that it has
+    # A layer with the given ratios and the present wave speed
     thickness = rig.layer.wave_speed / (kappa * rig.engine.frequency)
     density = rig.projectile.mass / (mu * rig.layer.section * thickness)
     return {**changes, 'thickness': thickness, 'density': density}
@@ -479,7 +461,7 @@ def _compute(
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
         changes = dict(zip(names, cases, strict=True))
-        throws = first_throws(rig, changes, model=model, threads=threads)
+        throws = throw_many(rig, changes, model=model, threads=threads)
         frequency = changes.get('frequency', rig.engine.frequency)
         return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
     rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the best motion of the plate gives, beside what else the same actuator could do."""
+"""Design of the plate's motion, compared with other throws of the same actuator."""
 
 from __future__ import annotations
 
@@ -24,70 +24,77 @@ from typing import get_args, Literal, TypeAlias
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, require_uniform, rig_with
+from soft_throw_ros.core.rig import Engine, model_for, Rig
+from soft_throw_ros.core.throw import Throw
+from soft_throw_ros.core.throws import (
+    Cancelled,
+    require_uniform,
+    rig_with,
+    throw_many,
+)
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
-    find_best_layer,
     find_best_motion,
+    find_layer_for_motion,
+    first_stroke,
+    follow,
     linear_layer,
     PlateLimits,
+    Pulses,
     rest_to_rest,
-    with_motion,
 )
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.recommendation import recommend
 
-Vary: TypeAlias = Literal['motion', 'thickness', 'wave_speed', 'both']
+MotionVary: TypeAlias = Literal['motion', 'thickness', 'wave_speed', 'both']
 
-_FREQUENCIES = np.geomspace(0.05, 20.0, 1200)  # of harmonic motions that are tried, over the rig's
+_FREQUENCIES = np.geomspace(0.05, 20.0, 1200)
+"""Frequencies of harmonic motions that are tried, in parts of the rig's. [-]"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionDesign(PredictedThrow):
     """
-    The best motion of the plate, and what it gives.
+    The best motion of the plate, and its throw.
 
     Parameters
     ----------
     rig : Rig
-        The rig whose plate moves so, with the layer that was found if one was looked for.
+        The rig with the best motion, and with the best layer if the layer may vary.
     vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        What of the layer was allowed to change; nothing if it is 'motion'.
+        Properties of the layer that may vary; none for 'motion'.
     limits : PlateLimits
-        Of the actuator.
+        Limits of the actuator.
     others : mapping of str to Rig
-        What it is to be compared with: the rig `now`, and with the `harmonic` motion and the
-        `step` of the same limits that throw best, the `layer` that is best as the plate moves
-        now, unless it is a stack, and the `linear` one with the best motion if it is not linear;
-        as far as they throw.
+        Rigs for comparison: the present rig (`now`), the rigs with the best `harmonic` stroke and
+        the best `step` within the same limits of plate and loads, the best `layer` for the present
+        motion unless the layer is a stack, and a `linear` layer with the best motion if the layer
+        is not linear. Rigs without a release are missing.
     throws : mapping of str to PredictedThrow
-        What they give, and the `best`; `both` if the layer was looked for, and then `best` is with
-        the layer that there is.
+        Throws of the rigs for comparison, and the `best` throw, which is never slower than
+        `harmonic` and `step`. If the layer may vary, `both` is the throw with the best layer and
+        motion, and `best` is the throw with the present layer.
     layer : str
-        Empty: it is of no library.
-    summary : str
-        What is gained, in a sentence.
+        Empty: the layer is not from a library.
 
     """
 
     rig: Rig
-    vary: Vary
+    vary: MotionVary
     limits: PlateLimits
     others: Mapping[str, Rig]
     throws: Mapping[str, PredictedThrow]
     layer: str = ''
-    summary: str = ''
 
     @property
     def motion(self) -> SampledMotion:
-        """How the plate is to move."""
+        """Designed motion of the plate."""
         assert self.rig.engine.motion is not None
         return self.rig.engine.motion
 
     @property
     def motions(self) -> dict[str, PlateMotion]:
-        """How the plate moves in each case; the best one last."""
+        """Motion of the plate in each case; the best one last."""
         shown = [name for name in ('now', 'harmonic', 'step') if name in self.others]
         found = {name: motion_of(self.others[name].engine) for name in shown}
         return {**found, 'best': self.motion}
@@ -106,79 +113,110 @@ def design_motion(
     rig: Rig,
     plate: PlateLimits | None = None,
     *,
-    vary: Vary = 'motion',
+    vary: MotionVary = 'motion',
     limits: Limits | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
     """
-    Find the motion of the plate that throws best, alone or together with the layer.
+    Find the best motion of the plate, alone or together with the best layer.
 
     Parameters
     ----------
     rig : Rig
-        As it is now.
+        The present rig.
     plate : PlateLimits, optional
-        What the actuator can do; if not given, what it does now.
+        Limits of the actuator; those of its present motion if not given.
     vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        What of the layer may change besides.
+        Parameters of the layer that may change as well.
     limits : Limits, optional
-        Of the layer, its strain, and the projectile's acceleration.
+        Limits of the layer, of its strain, and of the projectile's acceleration.
     cancelled : callable, optional
-        Asked every few tenths of a second whether to give up.
+        Called every few tenths of a second; returns whether to give up.
 
     Raises
     ------
     ValueError
         If a choice is unknown, or a stack is to be varied.
     ThrowUnresolvedError
-        If nothing is thrown within the limits.
+        If no throw within the limits releases the projectile.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     Examples
     --------
-    >>> design_motion(Rig(gravity=0.0)).summary
-    'with the same motor, 15 % more energy by moving the plate so, 14 % by a layer of ...'
+    >>> design = design_motion(Rig(gravity=0.0))
+    >>> round(design.kinetic_energy / design.throws['now'].kinetic_energy, 2)
+    1.15
 
     """
-    if vary not in get_args(Vary):
-        raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
+    if vary not in get_args(MotionVary):
+        raise ValueError(f'vary must be one of {", ".join(get_args(MotionVary))}, got {vary!r}')
     if vary != 'motion':
         require_uniform(rig)
     plate, limits = plate or PlateLimits.of(rig.engine), limits or Limits()
-    own = find_best_motion(rig, plate, loads=limits, cancelled=cancelled).motion
-    assert isinstance(own, SampledMotion)
-    best = with_motion(rig, own)
-    rigs = {'now': rig, 'harmonic': _harmonic(rig, plate, cancelled), 'step': _step(rig, plate)}
+    motions = _motions(rig, plate, limits, cancelled)
+    own = motions.pop('best')
+    rigs = {'now': rig} | {name: throw.rig for name, throw in motions.items() if name != 'now'}
     if rig.layer.is_uniform:
         with contextlib.suppress(ThrowUnresolvedError):
             varied = 'both' if vary == 'motion' else vary
             rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
-    found = {'best': best}
+    found = {'best': own.rig}
     if vary != 'motion':
-        better = find_best_layer(rig, plate, vary, loads=limits, cancelled=cancelled)
-        throw = find_best_motion(better, plate, loads=limits, cancelled=cancelled)
-        assert isinstance(throw.motion, SampledMotion)
-        best = found['both'] = with_motion(better, throw.motion)
-    if rig.layer.elasticity != 'linear':
+        layer = find_layer_for_motion(rig, plate, vary, loads=limits, cancelled=cancelled)
+        both = max(own, _motions(layer, plate, limits, cancelled)['best'], key=_speed)
+        if 'layer' in rigs and predict(rigs['layer']).ejection_speed > _speed(both):
+            both = max(both, _motions(rigs['layer'], plate, limits, cancelled)['best'], key=_speed)
+        found['both'] = both.rig
+    best = found['best' if vary == 'motion' else 'both']
+    if rig.layer.stress_strain_law != 'linear':
         rigs['linear'] = replace(best, layer=linear_layer(best.layer))
     throws = {}
-    for name, each in (rigs | found).items():
+    for name, candidate in (rigs | found).items():
         with contextlib.suppress(ThrowUnresolvedError):
-            throws[name] = predict(each)
-    answer = MotionDesign(
+            throws[name] = predict(candidate)
+    return MotionDesign(
         **vars(throws['both' if vary != 'motion' else 'best']),
         rig=best,
         vary=vary,
         limits=plate,
-        others={name: each for name, each in rigs.items() if name in throws},
+        others={name: other for name, other in rigs.items() if name in throws},
         throws=throws,
     )
-    return replace(answer, summary=_summary(answer))
 
 
-def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
-    """Return the rig with the harmonic motion within the limits that throws best."""
+def _speed(throw: Throw) -> float:
+    return throw.ejection_speed
+
+
+def _motions(
+    rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
+) -> dict[str, Throw]:
+    """Simulate the simple motions that keep all limits, and the best motion of all."""
+    model = model_for(rig, 'travelling_wave')
+    motions = {
+        'now': first_stroke(rig.engine),
+        'harmonic': first_stroke(_harmonic(rig, plate, loads, cancelled)),
+        'step': _step(rig, plate),
+    }
+    followed = {
+        name: follow(rig, pulses.within(plate), model=model, loads=loads)
+        for name, pulses in motions.items()
+    }
+    throws = {name: throw for name, throw in followed.items() if throw is not None}
+    best = list(throws.values())
+    try:
+        best.append(find_best_motion(rig, plate, loads=loads, cancelled=cancelled))
+    except ThrowUnresolvedError:
+        if not throws:
+            raise
+    return throws | {'best': max(best, key=_speed)}
+
+
+def _harmonic(
+    rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
+) -> Engine:
+    """Return the engine whose harmonic motion within the limits throws best."""
     frequency = rig.engine.frequency * _FREQUENCIES
     omega = 2.0 * math.pi * frequency
     amplitude = np.min(
@@ -197,50 +235,22 @@ def _harmonic(rig: Rig, plate: PlateLimits, cancelled: Cancelled | None) -> Rig:
         'loss_tangent': rig.layer.loss_tangent * growth,
     }
     harmonic = replace(rig, engine=replace(rig.engine, damping_ratio=0.0, motion=None))
-    throws = first_throws(harmonic, changes, cancelled=cancelled)
-    best = int(np.nan_to_num(throws.ejection_speed).argmax())
-    return rig_with(harmonic, {name: float(values[best]) for name, values in changes.items()})
+    throws = throw_many(harmonic, changes, loads=loads.of_loads, cancelled=cancelled)
+    speed = throws.ejection_speed
+    if loads.of_loads:  # scale the amplitude down to the limits
+        excess = np.maximum(
+            throws.peak_strain / loads.max_strain,
+            throws.peak_acceleration / loads.max_acceleration,
+        )
+        speed = speed / np.maximum(excess, 1.0)
+    best = int(np.nan_to_num(speed).argmax())
+    return rig_with(
+        harmonic, {name: float(values[best]) for name, values in changes.items()}
+    ).engine
 
 
-def _step(rig: Rig, plate: PlateLimits) -> Rig:
-    """Return the rig with a plate that goes up as fast as the limits allow, all the way."""
+def _step(rig: Rig, plate: PlateLimits) -> Pulses:
+    """Return the fastest step of a plate within the limits."""
     wait = 3.0 * rig.crossing_time + 1.0 / rig.natural_frequency
     travel = min(plate.travel, plate.speed * (2.0 * plate.rise_time + wait))
-    return with_motion(rig, rest_to_rest(plate, travel=travel))
-
-
-def _summary(answer: MotionDesign) -> str:
-    """Say what is gained, and by what."""
-    throws = answer.throws
-    if 'now' not in throws:
-        speed = throws['best'].ejection_speed
-        return f'as it is, the rig throws nothing; this motion gives {speed:.3g} m/s'
-    now = throws['now'].kinetic_energy
-
-    def gain(name: str) -> str:
-        part = throws[name].kinetic_energy / now - 1.0
-        return f'{100.0 * part:.2g} % more' if part < 0.995 else f'{1.0 + part:.3g} times the'
-
-    parts = [f'{gain("best")} energy by moving the plate so']
-    if 'layer' in throws:
-        layer = throws['layer']
-        parts.append(
-            f'{gain("layer").removesuffix(" more")} by a layer of {1e3 * layer.thickness:.4g} mm '
-            f'and {layer.wave_speed:.4g} m/s'
-        )
-    if 'both' in throws:
-        both = throws['both']
-        parts.append(
-            f'{gain("both").removesuffix(" more")} by both, with '
-            f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
-        )
-    text = f'with the same motor, {", ".join(parts)}'
-    if 'linear' in throws:
-        speed, linear = answer.ejection_speed, throws['linear'].ejection_speed
-        text += f'; {speed:.3g} m/s from this layer, and from a linear one {linear:.3g} m/s'
-    motion = answer.motion
-    lowest = int(motion.states[:, 0].argmin())
-    depth, time = -motion.states[lowest, 0], motion.times[lowest]
-    if depth > 0.01 * answer.limits.travel:
-        text += f'; the plate goes down first, by {1e3 * depth:.2g} mm in {1e3 * time:.2g} ms'
-    return text
+    return rest_to_rest(plate, travel=travel)

@@ -12,29 +12,35 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-Find the motion of the plate that throws best within what an actuator can do.
+Find the motion of the plate that throws best within the limits of an actuator.
 
 Notes
 -----
-As long as the projectile lies on the layer, all that happens is linear in the plate's motion and
-does not depend on when it starts. So one answer of the stepper to one short pulse of the plate's
-velocity tells what any motion does: a motion is a row of such pulses, and velocities and forces
-add up. To be as fast as possible at some time T, with the layer pushing all the while, and within
-limits of speed, acceleration, jerk and travel, is then a linear programme in the heights of the
-pulses, whose optimum is global [1]_. A plate may always wait before it starts, so the speed grows
-with T; the shortest T is taken that gives nearly as much as the longest.
+While the projectile lies on the layer, the rig is linear in the plate's motion and invariant in
+time. A motion is a sum of short pulses of the plate's velocity. The stepper computes the
+velocities, forces and strains of one pulse; those of all pulses add up. The largest speed of the
+projectile at a release time T is therefore a linear programme in the heights of the pulses, whose
+optimum is global [1]_. Its constraints are a pushing contact force until T, and limits of the
+plate's speed, acceleration, jerk and travel, of the layer's strain, and of the projectile's
+acceleration. The speed grows with T, since the plate may wait before it starts; the shortest T
+with nearly the speed of the longest is used.
 
-Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times,
-not only on the grid, and what they add up to is a cubic spline in height, which a file of times
-and heights holds without loss. They are a whole number of nanoseconds apart, as the times of a
-trajectory for a controller are. What a motion gives is then followed by the exact stepper to its
-end: motions that meet the projectile again, or throw it off too early, are left out.
+The strain is limited at several heights of the layer at all times. Most limits never become
+active, so the programme begins without limits of the strain, and adds the limits that its solution
+exceeds, until the solution keeps all limits.
 
-Loss and stacks are linear, too. For a neo-Hookean layer the programme takes the linear one that it
-is when it is hardly strained, but what follows is the layer itself: of programmes for several
-times of release, the motion counts that throws best with it.
+Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times.
+The height of the plate is a cubic spline, which a file of times and heights stores without loss.
+The spacing of the pulses is a whole number of nanoseconds, the resolution of trajectory messages.
+The exact stepper then simulates the throw to its end. A motion that meets the projectile again is
+rejected, and a motion that slightly exceeds a limit of the layer or the projectile is scaled down.
 
-Nothing after T less a crossing of the wave can be felt by the projectile; there the plate brakes.
+Loss and stacks are linear, too. For a neo-Hookean layer the programme uses the linear layer of
+the same modulus at rest, but the simulation uses the neo-Hookean layer. Programmes are solved for
+several times of release, and the motion with the best simulated throw is chosen.
+
+A wave that leaves the plate later than one crossing time before T cannot reach the projectile
+before the release; from then on the plate brakes.
 
 References
 ----------
@@ -48,7 +54,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,32 +62,87 @@ import scipy  # its parts are imported where they are first used, which takes 0.
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.design.evaluate import Cancelled, check_cancelled, model_for, SEARCH_CELLS
+from soft_throw_ros.core.throws import Cancelled, check_cancelled, SEARCH_CELLS
 from soft_throw_ros.design.objective import Limits
 
 Floats = NDArray[np.float64]
 
-_COARSE, _FINE = (12, 120), (64, 300)  # pulses in a crossing of the wave, and at most until T
-_WORTH = 1e-3  # part of the speed for which it is not worth to wait longer
-_FINER = 2  # times as often as there are pulses the layer has to push
-_PRESSED = 0.2  # part of the weight with which a plate must push, whatever it does, ...
-_PUSH = 1e-3  # and of speed times impedance while the wave is in the layer
-_AS_PROMISED = 0.01  # part of the speed by which a motion may miss what the programme promised
-_FLOORS = (1.0, 4.0)  # times these, to be tried in turn if a motion fails, ...
-_LONGER = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # and times of release
-_OPTIMAL, _INFEASIBLE = 0, 2  # statuses of `linprog`
-_LONGEST = 10.0  # that a programme may take; it takes a second [s]
+Critical: TypeAlias = set[tuple[int, float, float]]
+"""Strains that solutions exceeded: index of the height, time before the release [s], sign."""
+
+_COARSE, _FINE = (12, 120), (64, 300)
+"""Pulses per crossing of the wave, and largest number of pulses until T."""
+
+_WAITING_GAIN = 1e-3
+"""Relative gain of speed that does not justify a later release. [-]"""
+
+_FINER = 2
+"""Times per pulse at which the layer has to push the projectile."""
+
+_HEIGHTS = 9
+"""Points of the layer, from plate to projectile, at which the programme limits the strain."""
+
+_STRAIN_TOLERANCE = 2e-3
+"""Relative excess of a strain that adds a limit to the programme. [-]"""
+
+_STRAIN_STRIDE = 4
+"""Where the strain is too large for many pulses, every fourth gets a limit, beside the maxima."""
+
+_MAX_ROUNDS = 12
+"""Programmes solved in turn while limits of the strain are added; 3 to 6 are enough."""
+
+_SCALINGS = 5
+"""Most simulations that scale a motion down to the limits of its loads."""
+
+_LOAD_TOLERANCE = 1e-6
+"""Relative excess of a load that is tolerated. [-]"""
+
+_MIN_CONTACT_FORCE = 0.2
+"""Smallest force on the projectile in a programme, over the projectile's weight. [-]"""
+
+_MIN_WAVE_FORCE = 1e-3
+"""The same while the wave is in the layer, over the largest speed times the impedance. [-]"""
+
+_PROGRAMME_ERROR = 0.01
+"""Largest relative deficit of the simulated speed against the coarse programme. [-]"""
+
+_FORCE_FACTORS = (1.0, 4.0)
+"""Factors of the two smallest forces, tried in turn if a motion meets the projectile again."""
+
+_TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)
+"""Factors of the time of release that are tried in turn."""
+
+_OPTIMAL, _INFEASIBLE = 0, 2
+"""Statuses of `linprog` that need no other method."""
+
+_METHODS = {'highs-ipm': 300, 'highs-ds': 20000}
+"""
+Methods of `linprog` in turn, with their largest numbers of iterations.
+
+The simplex method may take minutes where the jerk is limited; the interior-point method takes 50
+iterations, but does not always converge.
+"""
+
+_PROGRAMME_TIME = 60.0
+"""Limit of the time of a programme, which takes a second. [s]"""
+
 _ROUNDING = 1e-12
-_LAYERS = 7  # along an axis of the grid on which the search for a layer begins
+"""Relative room below the limits of the plate for rounding. [-]"""
+
+_STROKE_PULSES = 2000
+"""Pulses of an engine's first stroke."""
+
+_LAYERS = 7
+"""Layers along each of two axes of the initial grid of a search; twice as many along one. [-]"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlateLimits:
     """
-    What an actuator can do.
+    Limits of an actuator.
 
     Parameters
     ----------
@@ -109,7 +170,7 @@ class PlateLimits:
 
     @classmethod
     def of(cls, engine: Engine) -> PlateLimits:
-        """Return what the plate of an engine does by itself; its jerk is not limited."""
+        """Return the limits of the present motion of an engine; its jerk is not limited."""
         motion = motion_of(engine)
         end = motion.end_time if isinstance(motion, SampledMotion) else 2.0 / engine.frequency
         times = np.linspace(0.0, end, 20001)
@@ -127,23 +188,35 @@ class PlateLimits:
 
     @property
     def acceleration_time(self) -> float:
-        """How long it takes to reach the largest acceleration [s]."""
+        """Time to reach the largest acceleration [s]."""
         return self.peak_acceleration / self.jerk if self.jerk < math.inf else 0.0
 
     @property
     def rise_time(self) -> float:
-        """How long it takes to reach the largest speed [s]."""
+        """Time to reach the largest speed [s]."""
         return self.speed / self.peak_acceleration + self.acceleration_time
 
 
 class Pulses(NamedTuple):
-    """A motion of the plate: quadratic B-splines in its velocity, one after another."""
+    """A motion of the plate: a series of quadratic B-splines in its velocity."""
 
-    step: float  # from one to the next [s]
-    heights: Floats  # [m/s]
+    step: float
+    """Time between neighbours. [s]"""
+    heights: Floats
+    """Coefficients of the B-splines. [m/s]"""
+
+    @classmethod
+    def of(cls, positions: Floats, step: float) -> Pulses:
+        """
+        Return the pulses of a plate whose heights [m] are given, `step` apart.
+
+        Their heights are mean velocities, so no limit of speed, acceleration or jerk is exceeded
+        that the plate keeps.
+        """
+        return cls(step, np.diff(positions) / step)
 
     def motion(self) -> SampledMotion:
-        """Return it as a motion, without the rest before and after it."""
+        """Return the motion, without the rest before and after it."""
         moving = np.flatnonzero(self.heights)
         c = np.pad(self.heights[moving[0]:moving[-1] + 1], 3)
         velocity, acceleration = 0.5 * (c[1:-1] + c[2:]), np.diff(c)[1:] / self.step
@@ -153,8 +226,12 @@ class Pulses(NamedTuple):
         states: Floats = np.column_stack([heights, velocity, acceleration])
         return SampledMotion(self.step * np.arange(float(len(states))), states)
 
+    def scaled(self, factor: float) -> Pulses:
+        """Return the motion with all heights multiplied by a factor."""
+        return Pulses(self.step, self.heights * factor)
+
     def within(self, limits: PlateLimits) -> Pulses:
-        """Return them as far down as it takes to keep limits to the last bit, at all times."""
+        """Return the motion, scaled down if it exceeds a limit at any time."""
         heights, step = np.pad(self.heights, 3), self.step
         parts = [
             np.abs(heights).max() / limits.speed,
@@ -162,7 +239,7 @@ class Pulses(NamedTuple):
             np.abs(np.diff(heights, 2)).max() / (limits.jerk * step**2),
             np.ptp(np.cumsum(heights)) * step / limits.travel,
         ]
-        return Pulses(step, self.heights / max(1.0, (1.0 + _ROUNDING) * max(parts)))
+        return self.scaled(1.0 / max(1.0, (1.0 + _ROUNDING) * max(parts)))
 
 
 def with_motion(rig: Rig, motion: SampledMotion) -> Rig:
@@ -184,13 +261,13 @@ def find_best_motion(
     Parameters
     ----------
     rig : Rig
-        How its own plate moves does not matter.
+        The motion of its own plate does not matter.
     limits : PlateLimits
-        Of the plate.
+        Limits of the plate.
     loads : Limits, optional
-        Of them count strain and acceleration.
+        Limits of the loads; only strain and acceleration apply.
     model : str
-        Of the layer; the travelling wave gives way to finite differences where it must.
+        Model of the layer; finite differences replace the travelling wave if necessary.
     cancelled : callable, optional
         Asked between programmes, some tenths of a second each.
 
@@ -215,18 +292,19 @@ def find_best_motion(
     """
     loads = loads or Limits()
     model = model_for(rig, model)
-    time, promised = _shortest_time(rig, limits, loads, model, cancelled)
+    critical: Critical = set()
+    time, promised = _shortest_time(rig, limits, loads, model, cancelled, critical)
     best: Throw | None = None
-    for longer in _LONGER:
-        programme = _Programme(rig, limits, loads, model, longer * time, _FINE)
-        for floor in _FLOORS:
+    for time_factor in _TIME_FACTORS if promised > 0.0 else ():
+        programme = _Programme(rig, limits, loads, model, time_factor * time, _FINE, critical)
+        for force_factor in _FORCE_FACTORS:
             check_cancelled(cancelled)
-            pulses, _ = programme.solve(longer * time, floor)
-            throw = pulses and _follow(rig, pulses.motion(), model, loads)
+            pulses, _ = programme.solve(time_factor * time, force_factor)
+            throw = pulses and follow(rig, pulses, model=model, loads=loads)
             if throw and (best is None or throw.ejection_speed > best.ejection_speed):
                 best = throw
-            is_exact = rig.layer.elasticity == 'linear'
-            if best and is_exact and best.ejection_speed > (1.0 - _AS_PROMISED) * promised:
+            is_exact = rig.layer.stress_strain_law == 'linear'
+            if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
                 return best
             if throw and not is_exact:
                 break
@@ -238,7 +316,7 @@ def find_best_motion(
     return best
 
 
-def find_best_layer(
+def find_layer_for_motion(
     rig: Rig,
     limits: PlateLimits,
     vary: str,
@@ -248,12 +326,12 @@ def find_best_layer(
     cancelled: Cancelled | None = None,
 ) -> Rig:
     """
-    Find the layer from which the best motion throws fastest.
+    Find the layer with the fastest throw by its best motion.
 
     Parameters
     ----------
     vary : {'thickness', 'wave_speed', 'both'}
-        What of the layer may change, within `loads`.
+        Parameters of the layer that may change, within `loads`.
     rig, limits, loads, model, cancelled
         As for `find_best_motion`.
 
@@ -278,14 +356,12 @@ def find_best_layer(
         return replace(rig, layer=replace(rig.layer, **dict(zip(names, values, strict=True))))
 
     def slowness(place: Floats) -> float:
-        try:
-            return -_shortest_time(layer(place), limits, loads, model, cancelled, is_rough=True)[1]
-        except ThrowUnresolvedError:
-            return 0.0
+        problem: Any = layer(place), limits, loads, model, cancelled, set()
+        return -_shortest_time(*problem, is_rough=True)[1]
 
     axes = [np.linspace(low, high, _LAYERS * (3 - len(names))) for low, high in box]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(names))
-    values = [slowness(place) for place in grid]
+    values = [slowness(point) for point in grid]
     best = grid[int(np.argmin(values))]
     if min(values) == 0.0:
         raise ThrowUnresolvedError(f'no motion of the plate throws within {limits} and {loads}')
@@ -297,23 +373,25 @@ def find_best_layer(
     return layer(found.x)
 
 
-def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
+def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
     """
-    Make the shortest motion up by `travel`: what a controller does that is given a height.
+    Return the shortest motion up by `travel` [m], as a controller makes it for a given height.
 
     Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
     """
-    # If the travel is short it has to brake before it is as fast as it may be
-    speed = min(
-        limits.speed,
-        math.sqrt(travel * limits.acceleration),
-        (travel**2 * limits.jerk) ** (1.0 / 3.0),
-    )
+    # If the travel is short the plate has to brake before it reaches the largest speed. Without
+    # acceleration it moves for as long as the acceleration takes to change.
+    speed = (0.25 * travel**2 * limits.jerk) ** (1.0 / 3.0)
+    if speed * limits.jerk > limits.acceleration**2:
+        change = limits.acceleration / limits.jerk
+        root = math.sqrt(change**2 + 4.0 * travel / limits.acceleration)
+        speed = 0.5 * limits.acceleration * (root - change)
+    speed = min(speed, limits.speed)
     limits = replace(limits, speed=speed)
     ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
     cruise = max(travel / speed - ramp, 0.0)
     step = max(0.005 * ramp, 1e-4 * cruise)
-    rounded = max(limits.acceleration_time, 6.0 * step)  # a moving average limits the jerk
+    rounded = max(limits.acceleration_time, step)  # a moving average limits the jerk
     times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
 
     def path(t: Floats) -> Floats:
@@ -322,27 +400,50 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> SampledMotion:
         cubes = (sign * np.maximum(t - corner, 0.0) ** 3 for corner, sign in corners)
         return np.asarray(speed / (6.0 * ramp) * sum(cubes))
 
-    heights = (path(times) - path(times - rounded)) / rounded
-    return SampledMotion.from_positions(times, heights)
+    return Pulses.of((path(times) - path(times - rounded)) / rounded, step).within(limits)
+
+
+def first_stroke(engine: Engine) -> Pulses:
+    """Return the motion of an engine until its plate first comes to rest, or a recorded one."""
+    motion = motion_of(engine)
+    if isinstance(motion, SampledMotion):
+        end = motion.end_time
+    else:
+        times = np.linspace(0.0, 1.0 / engine.frequency, 2 * _STROKE_PULSES + 1)[1:]
+        end = float(times[(motion.velocity(times) <= 0.0).argmax()])
+    times = np.linspace(0.0, end, _STROKE_PULSES + 1)
+    return Pulses.of(motion.position(times), end / _STROKE_PULSES)
+
+
+def follow(rig: Rig, pulses: Pulses, *, model: str, loads: Limits) -> Throw | None:
+    """
+    Simulate a throw to its end with a motion, scaled down as far as the loads require.
+
+    Returns
+    -------
+    Throw or None
+        None if the projectile is not thrown, or meets the layer again before it comes down.
+
+    """
+    for _ in range(_SCALINGS):
+        try:
+            throw = simulate(with_motion(rig, pulses.motion()), model=model)
+        except (ValueError, EventLimitError, ThrowUnfinishedError):
+            return None
+        excess = max(
+            throw.peak_strain / loads.max_strain, throw.peak_acceleration / loads.max_acceleration
+        )
+        if excess <= 1.0 + _LOAD_TOLERANCE:
+            return throw if not throw.recontacts and throw.ejection_speed > 0.0 else None
+        pulses = pulses.scaled(1.0 / excess)
+    return None
 
 
 def linear_layer(layer: Layer) -> Layer:
-    """Return what a layer is while it is hardly strained."""
+    """Return the linear layer of the same modulus at rest."""
     if isinstance(layer, Stack):
         return Stack(sheets=tuple(linear_layer(sheet) for sheet in layer.sheets))
-    return replace(layer, elasticity='linear')
-
-
-def _follow(rig: Rig, motion: SampledMotion, model: str, loads: Limits) -> Throw | None:
-    """Follow a throw to its end; None if it meets the projectile again or exceeds a load."""
-    try:
-        throw = simulate(with_motion(rig, motion), model=model)
-    except (ValueError, EventLimitError, ThrowUnfinishedError):
-        return None
-    is_within = throw.peak_strain <= loads.max_strain * (
-        1.0 + 1e-3
-    ) and throw.peak_acceleration <= loads.max_acceleration * (1.0 + 1e-3)
-    return throw if is_within and not throw.recontacts and throw.ejection_speed > 0.0 else None
+    return replace(layer, stress_strain_law='linear')
 
 
 def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
@@ -364,23 +465,22 @@ def _shortest_time(
     loads: Limits,
     model: str,
     cancelled: Cancelled | None,
+    critical: Critical,
     *,
     is_rough: bool = False,
 ) -> tuple[float, float]:
-    """Find the shortest time that gives nearly the largest speed, and that."""
+    """Return the shortest time with nearly the largest speed, and the speed; 0 without a throw."""
     longest, *shorter = _times(rig, limits)
-    programme = _Programme(rig, limits, loads, model, longest, _COARSE)
+    programme = _Programme(rig, limits, loads, model, longest, _COARSE, critical)
     check_cancelled(cancelled)
     _, speed = programme.solve(longest)
-    if not speed > 0.0:
-        raise ThrowUnresolvedError(f'no motion of the plate throws within {limits}')
-    if is_rough:
-        return longest, speed
+    if is_rough or not speed > 0.0:
+        return longest, max(speed, 0.0)
     low, high = 0, len(shorter)
     while low < high:
         middle = (low + high) // 2
         check_cancelled(cancelled)
-        if programme.solve(shorter[middle])[1] >= (1.0 - _WORTH) * speed:
+        if programme.solve(shorter[middle])[1] >= (1.0 - _WAITING_GAIN) * speed:
             high = middle
         else:
             low = middle + 1
@@ -388,7 +488,7 @@ def _shortest_time(
 
 
 class _Programme:
-    """The linear programmes for a rig, up to some time of release."""
+    """The linear programmes for a rig, up to a largest time of release."""
 
     def __init__(
         self,
@@ -398,44 +498,49 @@ class _Programme:
         model: str,
         longest: float,
         resolution: tuple[int, int],
+        critical: Critical,
     ) -> None:
+        self._critical = critical
         self._rig, self._limits, self._loads = rig, limits, loads
         per_crossing, most = resolution
         step = max(rig.crossing_time / per_crossing, longest / most)
         self._step = 1e-9 * math.ceil(1e9 * step)
         self._count = math.ceil(longest / self._step) + 1
         cells = None if model == 'travelling_wave' or resolution is _FINE else SEARCH_CELLS
-        # Under a heavy weight nothing leaves; it changes nothing else. Units: [m/s], [N] per m/s
+        # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
+        # are to a pulse of 1 m/s.
         heavy = replace(rig, layer=linear_layer(rig.layer), gravity=1e3 / self._step)
         pulse = Pulses(self._step, np.ones(1)).motion()
-        stepper = make_stepper(heavy, pulse, model=model, cells=cells, field_points=2)
-        rows = np.empty((_FINER * self._count, 7))
-        for row, time in zip(rows, self._step / _FINER * np.arange(len(rows)), strict=True):
-            stepper.advance_to(float(time))
-            row[:] = stepper.state
-        self._velocity = rows[::_FINER, PROJECTILE_VELOCITY]
-        self._force = rows[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
+        stepper = make_stepper(heavy, pulse, model=model, cells=cells, field_points=_HEIGHTS)
+        states = np.empty((_FINER * self._count, 7))
+        strains = np.empty((len(states), _HEIGHTS))
+        for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):
+            stepper.sample_strain([time], strains[n:n + 1])
+            states[n] = stepper.state
+        self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
+        self._force = states[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
+        self._strains = (strains[::_FINER] - strains[0]).T
+        self._static_strains = strains[0] * (rig.gravity / heavy.gravity)
 
-    def solve(self, time: float, floor: float = 1.0) -> tuple[Pulses | None, float]:
+    def solve(self, time: float, force_factor: float = 1.0) -> tuple[Pulses | None, float]:
         """
-        Find the pulses that are fastest at a time, and that speed.
+        Find the pulses with the largest speed at a time; return the pulses and the speed.
 
-        The layer has to push by a little, times `floor`; at 0 it may just not pull.
+        The layer has to push with the smallest forces times `force_factor`.
         """
         rig, limits, step = self._rig, self._limits, self._step
         release = min(round(time / step), self._count - 1)
         felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
         braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
         size = felt + math.ceil(braking / step) + 6
-        # Unknown are the control points of the height, from before the start, in units of speed
-        # and step; pulses are their differences, and steps and bends those of the pulses.
+        # The unknowns are the control points of the height, scaled by speed and step, beginning
+        # before the start. Pulses are the differences of the control points; the differences of
+        # pulses bound acceleration and jerk.
         rise, steps, bends = (_differences(order, size) for order in (1, 2, 3))
         rise = rise[:size]
-        force, least = self._pushing(release, size, floor)
-        most = min(
-            self._loads.max_acceleration * rig.projectile.mass,
-            self._loads.max_strain * rig.layer.youngs_modulus * rig.layer.section,
-        ) / (limits.speed * rig.layer.impedance)
+        force, least = self._pushing(release, size, force_factor)
+        most = self._loads.max_acceleration * rig.projectile.mass
+        most /= limits.speed * rig.layer.impedance
         slowest = np.where(np.arange(size) < felt, -1.0, 0.0)
         between = [
             (force @ rise, least, np.full(least.shape, most)),
@@ -448,52 +553,98 @@ class _Programme:
         both = [sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]
         rows = scipy.sparse.vstack(both).tocsr()
         bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
+        is_limit = bounds < math.inf
         goal = np.zeros(size)
         goal[:felt] = -self._velocity[release - np.arange(felt)]
         goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
-        is_limit = bounds < math.inf
-        # The simplex method may take minutes where the jerk is limited, and the interior-point one
-        # does not always get to an end.
-        for method in ('highs-ipm', 'highs-ds'):
-            found = scipy.optimize.linprog(
+        for _ in range(_MAX_ROUNDS):
+            strain, strain_bounds = self._strain_limits(release, size)
+            found = self._optimise(
                 goal @ rise,
-                A_ub=rows[is_limit],
-                b_ub=bounds[is_limit],
-                bounds=(0.0, limits.travel / (limits.speed * step)),
-                method=method,
-                options={'time_limit': _LONGEST},
+                scipy.sparse.vstack([rows[is_limit], strain @ rise]).tocsr(),
+                np.concatenate([bounds[is_limit], strain_bounds]),
             )
-            if found.status in (_OPTIMAL, _INFEASIBLE):
+            if found is None:
+                return None, 0.0
+            pulses = limits.speed * (rise @ found)
+            known = len(self._critical)
+            self._critical |= self._excessive(pulses, release)
+            if len(self._critical) == known:
                 break
-        if found.status != _OPTIMAL:
-            return None, 0.0
-        pulses = limits.speed * (rise @ found.x)
         pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
-        if rig.gravity == 0.0:  # while it waits, what is below zero by rounding would let go
+        if rig.gravity == 0.0:  # negative rounding errors before the start would release it
             start = int((np.abs(pulses) > 1e-3 * np.abs(pulses).max()).argmax())
             pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
         return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
 
-    def _pushing(
-        self, release: int, size: int, floor: float
+    def _optimise(
+        self, goal: Floats, rows: scipy.sparse.csr_matrix, bounds: Floats
+    ) -> Floats | None:
+        """Solve a linear programme; None if it has no solution."""
+        for method, iterations in _METHODS.items():
+            found = scipy.optimize.linprog(
+                goal,
+                A_ub=rows,
+                b_ub=bounds,
+                bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
+                method=method,
+                options={'maxiter': iterations, 'time_limit': _PROGRAMME_TIME},
+            )
+            if found.status in (_OPTIMAL, _INFEASIBLE):
+                break
+        return found.x if found.status == _OPTIMAL else None
+
+    def _excessive(self, pulses: Floats, release: int) -> Critical:
+        """Return the strains of a motion that exceed the limit."""
+        excessive: Critical = set()
+        for height, response in enumerate(self._strains):
+            strain = np.convolve(response[: release + 1], pulses)[: release + 1]
+            strain += self._static_strains[height]
+            size = np.pad(np.abs(strain), 1)
+            chosen = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
+            chosen[::_STRAIN_STRIDE] = True
+            chosen &= size[1:-1] > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
+            for n in np.flatnonzero(chosen).tolist():
+                before = (release - n) * self._step
+                excessive.add((height, before, math.copysign(1.0, strain[n])))
+        return excessive
+
+    def _strain_limits(
+        self, release: int, size: int
     ) -> tuple[scipy.sparse.csr_matrix, Floats]:
-        """Return the force on the projectile over time, and how small it may be, against rest."""
+        """Return rows for the pulses, and bounds, that limit all strains known to be critical."""
+        critical = [
+            (height, release - round(before / self._step), sign)
+            for height, before, sign in sorted(self._critical)
+            if before < (release - 1) * self._step
+        ]
+        rows, bounds = np.zeros((len(critical), size)), np.empty(len(critical))
+        for row, (height, n, sign) in enumerate(critical):
+            response = self._strains[height, n::-1][:size]
+            rows[row, :response.size] = sign * self._limits.speed * response
+            bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
+        return scipy.sparse.csr_matrix(rows), bounds
+
+    def _pushing(
+        self, release: int, size: int, force_factor: float
+    ) -> tuple[scipy.sparse.csr_matrix, Floats]:
+        """Return the force on the projectile over time, and its lower bound, against rest."""
         rig, step = self._rig, self._step / _FINER
         scale = self._limits.speed * rig.layer.impedance
         index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
         rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
         weight = rig.projectile.mass * rig.gravity / scale
-        bound = np.full(len(rows), (floor * _PRESSED - 1.0) * weight)
+        bound = np.full(len(rows), (force_factor * _MIN_CONTACT_FORCE - 1.0) * weight)
         times = step * np.arange(1, len(rows) + 1)
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
-        bound[inside] += floor * _PUSH
+        bound[inside] += force_factor * _MIN_WAVE_FORCE
         return scipy.sparse.csr_matrix(rows), bound
 
 
 def _differences(order: int, size: int) -> scipy.sparse.csr_matrix:
-    """Return what takes differences of a row that does not change before and after it."""
+    """Return the matrix of differences of a row that is constant before and after it."""
     sparse = scipy.sparse
     matrix = sparse.csr_matrix(sparse.diags([-1.0, 1.0], [0, 1], shape=(size, size + 1)))
     for n in range(1, order):

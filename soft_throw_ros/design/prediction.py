@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What one throw of a rig gives up to its first release, and what it takes."""
+"""Prediction of the first release of one throw, and of its loads."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from dataclasses import dataclass
 
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import first_throws
+from soft_throw_ros.core.throws import throw_many
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedThrow:
     r"""
-    What a throw gives, with the rig's damping, gravity and loss, up to the first release.
+    First release of a throw, and its loads, with the rig's damping, gravity and loss.
 
     Parameters
     ----------
     thickness, wave_speed, density, youngs_modulus, loss_tangent : float
-        Of the layer: :math:`L_s` [m], :math:`c_s` [m/s], :math:`\rho_s` [kg/m3], [Pa], [-].
+        Properties of the layer. [m], [m/s], [kg/m3], [Pa], [-]
     mass_ratio, speed_ratio : float
         :math:`\mu` and :math:`\kappa = c_s / (L_s f)`. [-]
     ejection_time, ejection_speed : float
@@ -46,7 +46,7 @@ class PredictedThrow:
     plate_work : float
         Work of the plate from its start to the release, which an actuator has to deliver. [J]
     kinetic_energy : float
-        Of the projectile, which is what the throw is for. [J]
+        Kinetic energy of the projectile at the release. [J]
 
     """
 
@@ -82,7 +82,7 @@ def predict(rig: Rig) -> PredictedThrow:
     Parameters
     ----------
     rig : Rig
-        With any layer.
+        Rig with any layer.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def predict(rig: Rig) -> PredictedThrow:
     '11.6%, 40 g'
 
     """
-    layer, throws = rig.layer, first_throws(rig, loads=True)
+    layer, throws = rig.layer, throw_many(rig, loads=True)
     if not throws.ejection_speed > 0.0:
         raise ThrowUnresolvedError(
             f'the projectile does not leave: mass ratio {rig.mass_ratio:g}, speed ratio '

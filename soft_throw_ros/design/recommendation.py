@@ -12,15 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Recommend a layer for a rig: the one that throws best, by the objective that is set.
+Recommend the layer of a rig that throws best by an objective.
 
-What counts is the first release, for that is what can be relied on. See
-`soft_throw_ros.design.optimise` for how the layer is looked for.
+The first release counts, because it is more predictable than later ones. The search is described
+in `soft_throw_ros.design.optimise`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 import functools
@@ -31,9 +31,9 @@ from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.design import texts
-from soft_throw_ros.design.evaluate import Cancelled, SEARCH_CELLS
-from soft_throw_ros.design.objective import LayerScore, Limits, Objective, Peak, Robust
+from soft_throw_ros.core.throws import Cancelled, SEARCH_CELLS
+from soft_throw_ros.design.objective import LayerScore, Limits, Objective
+from soft_throw_ros.design.objectives.peak import Peak
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.search_space import search_spaces, SearchSpace
@@ -41,41 +41,49 @@ from soft_throw_ros.design.sensitivity import sensitivities, Sensitivity
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
-_EQUAL = 1e-9  # relative; of scores so close the present layer is kept
-_DRAFT_ERROR = 2e-3  # relative, of scores with `SEARCH_CELLS`; what is worse is searched again ...
-_NEARBY = 0.03  # within this part of thickness and wave speed
-_HOLDING = 1.0  # gravity over the plate's acceleration, beyond which few layers throw well
-_MAX_CANDIDATES = 5  # materials that are shown
+_EQUAL = 1e-9
+"""Relative difference of scores that count as equal; then the present layer is kept. [-]"""
 
+_DRAFT_ERROR = 2e-3
+"""Relative error of scores with `SEARCH_CELLS`; a layer that is worse is searched again. [-]"""
 
-_PARTS = ('now', 'by_thickness', 'by_wave_speed', 'by_both')
-_OF_SENSITIVITY = ('elasticity', 'low', 'high', 'tolerance', 'edge')
+_NEARBY = 0.03
+"""Relative half width of the second search, in thickness and wave speed. [-]"""
+
+_HOLDING_GRAVITY = 1.0
+"""Gravity over the plate's largest acceleration beyond which few layers throw well. [-]"""
+
+_MAX_CANDIDATES = 5
+"""Number of layers of the library that a recommendation lists."""
+
+_PARTS = ('now', 'by_thickness', 'by_wave_speed')
+"""Names of the predictions that a recommendation holds besides its own."""
 
 
 class BestRatios(NamedTuple):
-    r"""Mass ratio, speed ratio, and what they give without gravity and loss [-]."""
+    r"""Mass ratio, speed ratio, and their release without gravity and loss [-]."""
 
     damping_ratio: float
-    """Of the plate."""
+    r"""Damping ratio of the plate, :math:`\zeta`."""
     mass_ratio: float
-    r""":math:`\mu = m / (\rho_s S L_s)`."""
+    r"""Mass of the projectile over that of the layer, :math:`\mu`."""
     speed_ratio: float
-    r""":math:`\kappa = c_s / (L_s f)`."""
+    r"""Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`."""
     ejection_phase: float
-    """:math:`t_e f`."""
+    """Ejection time in plate periods, :math:`t_e f`."""
     energy_transfer: float
-    r""":math:`\alpha`."""
+    r"""Energy transfer, :math:`\alpha`."""
 
 
 @functools.lru_cache(maxsize=64)
 def best_ratios(damping_ratio: float) -> BestRatios:
     r"""
-    Find the mass and speed ratio that transfer the most energy, were there no limits.
+    Find the mass and speed ratio that transfer the most energy without limits.
 
     Parameters
     ----------
     damping_ratio : float
-        Of the plate, :math:`\zeta`. [-]
+        Damping ratio of the plate, :math:`\zeta`. [-]
 
     Returns
     -------
@@ -119,7 +127,7 @@ def best_ratios(damping_ratio: float) -> BestRatios:
 
 
 class LibraryCandidate(NamedTuple):
-    """A layer from the library by its name, its thickness [m], and what it is ranked by [-]."""
+    """A layer of the library: its name, its thickness [m], and its score [-]."""
 
     layer: str
     thickness: float
@@ -129,16 +137,16 @@ class LibraryCandidate(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Recommendation(PredictedThrow):
     """
-    What the recommended layer gives, and what it is to be compared with.
+    Throw of the recommended layer, and throws to compare it with.
 
     Parameters
     ----------
     rig : Rig
         The rig with the recommended layer.
     objective : str
-        What was looked for.
+        Name of the objective.
     vary : {'thickness', 'wave_speed', 'both', 'library'}
-        What was allowed to change.
+        Part of the layer that was allowed to change.
     layer : str
         Name of the recommended layer in the library, if it was picked there.
     score : float
@@ -147,19 +155,15 @@ class Recommendation(PredictedThrow):
         The rig as it is; None if it does not throw.
     now_score : float
         Its score, 0 if it does not throw. [-]
-    by_thickness, by_wave_speed, by_both : PredictedThrow or None
-        The best layer if this may change; None if nothing is thrown within the limits, or if it
-        was not looked for: another objective than the peak takes its time.
+    by_thickness, by_wave_speed : PredictedThrow or None
+        The best layer if only this may change; None if nothing is thrown within the limits, or if
+        the objective takes longer than that of one throw, and `vary` names another search.
     candidates : tuple of LibraryCandidate
         Layers of the library that came near, if one was to be picked; the best first.
     sensitivities : tuple of Sensitivity
         How much the parameters matter around the recommended layer.
     optimum : BestRatios
         The best ratios for the engine's damping, were there no limits and no loss.
-    summary : str
-        What changes and what is gained, in a sentence.
-    remarks : str
-        What has to be known besides, about the best ratios, gravity and large strain.
 
     """
 
@@ -172,16 +176,13 @@ class Recommendation(PredictedThrow):
     now_score: float
     by_thickness: PredictedThrow | None = None
     by_wave_speed: PredictedThrow | None = None
-    by_both: PredictedThrow | None = None
     candidates: tuple[LibraryCandidate, ...]
     sensitivities: tuple[Sensitivity, ...]
     optimum: BestRatios
-    summary: str = ''
-    remarks: str = ''
 
     @property
     def gain(self) -> float:
-        """Part by which the score would grow, infinite if there is none now [-]."""
+        """Relative gain of the score, infinite without a score of the present layer [-]."""
         return self.score / self.now_score - 1.0 if self.now_score > 0.0 else math.inf
 
     def values(self) -> dict[str, float | str | bool]:
@@ -189,7 +190,7 @@ class Recommendation(PredictedThrow):
         parts = {name: vars(each) for name, each in vars(self).items() if name in _PARTS and each}
         parts['optimum'] = self.optimum._asdict()
         for item in self.sensitivities:
-            parts[item.name] = {name: getattr(item, name) for name in _OF_SENSITIVITY}
+            parts[item.name] = {'sensitivity': item.sensitivity, 'tolerance': item.tolerance}
         parts['candidate'] = {item.layer: item.score for item in self.candidates}
         return super().values() | {
             f'{name}.{key}': value for name, part in parts.items() for key, value in part.items()
@@ -208,24 +209,23 @@ def recommend(
     """
     Recommend the layer that throws best.
 
-    All of the rig but the layer stays. Of the layer thickness and wave speed may change, its
-    density and loss tangent not: another wave speed is another modulus. Or all of it is picked
-    from a library.
+    Only the layer changes: either thickness and wave speed, at the same density and loss tangent,
+    so that another wave speed means another modulus; or the whole layer, as one of a library.
 
     Parameters
     ----------
     rig : Rig
-        With the layer that it has now.
+        Rig with the present layer.
     vary : {'thickness', 'wave_speed', 'both', 'library'}
-        What may change.
-    objective : Peak, Robust or Versatile, optional
-        What is to be largest; the energy of the throw if not given.
+        Part of the layer that may change.
+    objective : Objective, optional
+        Score to maximise; the energy of the throw if not given.
     limits : Limits, optional
-        What must not be exceeded. What may not change need not be within.
+        Limits of the layer and its loads. They do not apply to parameters that may not change.
     materials : mapping of str to Material, optional
-        From which one is picked, if `vary` is 'library'.
+        The library, if `vary` is 'library'.
     cancelled : callable, optional
-        Asked between batches of throws, some tenths of a second each, whether to give up.
+        Called every few tenths of a second; returns whether to give up.
 
     Returns
     -------
@@ -236,12 +236,12 @@ def recommend(
     ------
     ValueError
         If a choice is unknown, the layer is not of one material, or an uncertainty is as large as
-        what is uncertain.
+        its value.
     ThrowUnresolvedError
         If no throw with a layer within the limits can be computed: too many crossings, gravity
         holds the projectile, or every layer exceeds strain or acceleration.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     Notes
     -----
@@ -252,14 +252,29 @@ def recommend(
     Examples
     --------
     >>> best = recommend(Rig(), vary='thickness')
-    >>> best.summary
-    'thickness 16.8 -> 13.41 mm: 5.4 % more energy (alpha 3.64 -> 3.83); +-2.1 mm costs 2 %'
+    >>> round(1e3 * best.thickness, 2), round(best.score, 2), round(best.gain, 3)
+    (13.41, 3.83, 0.054)
 
     """
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
     search = _Search(objective or Peak(), limits or Limits(), cancelled)
-    best, found, picked = _look(rig, vary, search, materials or {})
+    alternatives: dict[str, _Candidate] = {}
+    for name in ('thickness', 'wave_speed'):
+        if search.objective.is_fast or name == vary:
+            (space,) = search_spaces(rig, name, search.limits, {})
+            alternative = search.best_of(space)
+            if alternative is not None:
+                alternatives[name] = alternative
+    ranked: list[_Candidate] = []
+    if vary == 'library':
+        ranked = search.rank(search_spaces(rig, vary, search.limits, materials or {}))
+        best = ranked[0] if ranked else None
+    elif vary == 'both':
+        (space,) = search_spaces(rig, vary, search.limits, {})
+        best = search.best_of(space, [each.rig.layer for each in alternatives.values()])
+    else:
+        best = alternatives.get(vary)
     if best is None:
         free = replace(search.limits, max_strain=math.inf, max_acceleration=math.inf)
         easier: Recommendation | None = None
@@ -269,12 +284,12 @@ def recommend(
                     rig, vary=vary, objective=objective, limits=free, materials=materials,
                     cancelled=cancelled,
                 )
-        raise ThrowUnresolvedError(texts.why_nothing(rig, vary, search.limits, easier))
+        raise ThrowUnresolvedError(_refusal(rig, vary, search.limits, easier))
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
-    by = {name: predict(each.rig) for name, each in found.items()}
-    of_space = search.objective_for(best.space)
-    answer = Recommendation(
+    by = {name: predict(each.rig) for name, each in alternatives.items()}
+    of_space = search.objective.with_spread(best.space.spread)
+    return Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
         objective=search.objective.name,
@@ -285,19 +300,38 @@ def recommend(
         now_score=now,
         by_thickness=by.get('thickness'),
         by_wave_speed=by.get('wave_speed'),
-        by_both=by.get('both'),
         candidates=tuple(
             LibraryCandidate(each.space.name, each.rig.layer.thickness, each.score)
-            for each in picked
+            for each in ranked
         ),
         sensitivities=tuple(sensitivities(best.rig, of_space, cancelled)),
         optimum=best_ratios(rig.engine.damping_ratio),
     )
-    summary = texts.summary_of(answer, rig.layer, search.limits, search.objective.summary)
-    return replace(answer, summary=summary, remarks=texts.remarks_of(answer))
 
 
-class _Found(NamedTuple):
+def _refusal(rig: Rig, vary: str, limits: Limits, free: PredictedThrow | None) -> str:
+    """Return why nothing can be recommended; `free` is the best without limits of the loads."""
+    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
+    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
+    text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
+    if vary == 'library':
+        text += ' from the library'
+        if limits.max_loss_tangent < math.inf:
+            text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
+    if free is not None:
+        return (
+            f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
+            f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
+            f'these limits has {free.peak_strain:.3g} and {free.peak_acceleration:.4g} m/s2'
+        )
+    return (
+        f'no throw with {text} can be computed: the projectile stays on the layer for too many '
+        f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
+        'plate) holds it'
+    )
+
+
+class _Candidate(NamedTuple):
     """The best layer of a space."""
 
     space: SearchSpace
@@ -305,115 +339,77 @@ class _Found(NamedTuple):
     score: float
 
 
-def _look(
-    rig: Rig, vary: Vary, search: _Search, materials: Mapping[str, Material]
-) -> tuple[_Found | None, dict[str, _Found], list[_Found]]:
-    """Return the best layer; those by thickness, wave speed or both; those from the library."""
-    found: dict[str, _Found] = {}
-    for name in ('thickness', 'wave_speed', 'both'):
-        if isinstance(search.objective, Peak) or name == vary:
-            (space,) = search_spaces(rig, name, search.limits, {})
-            starts = tuple(each.rig.layer for each in found.values())
-            best = search.finish(space, search.draft(space, starts=starts))
-            if best is not None:
-                found[name] = best
-    picked: list[_Found] = []
-    if vary == 'library':
-        picked = search.pick(search_spaces(rig, vary, search.limits, materials))
-    return (picked[0] if picked else found.get(vary)), found, picked
-
-
 class _Search(NamedTuple):
-    """What is looked for."""
+    """The objective, the limits and the cancellation callback of a search."""
 
     objective: Objective
     limits: Limits
     cancelled: Cancelled | None
 
-    def objective_for(self, space: SearchSpace) -> Objective:
-        """Return the objective for a material whose wave speed may be off by its spread."""
-        objective = self.objective
-        if isinstance(objective, Robust) and space.spread > objective.uncertainties.wave_speed:
-            uncertainties = replace(objective.uncertainties, wave_speed=space.spread)
-            return replace(objective, uncertainties=uncertainties)
-        return objective
+    def rank(self, spaces: list[SearchSpace]) -> list[_Candidate]:
+        """
+        Find the best layers among many spaces, the best first.
 
-    def pick(self, spaces: list[SearchSpace]) -> list[_Found]:
-        """Find the best layers among many spaces, the best first."""
-        drafts: list[tuple[SearchSpace, Optimum]] = []
-        least = 0.0
-        for space in self._promising_first(spaces):
-            best = self.draft(space, least=(1.0 - _DRAFT_ERROR) * least)
-            if best is not None:
-                drafts.append((space, best))
-                drafts.sort(key=lambda each: -each[1].score)
-            if len(drafts) >= _MAX_CANDIDATES:
-                least = drafts[_MAX_CANDIDATES - 1][1].score
-        found = [self.finish(*each) for each in drafts[:_MAX_CANDIDATES]]
+        If a score takes several throws, only the spaces with the highest peaks are searched.
+        """
+        if not self.objective.is_fast:
+            peaks = self._replace(objective=Peak())._drafts(spaces)
+            spaces = [space for space, _ in peaks[:2 * _MAX_CANDIDATES]]
+        found = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
         return sorted((each for each in found if each is not None), key=lambda each: -each.score)
 
-    def _promising_first(self, spaces: list[SearchSpace]) -> list[SearchSpace]:
-        """Sort spaces by about their peaks, which are soon found: no objective gives more."""
-        if isinstance(self.objective, Peak):
-            return spaces
-        peak = _Search(Peak(), Limits(), self.cancelled)
-        drafts = [(peak.draft(space, tolerance=1.0), space) for space in spaces]
-        drafts.sort(key=lambda each: 0.0 if each[0] is None else -each[0].score)
-        return [space for _, space in drafts]
+    def _drafts(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
+        """Draft the best layer of each space, the best first."""
+        drafts = [(space, best) for space in spaces if (best := self._draft(space)) is not None]
+        return sorted(drafts, key=lambda draft: -draft[1].score)
 
-    def score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
+    def best_of(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> _Candidate | None:
+        """Find the best layer of a space; `starts` are layers near which it may be."""
+        return self._finish(space, self._draft(space, starts))
+
+    def _score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
         """Return the score of layers of a space."""
         return LayerScore(
-            space.rig, self.objective_for(space), self.limits, cells=cells,
+            space.rig, self.objective.with_spread(space.spread), self.limits, cells=cells,
             cancelled=self.cancelled,
         )
 
-    def draft(
-        self,
-        space: SearchSpace,
-        *,
-        starts: tuple[Layer, ...] = (),
-        least: float = 0.0,
-        tolerance: float | None = None,
-    ) -> Optimum | None:
-        """Find the best layer of a space; by few cells if it takes cells, and not as closely."""
+    def _draft(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
+        """Find the best layer of a space; with few cells, and not as closely, if it has loss."""
         has_cells = space.rig.layer.needs_cells
-        score = self.score(space, SEARCH_CELLS if has_cells else None)
-        known = [
-            (layer.thickness, layer.wave_speed)
-            for layer in (space.rig.layer, *starts)
-            if not space.is_single and space.layers.contains(layer.thickness, layer.wave_speed)
-        ]
+        known = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
+        score = self._score(space, SEARCH_CELLS if has_cells else None)
+        is_fast = score.throws_per_layer == 1 and not self.limits.of_loads
         return find_best_layer(
             score,
             space.layers,
-            step=space.step,
-            starts=tuple(Optimum(*layer, float(score(*layer, least=least)[0])) for layer in known),
-            tolerance=tolerance or (5e-4 if has_cells else 1e-5),
-            least=least,
-            is_whole=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING,
+            step=space.grid_step(loads=self.limits.of_loads, throws=score.throws_per_layer),
+            starts=[layer for layer in known if space.layers.contains(*layer)],
+            tolerance=5e-4 if has_cells else 1e-5 if is_fast else 1e-4,
+            is_full_grid=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING_GRAVITY,
         )
 
-    def finish(self, space: SearchSpace, best: Optimum | None) -> _Found | None:
-        """Make sure of a draft, and prefer the layer that there is if it is as good."""
-        score, present = self.score(space), space.rig.layer
+    def _finish(self, space: SearchSpace, best: Optimum | None) -> _Candidate | None:
+        """Score a draft with all cells, and prefer the present layer if it is as good."""
+        score, present = self._score(space), space.rig.layer
         if best is not None and present.needs_cells:
             best = _refine(score, best, space.layers)
         if not space.is_single and space.layers.contains(present.thickness, present.wave_speed):
             now = float(score(present.thickness, present.wave_speed)[0])
             if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
                 best = Optimum(present.thickness, present.wave_speed, now)
-        return None if best is None else _Found(space, space.rig_with(best), best.score)
+        return None if best is None else _Candidate(space, space.rig_with(best), best.score)
 
 
-def _refine(exact: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
-    """Make sure that what was found with few cells is not beyond a jump or a limit with many."""
-    score = float(exact(best.thickness, best.wave_speed)[0])
-    if score >= (1.0 - _DRAFT_ERROR) * best.score:
-        return best._replace(score=score)
+def _refine(score: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
+    """Search near a draft with all cells if its score with all cells is lower."""
+    exact = float(score(best.thickness, best.wave_speed)[0])
+    if exact >= (1.0 - _DRAFT_ERROR) * best.score:
+        return best._replace(score=exact)
     nearby = LayerRange(*(
         (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
         for (low, high), value in zip(layers, best, strict=False)
     ))
-    start = (best._replace(score=score),) if score > 0.0 else ()
-    return find_best_layer(exact, nearby, step=_NEARBY, starts=start, tolerance=1e-3)
+    return find_best_layer(
+        score, nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3, is_full_grid=True
+    )

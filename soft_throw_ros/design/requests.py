@@ -11,36 +11,39 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the settings of the twin ask of a layer, and the answer."""
+"""Answers to the settings of the twin: recommendations, aims and motions."""
 
 from __future__ import annotations
 
+import importlib
 import math
 from typing import Any, TypeAlias
 
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim, Target
-from soft_throw_ros.design.evaluate import Cancelled
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign
-from soft_throw_ros.design.motion_design import Vary as MotionVary
-from soft_throw_ros.design.objective import Limits, Objective, Peak, Robust, Versatile
+from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
+from soft_throw_ros.design.objective import Limits, Objective
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
-from soft_throw_ros.design.uncertainty import Uncertainties
 
 Answer: TypeAlias = Recommendation | Aim | MotionDesign
 
 
-def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
+def answer(
+    settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
+) -> Answer:
     """
-    Recommend a layer, or aim, as the settings ask.
+    Recommend a layer, or aim, by the settings of the request.
 
     Parameters
     ----------
     settings : mapping of str to value
-        Complete settings of the twin; of them count those of the rig, `recommendation.*` and
-        `uncertainty.*`.
+        Complete settings of the twin; the rig, `recommendation.*` and `uncertainty.*` are used.
+    rig : Rig, optional
+        The rig that the settings describe, if it exists already.
     cancelled : callable, optional
         Asked every few tenths of a second whether to give up.
 
@@ -52,15 +55,16 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
         If `cancelled` says so.
 
     """
-    rig, asked = rig_of(settings), _group(settings, 'recommendation')
+    rig, asked = rig or rig_of(settings), _group(settings, 'recommendation')
     if asked['vary'] == 'motion':
-        return motion_answer(settings, cancelled=cancelled)
+        return motion_answer(settings, rig=rig, cancelled=cancelled)
     search: dict[str, Any] = {
         'vary': asked['vary'],
         'limits': limits_of(settings),
-        'materials': library(str(settings['layer.library'])).materials,
         'cancelled': cancelled,
     }
+    if asked['vary'] == 'library':
+        search['materials'] = library(str(settings['layer.library'])).materials
     if asked['objective'] == 'aim':
         height, speed = asked['target_height'] or None, asked['target_speed'] or None
         if height is None and speed is None:
@@ -79,16 +83,20 @@ def answer(settings: Settings, *, cancelled: Cancelled | None = None) -> Answer:
 
 
 def motion_answer(
-    settings: Settings, *, vary: MotionVary = 'motion', cancelled: Cancelled | None = None
+    settings: Settings,
+    *,
+    vary: MotionVary = 'motion',
+    rig: Rig | None = None,
+    cancelled: Cancelled | None = None,
 ) -> MotionDesign:
-    """Design the motion of the plate as the settings ask; arguments and errors as of `answer`."""
+    """Design the motion of the plate by the settings; arguments and errors as for `answer`."""
     asked = _group(settings, 'recommendation')
     if asked['objective'] != 'peak':
         raise ValueError(
             "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
             f'{asked["objective"]!r}'
         )
-    rig = rig_of(settings)
+    rig = rig or rig_of(settings)
     now = PlateLimits.of(rig.engine)
     plate = PlateLimits(
         speed=asked['plate_speed'] or now.speed,
@@ -110,19 +118,12 @@ def limits_of(settings: Settings) -> Limits:
     )
 
 
-def uncertainties_of(settings: Settings) -> Uncertainties:
-    """Return how far the rig may be off, by the settings."""
-    return Uncertainties(**_group(settings, 'uncertainty'))
-
-
 def objective_of(settings: Settings) -> Objective:
-    """Return what a layer is to be good at, by the settings."""
-    asked = _group(settings, 'recommendation')
-    if asked['objective'] == 'robust':
-        return Robust(uncertainties=uncertainties_of(settings), quantile=asked['quantile'])
-    if asked['objective'] == 'versatile':
-        return Versatile(masses=asked['masses'], frequencies=asked['frequencies'])
-    return Peak()
+    """Return the objective of the settings, defined in the file of the same name."""
+    name = str(settings['recommendation.objective'])
+    module = importlib.import_module(f'soft_throw_ros.design.objectives.{name}')
+    objective: type[Objective] = getattr(module, name.capitalize())
+    return objective.from_settings(settings)
 
 
 def _group(settings: Settings, group: str) -> Settings:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which layers a search may choose from."""
+"""Ranges of layers that a search may choose from."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import require_uniform
+from soft_throw_ros.core.throws import require_uniform
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.optimise import LayerRange, Optimum
 
@@ -30,36 +30,43 @@ STRONG_GRAVITY = 0.2
 
 
 class SearchSpace(NamedTuple):
-    """A rig whose layer may vary within a range, and the layer's name if it is of a library."""
+    """A rig whose layer may vary within a range, and the name of a layer of the library."""
 
     rig: Rig
     layers: LayerRange
     name: str = ''
     spread: float = 0.0
-    """How far the wave speed of a material may be off, up or down. [m/s]"""
+    """Largest error of the wave speed of a material, up or down. [m/s]"""
 
     @property
     def is_single(self) -> bool:
         """Whether there is but one layer to choose."""
         return all(low == high for low, high in self.layers)
 
-    @property
-    def step(self) -> float:
+    def grid_step(self, *, loads: bool = False, throws: int = 1) -> float:
         """
-        Return the step, in logarithms, of the grid on which a search begins.
+        Return the step of the initial grid of a search, in logarithms [-].
 
-        A line is cheap; throws from a layer with loss, or under strong gravity, cost thirty times
-        what others do.
+        Throws from a layer with loss, and loads, need a stepper, which takes thirty times as long
+        as the closed form. Therefore grids with a stepper, or with several throws per layer, are
+        coarser.
+
+        Parameters
+        ----------
+        loads : bool
+            Whether the score needs the loads of the throws.
+        throws : int
+            Number of throws that make the score of a layer.
+
         """
-        is_line = any(low == high for low, high in self.layers)
-        if self.rig.layer.needs_cells:
-            return 0.04 if is_line else 0.12
-        if not is_line:
-            return 0.06
-        return 0.02 if self.rig.gravity_ratio > STRONG_GRAVITY else 0.01
+        has_cells = self.rig.layer.needs_cells
+        if any(low == high for low, high in self.layers):
+            has_steppers = loads or self.rig.gravity_ratio > STRONG_GRAVITY
+            return 0.04 if has_cells else 0.02 if has_steppers or throws > 1 else 0.01
+        return (0.12 if has_cells or loads else 0.06) * (1.0 if throws == 1 else 1.5)
 
     def rig_with(self, best: Optimum) -> Rig:
-        """Return the rig with a layer that was found."""
+        """Return the rig with another layer of this space."""
         layer = replace(self.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
         return replace(self.rig, layer=layer)
 
@@ -68,16 +75,16 @@ def search_spaces(
     rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
 ) -> list[SearchSpace]:
     """
-    List where to look for a layer.
+    List the search spaces of a request.
 
     Parameters
     ----------
     rig : Rig
-        With the layer that it has now.
+        Rig with the present layer.
     vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
-        What may vary; 'amplitude' leaves the layer as it is.
+        Part of the layer that may vary; 'amplitude' keeps the layer.
     limits : Limits
-        Of the layer, for what may vary.
+        Limits of the parameters that may vary.
     materials : mapping of str to Material
         If `vary` is 'library', there is a space for each, or for each of its sheets.
 

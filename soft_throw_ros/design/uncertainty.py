@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-What the uncertainties of a rig make of a prediction.
+Effect of the uncertainties of a rig on a prediction.
 
 Notes
 -----
@@ -36,10 +36,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.evaluate import Cancelled, first_throws, SEARCH_CELLS
+from soft_throw_ros.core.throws import Cancelled, SEARCH_CELLS, throw_many
 
 Floats = NDArray[np.float64]
 
@@ -47,16 +48,21 @@ COVERAGE = 0.95
 """Part of the throws that lies in an `Interval`."""
 
 _SAMPLE = 1000
-_JUMP = 0.1  # of the range of ejection times: a gap without any
-_ROOT = 1.1347241384015194  # of x^6 = x + 1, for the five things that are uncertain
+"""Number of throws of a prediction."""
+
+_JUMP = 0.1
+"""Gap without any throw that counts as a jump, in parts of the range of ejection times. [-]"""
+
+_ROOT = 1.1347241384015194
+"""Root of x^6 = x + 1, for the five uncertain values."""
 
 
 class Variants(NamedTuple):
     """
-    Throws in which a rig differs from what it is: arrays of one shape.
+    Throws of rigs that differ from a nominal one: arrays of one shape.
 
     Mass [kg], frequency [Hz] and damping ratio are absolute; the errors [m], [m/s] are added to
-    thickness and wave speed of whatever layer is looked at.
+    thickness and wave speed of the layer.
     """
 
     mass: Floats
@@ -67,13 +73,13 @@ class Variants(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig) -> Variants:
-        """Return the one throw of the rig as it is."""
+        """Return the single nominal throw of a rig."""
         engine = rig.engine
         values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
         return cls(*(np.array([value]) for value in values))
 
     def changes(self, thickness: Floats | float, wave_speed: Floats | float) -> dict[str, Floats]:
-        """Return what is other than in the rig, for layers of a thickness and wave speed."""
+        """Return the changes of the rig for a thickness and a wave speed."""
         return {
             'mass': self.mass,
             'frequency': self.frequency,
@@ -86,16 +92,16 @@ class Variants(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Uncertainties:
     """
-    How far a rig may be off, up or down; the defaults are those of [1]_.
+    Largest errors of a rig, up or down; the defaults are those of [1]_.
 
     Parameters
     ----------
     wave_speed, thickness : float
-        Of the layer. [m/s], [m]
+        Standard errors of the layer. [m/s], [m]
     mass : float
-        Of the projectile, as a part of it; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
+        Relative error of the projectile's mass; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
     frequency, damping_ratio : float
-        Of the plate. [Hz], [-]
+        Standard errors of the plate. [Hz], [-]
 
     Raises
     ------
@@ -119,21 +125,26 @@ class Uncertainties:
             checks.require_not_negative(f'uncertainty.{name}', value)
         checks.require_in_unit_interval('uncertainty.mass', self.mass)
 
+    @classmethod
+    def from_settings(cls, settings: Settings) -> Uncertainties:
+        """Return the uncertainties that the settings of the twin describe."""
+        return cls(**{each.name: settings[f'uncertainty.{each.name}'] for each in fields(cls)})
+
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
         """
-        Return n throws of rigs that are off by a part of the uncertainties each.
+        Return n throws of rigs with errors, given as shares of the uncertainties.
 
         Parameters
         ----------
         rig : Rig
-            What is uncertain.
+            The nominal rig.
         offsets : ndarray, shape (n, 5)
-            From -1 to 1, in the order of the fields. [-]
+            Offsets from -1 to 1, in the order of the fields. [-]
 
         Raises
         ------
         ValueError
-            If a value is as large as what is uncertain.
+            If an uncertainty is as large as the value.
 
         """
         for name, uncertain in (
@@ -181,20 +192,20 @@ class Interval(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class PredictionUncertainty:
     r"""
-    How far a prediction may be off, from the uncertainties of the rig.
+    Intervals of a prediction, from the uncertainties of the rig.
 
     Parameters
     ----------
     ejection_time : Interval
         :math:`t_e`. [s]
     ejection_speed : Interval
-        :math:`V_e`, for the amplitude as given: it is off by the same part as that. [m/s]
+        :math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]
     energy_transfer : Interval
         :math:`\alpha`. [-]
     jumps : bool
         Whether the release jumps within the uncertainties, so that the throws fall into groups.
-    held : float
-        Part of the throws in which the projectile does not leave, which are in no interval. [-]
+    stuck_fraction : float
+        Share of the throws without a release; the intervals do not include them. [-]
 
     """
 
@@ -202,21 +213,7 @@ class PredictionUncertainty:
     ejection_speed: Interval
     energy_transfer: Interval
     jumps: bool
-    held: float
-
-    def describe(self) -> str:
-        """Say it for people to read."""
-        time, speed, transfer = self.ejection_time, self.ejection_speed, self.energy_transfer
-        text = (
-            f'{1e3 * time.low:.3f} to {1e3 * time.high:.3f} ms, '
-            f'{speed.low:.4f} to {speed.high:.4f} m/s, '
-            f'alpha {transfer.low:.3f} to {transfer.high:.3f}'
-        )
-        if self.jumps:
-            text += ', with a jump between'
-        if self.held > 0.0:
-            text += f'; in {100.0 * self.held:.2g} % of all cases it does not leave'
-        return text
+    stuck_fraction: float
 
     def values(self) -> dict[str, float | bool]:
         """Return everything by name, with a dot between the name of an interval and its end."""
@@ -236,39 +233,40 @@ def prediction_uncertainty(
     cancelled: Cancelled | None = None,
 ) -> PredictionUncertainty:
     """
-    Find how far the first release of a throw may be off.
+    Compute the intervals of the first release of a throw.
 
     Parameters
     ----------
     rig : Rig
-        What throws.
+        The nominal rig.
     uncertainties : Uncertainties, optional
-        How far the rig may be off; by default as the paper's.
+        Uncertainties of the rig; by default those of the paper.
     cancelled : callable, optional
-        Asked between batches of throws.
+        Called between batches of throws; returns whether to give up.
 
     Raises
     ------
     ValueError
-        If an uncertainty is as large as what is uncertain.
+        If an uncertainty is as large as the uncertain value.
     ThrowUnresolvedError
         If the projectile does not leave in any of the throws.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     Examples
     --------
-    >>> print(prediction_uncertainty(Rig()).describe())
-    7.455 to 7.846 ms, 1.3524 to 1.3943 m/s, alpha 3.527 to 3.728
+    >>> low, high = prediction_uncertainty(Rig()).ejection_time
+    >>> round(1e3 * low, 3), round(1e3 * high, 3)
+    (7.455, 7.846)
 
     """
     uncertainties = uncertainties or Uncertainties()
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
     changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
-    throws = first_throws(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
+    throws = throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
     left = throws.ejection_speed > 0.0
     if not left.any():
-        raise ThrowUnresolvedError('the projectile does not leave, whatever is uncertain')
+        raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')
     times = throws.ejection_time[left]
     gaps = np.diff(np.sort(times))
     return PredictionUncertainty(
@@ -276,5 +274,5 @@ def prediction_uncertainty(
         ejection_speed=Interval.of(throws.ejection_speed[left]),
         energy_transfer=Interval.of(throws.energy_transfer[left]),
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
-        held=1.0 - float(left.mean()),
+        stuck_fraction=1.0 - float(left.mean()),
     )

@@ -12,16 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What of a rig is fitted, held, or known with an error, and what each throw has for itself.
+Treatments of the parameters of a fit: free, held or known with an error, for all throws or some.
 
-Command line, YAML file and Python share it: a name, and in words how to treat it.
+Command line, YAML file and Python share them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from fnmatch import fnmatchcase
 from functools import cache
 import math
@@ -34,36 +35,43 @@ from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.tracks import names_of
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LAYER = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
-"""What of a rig can be fitted, by the names that the twin has for it."""
+"""Parameters of a rig that can be fitted, by their names in the twin."""
 
 TERMS = {
     'layer.stiffening': 0.0,
     'plate.drift': 0.0,
     'plate.ringing': 0.0,
-    'plate.mode': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
     'projectile.delay': 0.0,
-    'projectile.sticking': 0.0,
 }
 """
-What a bench may add, and its value if it does not.
+Nuisance parameters of a bench, and their values without it.
 
-`stiffening` is by how much the wave speed grows with the speed of the plate, to which the strain
-is proportional. `drift` is that of heights over a record, `ringing` what the plate still does from
-before the throw and `mode` a second one that the throw excites, all over the amplitude. `scale`
-is the measured over the true height of a projectile, `delay` by how much it is seen too late [s],
-`sticking` for how long the layer holds it when it would leave [s].
+`stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
+proportional. `drift` is the drift of heights over a record, and `ringing` the oscillation of the
+plate before the throw, both over the amplitude. `scale` is the measured over the true height of a
+projectile, and `delay` the delay of its measurement [s].
 """
 
-USUAL = (*ENGINE, 'layer.wave_speed')
-"""What is found if nobody says otherwise: who has the layer has measured its thickness."""
+PLATE_MODE = 'plate.mode'
+"""Size of a second mode of the plate that the throw excites, over the amplitude. [-]"""
 
-DEFAULTS: Mapping[str, str] = dict.fromkeys((*PARAMETERS, *TERMS), 'held') | {
+STICKING = 'projectile.sticking'
+"""Longest delay of the release because the projectile sticks to the layer. [s]"""
+
+UNSEEN = (PLATE_MODE, STICKING)
+"""Effects that tracks hardly show; they are not fitted, but increase the errors."""
+
+USUAL = (*ENGINE, 'layer.wave_speed')
+"""Parameters that are fitted by default; the thickness of the layer is usually measured."""
+
+DEFAULTS: Mapping[str, str] = dict.fromkeys((*PARAMETERS, *TERMS, *UNSEEN), 'held') | {
     'engine.frequency': 'free',
     'engine.damping_ratio': 'free',
     'engine.amplitude': 'free per throw',
@@ -75,14 +83,14 @@ DEFAULTS: Mapping[str, str] = dict.fromkeys((*PARAMETERS, *TERMS), 'held') | {
     'projectile.mass': '+- 1 %',
     'projectile.scale': '+- 0.5 %',
     'projectile.delay': '+- 1e-4',
-    'projectile.sticking': '+- 2e-4',
+    STICKING: '+- 2e-4',
     'plate.drift': '+- 0.02 per throw',
     'projectile.drift': '+- 0.02 per throw',
     'plate.ringing': '+- 0.02 per throw if seen',
-    'plate.mode': '+- 0.01 per throw if seen',
+    PLATE_MODE: '+- 0.01',
 }
 """
-How everything is treated if nothing is said; errors of lengths and mass are those of the paper.
+Default treatments; errors of lengths and mass are those of the paper.
 
 With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
 error.
@@ -91,7 +99,7 @@ error.
 HELD: Mapping[str, str] = {
     name: 'held' for name in DEFAULTS if name not in ENGINE and name != 'layer.wave_speed'
 } | {'engine.amplitude': 'free'}
-"""What describes a bench without any fault, on which all is known exactly but `USUAL`."""
+"""Treatments for a bench without faults: all parameters except `USUAL` are known exactly."""
 
 Heights = Literal['own', 'common', 'absolute']
 """
@@ -109,9 +117,13 @@ TREATMENTS = (
     "'free', 'held', VALUE, VALUE +- ERROR, or +- ERROR, which may be in %; then 'per throw' or "
     "'if seen' may follow"
 )
-"""How a parameter can be treated, for messages."""
+"""Allowed treatments of a parameter, for messages."""
 
-_PARTS = ('layer', 'projectile')  # that may be others in other throws
+_PARTS = ('layer', 'projectile')  # bodies that may be replaced between throws
+
+_MAX_NAMES = 8
+"""Names of throws that a message lists, so that it stays readable."""
+
 _NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 _TEXT = re.compile(
     rf'(?P<word>free|held)?(?P<value>{_NUMBER})?'
@@ -120,32 +132,47 @@ _TEXT = re.compile(
 )
 
 
-class Treatment(NamedTuple):
-    """How a fit treats a parameter."""
+class ParameterRole(Enum):
+    """Role of a parameter in a fit."""
 
-    is_varied: bool
-    """Whether the fit changes it."""
-    is_per_throw: bool
-    """Whether each throw has its own."""
-    value: float | None
-    """What it is, or is known to be; None if that is for the rig to say."""
-    error: float | None
-    """With what error it is known; None if it is free or held."""
-    is_relative: bool
+    FREE = 'free'
+    """The fit determines the parameter."""
+    FIXED = 'held'
+    """The parameter is known exactly."""
+    PRIOR = '+-'
+    """The parameter is known with an error, which is the prior of the fit."""
+
+
+class Treatment(NamedTuple):
+    """Treatment of a parameter by a fit."""
+
+    role: ParameterRole
+    value: float | None = None
+    """Value, or mean of the prior; None for the value of the rig."""
+    error: float | None = None
+    """Standard error of the prior; None for other roles."""
+    is_relative: bool = False
     """Whether the error is relative to the value."""
-    is_if_seen: bool = False
-    """Whether it is held until the tracks show that it is needed."""
+    is_per_throw: bool = False
+    """Whether each throw has a value of its own."""
+    only_if_significant: bool = False
+    """Whether it is fixed until the tracks show that it is needed."""
+
+    @property
+    def is_varied(self) -> bool:
+        """Whether the fit changes it."""
+        return self.role is not ParameterRole.FIXED and not self.only_if_significant
 
     @classmethod
     @cache
     def parse(cls, text: str) -> Treatment:
         """
-        Read a treatment, or refuse it with ValueError.
+        Parse a treatment; raise ValueError if it is none.
 
-        It is `free`; `held`; a value at which it is held; or a value with the error with which it
-        is known, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of the
-        rig. What is not held may be followed by `per throw`: then each throw has its own; and by
-        `if seen`: then it is held unless the tracks are explained much better with it.
+        It is `free`; `held`; a value at which the parameter is held; or a value with a standard
+        error, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of the
+        rig. `per throw` may follow `free` or an error, if each throw has its own value; then `if
+        seen`, if the parameter is held unless it improves the fit of the tracks much.
         """
         match = _TEXT.fullmatch(text.strip())
         given = match.groupdict() if match else {}
@@ -156,47 +183,53 @@ class Treatment(NamedTuple):
             raise ValueError(f'must have a value that is finite, got {text!r}')
         if error is not None and not 0.0 < float(error) < math.inf:
             raise ValueError(f'must have an error that is finite and positive, got {text!r}')
-        is_varied, is_per_throw = word == 'free' or error is not None, given['own'] is not None
-        is_if_seen = given['seen'] is not None
-        if (is_per_throw or is_if_seen) and not is_varied:
+        role = ParameterRole(word) if word else ParameterRole.FIXED
+        if error is not None:
+            role = ParameterRole.PRIOR
+        is_per_throw, is_if_seen = given['own'] is not None, given['seen'] is not None
+        if (is_per_throw or is_if_seen) and role is ParameterRole.FIXED:
             raise ValueError(
                 f"must be free or have an error to be 'per throw' or 'if seen', got {text!r}"
             )
         is_relative = given['percent'] is not None
         return cls(
-            is_varied=is_varied and not is_if_seen,
-            is_if_seen=is_if_seen,
-            is_per_throw=is_per_throw,
+            role=role,
             value=None if value is None else float(value),
             error=None if error is None else float(error) * (0.01 if is_relative else 1.0),
             is_relative=is_relative,
+            is_per_throw=is_per_throw,
+            only_if_significant=is_if_seen,
         )
+
+
+FIXED = Treatment(ParameterRole.FIXED)
+"""Treatment of a parameter that is known exactly, at the value of the rig."""
 
 
 @dataclass(frozen=True)
 class FitDescription:
     """
-    What is fitted.
+    The treatments of all parameters of a fit.
 
     Parameters
     ----------
-    parameters : mapping of str to str
-        How to treat some of `PARAMETERS` and `TERMS`, see `Treatment.parse`. The others are as
-        `DEFAULTS` say.
+    parameters : mapping of str to Treatment or str
+        Treatments of some of `DEFAULTS`; a text is parsed by `Treatment.parse`. The others have
+        the treatment in `DEFAULTS`.
     heights : {'own', 'common', 'absolute'}
-        From where heights count, see `Heights`.
+        Origin of the heights, see `Heights`.
     reference : {'face', 'centre'}
         Point of the projectile whose heights the tracks have; it matters if heights are not of
         their own.
-    throws : mapping of str to mapping of str to str
-        What is otherwise for throws of such names (or patterns of names, as of files): treatments
-        of parameters, and under `layer` and `projectile` any names of these. Throws share what is
-        the same for them.
+    throws : mapping of str to mapping of str to Treatment or str
+        Treatments of parameters for some throws only, and under `layer` and `projectile` any
+        names of parts. A key is a name, or a pattern of names, of throws or of their files.
+        Throws with the same treatment or part share its value.
 
     Raises
     ------
     ValueError
-        If something is none of what it can be.
+        If a name or a treatment is unknown.
 
     Examples
     --------
@@ -207,15 +240,22 @@ class FitDescription:
 
     """
 
-    parameters: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, Treatment | str] = field(default_factory=dict)
     heights: Heights = 'own'
     reference: Reference = 'face'
-    throws: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    throws: Mapping[str, Mapping[str, Treatment | str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _check_treatments(self.parameters)
-        for conditions in self.throws.values():
-            _check_treatments({n: each for n, each in conditions.items() if n not in _PARTS})
+        parameters = {name: _parse(name, text) for name, text in self.parameters.items()}
+        throws = {
+            throw: {
+                name: each if name in _PARTS else _parse_condition(name, each)
+                for name, each in conditions.items()
+            }
+            for throw, conditions in self.throws.items()
+        }
+        object.__setattr__(self, 'parameters', parameters)
+        object.__setattr__(self, 'throws', throws)
         for name, value, choices in (
             ('heights', self.heights, HEIGHTS),
             ('reference', self.reference, REFERENCES),
@@ -229,8 +269,8 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `parameters` (a mapping of names to treatments), `heights`,
-        `reference`, and `throws` (names of throws to such mappings), each of which may be left
-        out; then it is as `base` has it.
+        `reference`, and `throws` (names of throws to such mappings). All keys are optional; the
+        defaults are those of `base`.
 
         Raises
         ------
@@ -259,8 +299,8 @@ class FitDescription:
                 )
         return description
 
-    def change(self, changes: Mapping[str, str]) -> FitDescription:
-        """Treat some parameters otherwise, or set `heights` or `reference`."""
+    def change(self, changes: Mapping[str, Treatment | str]) -> FitDescription:
+        """Change the treatment of some parameters, or `heights` or `reference`."""
         parameters = {**self.parameters, **changes}
         heights = parameters.pop('heights', self.heights)
         reference = parameters.pop('reference', self.reference)
@@ -271,30 +311,38 @@ class FitDescription:
             reference=cast(Reference, reference),
         )
 
-    def set_condition(self, throw: str, name: str, treatment: str) -> FitDescription:
-        """Treat a parameter of some throws otherwise, or name their layer or projectile."""
+    def set_condition(self, throw: str, name: str, treatment: Treatment | str) -> FitDescription:
+        """Change the treatment of a parameter of some throws, or the name of a part."""
         conditions = {**self.throws.get(throw, {}), name: treatment}
         return replace(self, throws={**self.throws, throw: conditions})
 
-    def text(self, name: str, throw: str | None = None) -> str:
-        """Return how to treat a parameter, in words; of a throw, if its name is given."""
-        default = self.parameters.get(name, DEFAULTS[name])
-        return default if throw is None else self.conditions(throw).get(name, default)
-
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
-        """Return how to treat a parameter; of a throw, if its name is given."""
-        return Treatment.parse(self.text(name, throw))
+        """Return the treatment of a parameter; of a throw, if its name is given."""
+        found = None if throw is None else self.conditions(throw).get(name)
+        if found is None:
+            found = self.parameters.get(name, DEFAULTS[name])
+        return Treatment.parse(found) if isinstance(found, str) else found
 
-    def conditions(self, throw: str) -> dict[str, str]:
-        """Return what is otherwise for a throw."""
-        found: dict[str, str] = {}
+    def conditions(self, throw: str) -> dict[str, Treatment | str]:
+        """Return the treatments that hold for a throw only."""
+        found: dict[str, Treatment | str] = {}
         for pattern, conditions in self.throws.items():
-            if fnmatchcase(throw, pattern) or throw == pattern:
+            if _matches(throw, pattern):
                 found |= conditions
         return found
 
+    def check_throws(self, throws: Sequence[str]) -> None:
+        """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
+        for pattern in self.throws:
+            if not any(_matches(throw, pattern) for throw in throws):
+                shown = [*throws[:_MAX_NAMES], *['...'] * (len(throws) > _MAX_NAMES)]
+                raise FitError(
+                    f'no throw matches {pattern!r}, which stands below `throws`; the throws are: '
+                    f'{", ".join(shown) or "none"}'
+                )
+
     def group(self, name: str, throw: str, number: int) -> Hashable:
-        """Return what is the same for throws that share a parameter; None if all do."""
+        """Return a key that is equal for throws that share a parameter; None if all do."""
         conditions = self.conditions(throw)
         if self.treatment(name, throw).is_per_throw:
             return number
@@ -302,38 +350,38 @@ class FitDescription:
         return (conditions.get(name), part) if name in conditions or part else None
 
     def is_free(self, name: str) -> bool:
-        """Whether the fit finds a parameter of which nothing is known."""
+        """Return whether a parameter is fitted without a prior."""
         treatment = self.treatment(name)
-        return treatment.is_varied and treatment.error is None
+        return treatment.is_varied and treatment.role is ParameterRole.FREE
 
     @property
     def if_seen(self) -> list[str]:
-        """List what is held until the tracks show that it is needed."""
-        return [name for name in DEFAULTS if self.treatment(name).is_if_seen]
+        """Names of the parameters that are held until the tracks show that they are needed."""
+        return [name for name in DEFAULTS if self.treatment(name).only_if_significant]
 
-    def see(self, name: str) -> FitDescription:
-        """Vary what is held until it is seen."""
-        return self.change({name: self.text(name).removesuffix('if seen')})
+    def activate(self, name: str) -> FitDescription:
+        """Vary a parameter that is held until the tracks show that it is needed."""
+        return self.change({name: self.treatment(name)._replace(only_if_significant=False)})
 
     def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
-        """Return what a parameter is, or is known to be; the rig has what is not said here."""
+        """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
         value = self.treatment(name, throw).value
         if value is not None:
             return value
         return TERMS[name] if name in TERMS else values_of(rig, [name])[name]
 
     def known(self, name: str, rig: Rig, throw: str) -> Estimate | None:
-        """Return what is known of a parameter with an error."""
+        """Return the prior of a parameter; None if it has none."""
         treatment, value = self.treatment(name, throw), self.value(name, rig, throw)
         if treatment.error is None:
             return None
         error = treatment.error * (abs(value) if treatment.is_relative else 1.0)
         if error == 0.0:
-            raise FitError(f'{name} is {value:g}, of which an error in % is nothing')
+            raise FitError(f'{name} is {value:g} and has no error in %; give an absolute error')
         return Estimate(value, error)
 
     def prepare(self, rig: Rig, throw: str | None = None) -> Rig:
-        """Give a rig the values that are said here; one that it does not take is a FitError."""
+        """Return a rig with the values of the description; raise FitError for invalid ones."""
         said = {name: self.treatment(name, throw).value for name in PARAMETERS}
         try:
             return changed_rig(rig, {n: value for n, value in said.items() if value is not None})
@@ -341,20 +389,50 @@ class FitDescription:
             raise FitError(str(error)) from None
 
 
-def _check_treatments(parameters: Mapping[str, str]) -> None:
-    """Refuse names and treatments that there are not."""
-    for name, text in parameters.items():
-        if name not in DEFAULTS:
-            raise ValueError(f'what is fitted must be some of {", ".join(DEFAULTS)}, got {name!r}')
-        try:
-            Treatment.parse(text)
-        except ValueError as error:
-            raise ValueError(f'{name} {error}') from None
+def _parse(name: str, given: Treatment | str) -> Treatment:
+    """Parse the treatment of a parameter, or refuse it or the name."""
+    if name not in DEFAULTS:
+        raise ValueError(f'what is fitted must be some of {", ".join(DEFAULTS)}, got {name!r}')
+    try:
+        treatment = Treatment.parse(given) if isinstance(given, str) else given
+    except ValueError as error:
+        raise ValueError(f'{name} {error}') from None
+    if name in UNSEEN:
+        size = treatment.error if treatment.role is ParameterRole.PRIOR else None
+        if treatment != FIXED._replace(role=treatment.role, error=size) or (
+            treatment.role is ParameterRole.FREE
+        ):
+            raise ValueError(
+                f"{name} cannot be fitted, because tracks hardly show it: it must be 'held', or "
+                f"'+- ERROR' to be part of the errors, got {given!r}"
+            )
+    return treatment
+
+
+def _parse_condition(name: str, given: Treatment | str) -> Treatment:
+    """Parse the treatment of a parameter of some throws."""
+    treatment = _parse(name, given)
+    if name in UNSEEN:
+        raise ValueError(
+            f'{name} is the same for all throws: it must stand below `parameters`, got {given!r} '
+            'below `throws`'
+        )
+    if treatment.only_if_significant:
+        raise ValueError(
+            f"{name} of some throws must not be 'if seen', got {given!r}; say so below "
+            '`parameters`, for all throws'
+        )
+    return treatment
+
+
+def _matches(throw: str, pattern: str) -> bool:
+    """Return whether a name or pattern is that of a throw, or of the file that it is from."""
+    return any(name == pattern or fnmatchcase(name, pattern) for name in names_of(throw))
 
 
 @contextmanager
 def _located(node: Located) -> Iterator[None]:
-    """Say where in the file something stands that is refused."""
+    """Add the place in the file to an error."""
     try:
         yield
     except ValueError as error:
@@ -362,12 +440,12 @@ def _located(node: Located) -> Iterator[None]:
 
 
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
-    """Look up some of `PARAMETERS`."""
+    """Return the values of some `PARAMETERS` of a rig."""
     return {name: float(attrgetter(name)(rig)) for name in names}
 
 
 def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """Make another rig of one, with some of `PARAMETERS` changed."""
+    """Return a copy of a rig with some of `PARAMETERS` changed."""
     changes: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         part, _, item = name.partition('.')
@@ -377,7 +455,7 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
 
 
 def _items(node: Located) -> tuple[tuple[str, Located], ...]:
-    """List what is in a mapping."""
+    """Return the items of a mapping, or raise ValueError."""
     if node.items is None:
         raise ValueError(f'{node.where}: must be a mapping, got {node.value!r}')
     return node.items

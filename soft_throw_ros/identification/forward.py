@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The forward model: what a rig's projectile does, by the steppers that the twin runs."""
+"""The forward model: the motion of the projectile, computed with the steppers of the twin."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,27 +33,35 @@ from soft_throw_ros.core.stepper import (
 )
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plate_modes import PlateWithModes
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 
 Floats = NDArray[np.float64]
 
 MAX_COST = 8.0
-"""What following one throw with all its trial rigs should take of a processor at most. [s]"""
+"""Processor time for simulating one throw with all its trial rigs [s]."""
 
-_COST_PER_THROW = 1e-3  # of being set up [s]
-_COST_PER_SAMPLE = 4e-6  # of being asked for a state [s]
-_SHARE_OF_PATH = 0.02  # of all that, which following a single rig takes at most
-_HARD = 4.0  # times that, from which on even what has to be done is refused
-_MORE = 1.3  # times what the fit has taken that all takes together at most
-_KEPT = 64  # throws that are remembered
+_COST_PER_THROW = 1e-3
+"""Processor time of making a stepper [s]."""
+
+_COST_PER_SAMPLE = 4e-6
+"""Processor time of a state of the stepper [s]."""
+
+_MAX_SHARE = 0.02
+"""Largest share of `MAX_COST` for simulating a single rig [-]."""
+
+_HARD_LIMIT = 4.0
+"""Cost over `MAX_COST` beyond which even the required simulations are refused [-]."""
+
+_MAX_CACHED = 64
+"""Largest number of cached throws."""
 
 
-class EffortError(FitError):
-    """A fit would take far too long."""
+class BudgetExceeded(FitError):
+    """The simulations of a fit exceed their budget."""
 
 
 class ProjectilePath(NamedTuple):
-    """Height of the projectile's lower face [m], its velocity [m/s], and what happened."""
+    """Height of the projectile's lower face [m], its velocity [m/s], and the events."""
 
     position: Floats
     velocity: Floats
@@ -62,33 +69,25 @@ class ProjectilePath(NamedTuple):
 
 
 class ThrowSimulator:
-    """Follows throws, so many one by one, and refuses to go on when that takes too long."""
+    """Simulate throws within a budget of processor time; raise `BudgetExceeded` beyond it."""
 
     def __init__(self, *, throws: int = 1) -> None:
         self.cost = 0.0
-        """What it has taken of a processor so far. [s]"""
-        self._usual = MAX_COST * throws
-        self._limit = _HARD * self._usual
-        self._kept: dict[Hashable, ProjectilePath] = {}
+        """Processor time of all simulations so far, as their models estimate it. [s]"""
+        self._budget = MAX_COST * throws
+        self._cache: dict[Hashable, ProjectilePath] = {}
 
-    def bound(self) -> None:
-        """Let what is left to do be refused where it would take too long."""
-        self._limit = max(self._usual, _MORE * self.cost)
-
-    def allow_more(self) -> None:
-        """Let as much be done again as one fit may take."""
-        self._limit = max(self._limit, self.cost + self._usual)
-
-    def unbind(self) -> None:
-        """Refuse nothing any more."""
-        self._limit = math.inf
+    @property
+    def has_budget(self) -> bool:
+        """Whether the budget allows optional simulations."""
+        return self.cost < self._budget
 
     def follow(
         self,
         rig: Rig,
         time: Floats,
         *,
-        motion: PlateWithModes | None = None,
+        motion: PlateWithWaves | None = None,
         by_cells: bool = False,
     ) -> ProjectilePath:
         """
@@ -97,10 +96,10 @@ class ThrowSimulator:
         Parameters
         ----------
         rig : Rig
-            That throws.
+            Rig to simulate.
         time : ndarray, shape (n,)
             Since the plate began to move, in any order; before that all is at rest. [s]
-        motion : PlateWithModes, optional
+        motion : PlateWithWaves, optional
             How the plate moves; by default as the engine has it.
         by_cells : bool
             Whether to take cells though there is no internal loss: where the loss is fitted, all
@@ -113,12 +112,12 @@ class ThrowSimulator:
 
         """
         key = rig, motion, by_cells, time.tobytes()
-        if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
+        if key not in self._cache:
+            if len(self._cache) >= _MAX_CACHED:
+                self._cache.pop(next(iter(self._cache)))
             sampled = motion and motion.sampled(float(time.min()), float(time.max()))
-            self._kept[key] = self._follow(rig, time, sampled, by_cells)
-        return self._kept[key]
+            self._cache[key] = self._follow(rig, time, sampled, by_cells)
+        return self._cache[key]
 
     def _follow(
         self, rig: Rig, time: Floats, motion: SampledMotion | None, by_cells: bool
@@ -128,23 +127,27 @@ class ThrowSimulator:
         if motion is not None:
             begin = motion.start_time
             motion = SampledMotion(motion.times - begin, motion.states)
-        moments, places = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
+        moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
         try:
             stepper = self._make_stepper(rig, motion, float(moments[-1]), moments.size, by_cells)
-            states = np.empty((moments.size, stepper.state.size))
-            for row, moment in zip(states, moments.tolist(), strict=True):
-                stepper.advance_to(moment)
-                row[:] = stepper.state
+            stepper.advance_to(float(moments[-1]))
+            events = stepper.events()
+            states, is_flying = _flights(events, moments, rig.gravity)
+            stepper.reset()
+            for index in np.flatnonzero(~is_flying).tolist():
+                stepper.advance_to(float(moments[index]))
+                states[0, index] = stepper.state[PROJECTILE_POSITION]
+                states[1, index] = stepper.state[PROJECTILE_VELOCITY]
         except FitError:
             raise
         except (ValueError, EventLimitError) as error:
             raise FitError(f'the throw cannot be followed: {error}') from None
-        position, velocity = states[places][:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]].T
-        events = (each._replace(time=each.time + begin) for each in stepper.events())
-        return ProjectilePath(position, velocity, tuple(events))
+        position, velocity = states[:, indices]
+        on_clock = (event._replace(time=event.time + begin) for event in events)
+        return ProjectilePath(position, velocity, tuple(on_clock))
 
     def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
-        """Find when the projectile falls onto the layer; infinity if not before `until` [s]."""
+        """Return the time of landing on the layer, infinity if after `until` [s]."""
         if rig.gravity > 0.0:
             for event in self.follow(rig, np.array([until]), by_cells=by_cells).events:
                 if event.kind == 'landing':
@@ -154,31 +157,55 @@ class ThrowSimulator:
     def _make_stepper(
         self, rig: Rig, motion: SampledMotion | None, until: float, samples: int, by_cells: bool
     ) -> Stepper:
-        """Make a stepper, and charge what it will cost."""
+        """Return a stepper, and charge its estimated cost."""
         has_cells = by_cells or rig.layer.needs_cells
-        model = 'finite_difference' if has_cells else 'travelling_wave'
+        model = 'cells' if has_cells else 'travelling_wave'
         stepper = make_stepper(rig, motion, model=model, field_points=2)
         cost = stepper.cost * until + _COST_PER_THROW + _COST_PER_SAMPLE * samples
         self.cost += cost
-        limit = _SHARE_OF_PATH * MAX_COST
+        limit = _MAX_SHARE * MAX_COST
         if cost > limit:
             raise FitError(
                 f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
-                f'{cost:.2g} s to follow, the limit is {limit:.2g} s; leave out what comes late'
+                f'{cost:.2g} s to simulate, the limit is {limit:.2g} s; leave out late samples'
             )
-        if self.cost > self._limit:
-            raise EffortError(
-                f'the fit takes more than {self._limit:.2g} s of following the model; leave out '
-                'what comes late in the tracks, or fit less'
+        limit = _HARD_LIMIT * self._budget
+        if self.cost > limit:
+            raise BudgetExceeded(
+                f'the fit takes more than {limit:.2g} s of simulations; leave out late samples '
+                'of the tracks, or fit fewer parameters'
             )
         return stepper
 
 
+def _flights(
+    events: Sequence[Event], moments: Floats, gravity: float
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """
+    Compute heights and velocities of the flights between a release and the next contact.
+
+    Returns an array of shape (2, n), and whether the projectile flies at each moment; the columns
+    of the other moments are 0.
+    """
+    states = np.zeros((2, moments.size))
+    if not events:
+        return states, np.zeros(moments.size, dtype=bool)
+    times, heights, speeds = np.array([event[1:] for event in events]).T
+    is_release = np.array([event.kind == 'release' for event in events])
+    last = np.searchsorted(times, moments, side='right') - 1
+    is_flying = (last >= 0) & is_release[last]
+    start = last[is_flying]
+    since = moments[is_flying] - times[start]
+    states[0, is_flying] = heights[start] + since * (speeds[start] - 0.5 * gravity * since)
+    states[1, is_flying] = speeds[start] - gravity * since
+    return states, is_flying
+
+
 class FirstReleases(NamedTuple):
-    """How projectiles leave, arrays over rigs; NaN where one does not."""
+    """First releases, as arrays over rigs; NaN for rigs without a release."""
 
     time: Floats
-    """Since the plate began to move. [s]"""
+    """Time since the plate began to move. [s]"""
     speed: Floats
     """[m/s]"""
     energy_transfer: Floats
@@ -186,7 +213,7 @@ class FirstReleases(NamedTuple):
     peak_plate_speed: Floats
     """[m/s]"""
     echoes: NDArray[np.int64]
-    """How many echoes of the wave came back before: time and energy jump where they change."""
+    """Number of echoes of the wave before; time and energy jump where this number changes."""
 
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:

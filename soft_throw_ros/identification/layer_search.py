@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Where to start from to find a layer: a look at all that there may be, so that nobody guesses."""
+"""Start values for a layer: a search over all possible ones, so that no guess is needed."""
 
 from __future__ import annotations
 
@@ -24,38 +24,39 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.identification.fit_description import changed_rig, LAYER
-from soft_throw_ros.identification.forward import EffortError
+from soft_throw_ros.identification.forward import BudgetExceeded
 from soft_throw_ros.identification.least_squares import Fit, FitError
+from soft_throw_ros.identification.parameter_layout import OWN, START
 from soft_throw_ros.identification.plate_fit import PlateFit
-from soft_throw_ros.identification.plate_modes import PlateWithModes
-from soft_throw_ros.identification.rig_model import cut_after, OWN, RigModel, START
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
+from soft_throw_ros.identification.rig_model import cut_after, RigModel
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
 
 _WAVE_SPEEDS = np.geomspace(1.0, 200.0, 321)
-_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # times what it is said to be
-_THICKNESSES_NEARBY = np.geomspace(0.75, 1.33, 41)  # times a thickness that looks good
-_MIN_THICKNESS = 1e-4  # [m]
-_LOSS_TANGENT = 0.05  # to start from
+_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # coarse grid, relative to the given thickness
+_THICKNESSES_NEARBY = np.geomspace(0.75, 1.33, 41)  # fine grid, relative to a candidate
+_MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
+_LOSS_TANGENT = 0.05  # initial loss tangent
 
-_THROWS = 3  # that are looked at; of these ...
-_PERIODS = 2.0  # of the plate, and ...
-_SAMPLES = 120  # in each
+_THROWS = 3  # largest number of throws in the search
+_PERIODS = 2.0  # time of each throw in the search [plate periods]
+_SAMPLES = 120  # largest number of samples of each track in the search
 
-_NARROWED = 24  # valleys at most, by ...
-_NARROWING_STEPS = 12  # of the wave speed
-_REFINED = 6  # of the best candidates, unless ...
-_REFINING_STEPS = 20
-_MAX_RATIO = 20.0  # their sum of squares is so many times that of the best, or ...
-_ALIKE = 5e-3  # they differ by less, relatively
+_NARROWED = 24  # largest number of valleys that are narrowed
+_NARROWING_STEPS = 12  # number of wave speeds within a narrowed valley
+_REFINED = 6  # largest number of refined candidates
+_REFINING_STEPS = 20  # largest number of evaluations of a refinement
+_MAX_RATIO = 20.0  # sum of squares, relative to the best, above which candidates are dropped
+_ALIKE = 5e-3  # relative difference below which two layers count as equal
 
 
 class PlateAtWork(NamedTuple):
-    """What the plate of a throw does, and from when on [s]."""
+    """The motion of the plate of a throw, and the time of its start [s]."""
 
     engine: Engine
-    motion: PlateWithModes
+    motion: PlateWithWaves
     start_time: float
 
 
@@ -66,7 +67,7 @@ class LayerCandidate(NamedTuple):
     rig: Rig
 
     def is_like(self, other: LayerCandidate) -> bool:
-        """Tell whether two layers are almost the same."""
+        """Return whether two layers are almost equal."""
         layer, rival = self.rig.layer, other.rig.layer
         pairs = (layer.wave_speed, rival.wave_speed), (layer.thickness, rival.thickness)
         return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
@@ -98,6 +99,20 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> 
     early = cut_after(model, plates, _PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
+    candidates = _search_grid(early, plates, at_work, free)
+    if 'layer.thickness' in free:
+        candidates += _search_thicknesses(early, at_work, _best_of(candidates, _REFINED), free)
+    # Early heights are much alike on many layers; the flight afterwards is not
+    seen = cut_after(model, plates, _fall_time(model, plates))
+    best = _best_of(candidates, _REFINED)
+    refined = _refine(seen, plates, of_plates, best, free)
+    return [candidate.rig for candidate in _best_of(refined or candidates, _REFINED)]
+
+
+def _search_grid(
+    model: RigModel, plates: Sequence[PlateFit], at_work: Mapping[int, PlateAtWork], free: set[str]
+) -> list[LayerCandidate]:
+    """Return the minima among all wave speeds and some thicknesses, without loss."""
     rig = model.rig
     if 'layer.loss_tangent' in free:
         rig = changed_rig(rig, {'layer.loss_tangent': 0.0})
@@ -107,42 +122,63 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> 
     candidates = []
     for thickness in _thicknesses(model, plates, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _valleys(early, at_work, [changed_rig(rig, each) for each in row])
+        candidates += _valleys(model, at_work, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
-    if 'layer.thickness' in free:
-        power = 0.5 if 'layer.wave_speed' in free else 0.0  # as stiff, if it may be
-        for each in _best_of(candidates, _REFINED):
-            speed, thickness = each.rig.layer.wave_speed, each.rig.layer.thickness
-            row = [
-                {'layer.wave_speed': speed * part**power, 'layer.thickness': thickness * part}
-                for part in _THICKNESSES_NEARBY.tolist()
-            ]
-            candidates += _valleys(early, at_work, [changed_rig(each.rig, part) for part in row])
-    # What a projectile does early is much alike on many layers; how it flies then is not
-    seen = cut_after(model, plates, _fall_time(model, plates))
+    return candidates
+
+
+def _search_thicknesses(
+    model: RigModel,
+    at_work: Mapping[int, PlateAtWork],
+    candidates: Sequence[LayerCandidate],
+    free: set[str],
+) -> list[LayerCandidate]:
+    """Return the minima among equally stiff layers of other thicknesses."""
+    power = 0.5 if 'layer.wave_speed' in free else 0.0
+    found = []
+    for candidate in candidates:
+        layer = candidate.rig.layer
+        row = [
+            {
+                'layer.wave_speed': layer.wave_speed * part**power,
+                'layer.thickness': layer.thickness * part,
+            }
+            for part in _THICKNESSES_NEARBY.tolist()
+        ]
+        found += _valleys(model, at_work, [changed_rig(candidate.rig, each) for each in row])
+    return found
+
+
+def _refine(
+    model: RigModel,
+    plates: Sequence[PlateFit],
+    of_plates: Fit,
+    candidates: Sequence[LayerCandidate],
+    free: set[str],
+) -> list[LayerCandidate]:
+    """Fit the layer alone from each candidate; leave out those that no model can follow."""
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
     refined = []
-    for candidate in _best_of(candidates, _REFINED):
-        rig = changed_rig(candidate.rig, loss)
-        trial = replace(seen, rig=rig)
+    for candidate in candidates:
+        trial = replace(model, rig=changed_rig(candidate.rig, loss))
         noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in trial.tracks()])
         try:
-            found = trial.fit(
+            fit = trial.fit(
                 trial.start_from(of_plates, plates), noise=noise, only=(*free, *OWN),
                 max_evaluations=_REFINING_STEPS,
             )
-            rig = trial.rig_of(trial.start_from(found, plates))
-        except EffortError:
+            rig = trial.rig_of(trial.start_from(fit, plates))
+        except BudgetExceeded:
             raise
         except FitError:
-            continue  # it went where no model can follow
-        refined.append(LayerCandidate(found.chi2, rig))
-    return [candidate.rig for candidate in _best_of(refined or candidates, _REFINED)]
+            continue
+        refined.append(LayerCandidate(fit.chi2, rig))
+    return refined
 
 
 def _best_of(candidates: list[LayerCandidate], count: int) -> list[LayerCandidate]:
-    """Return those of the lowest sums of squares, no two of which are almost the same."""
+    """Return the candidates with the lowest sums of squares, without near duplicates."""
     chosen: list[LayerCandidate] = []
     for candidate in sorted(candidates, key=lambda each: each.chi2):
         if len(chosen) == count or (chosen and candidate.chi2 > _MAX_RATIO * chosen[0].chi2):
@@ -153,7 +189,7 @@ def _best_of(candidates: list[LayerCandidate], count: int) -> list[LayerCandidat
 
 
 def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
-    """Find how long after the start the first of the projectiles is down again, as they show."""
+    """Return the time from the start to the first landing in the tracks."""
     ends = [math.inf]
     for throw, _, track in model.projectiles:
         since = track.time - plates[throw].start_time
@@ -169,7 +205,7 @@ def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
 def _valleys(
     model: RigModel, at_work: Mapping[int, PlateAtWork], rigs: list[Rig]
 ) -> list[LayerCandidate]:
-    """Find rigs in a row that fit better than their neighbours, and of the best the wave speed."""
+    """Find rigs that fit better than their neighbours, and narrow the wave speed of the best."""
 
     def mismatch(rig: Rig) -> LayerCandidate:
         return LayerCandidate(_mismatch(model, at_work, rig), rig)
@@ -206,7 +242,7 @@ def _mismatch(model: RigModel, at_work: Mapping[int, PlateAtWork], rig: Rig) -> 
         each = replace(rigs[throw], engine=plate.engine)
         try:
             path = model.simulator.follow(each, time, motion=plate.motion)
-        except EffortError:
+        except BudgetExceeded:
             raise
         except FitError:
             return math.inf

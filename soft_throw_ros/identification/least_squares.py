@@ -12,25 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-Least squares with outliers left out: what comes out of a fit, and how far to trust it.
+Least squares without outliers, with standard errors and warnings.
 
 Notes
 -----
-Weights are one over the noise of each sample. If somebody knows the noise it is taken as it is;
-else it is what residuals have from sample to sample, `estimate_noise`, with a part that grows with
-the speed of the body if stamps are off. What a model leaves out changes slowly, so that it makes
-chi squared large and not the noise. Standard errors are multiplied by the square root of chi
-squared per degree of freedom if that is above 1 or the noise was estimated, and by what the
-correlation of the residuals adds to the variance of a mean (`TrackResidual.inflation`).
+Weights are one over the noise of each sample. By default, `estimate_noise` estimates the noise
+from the differences of neighbouring residuals, with a term that grows with the speed of the body
+if stamps are inaccurate. Errors of a model change slowly, so they increase chi squared and not the
+noise. Standard errors are multiplied by the square root of chi squared per degree of freedom if
+this ratio is above 1 or the noise was estimated. They are also multiplied by the effect of
+correlated residuals on the variance of a mean (`TrackResidual.inflation`).
 
-A sample is an outlier if its residual is away from those around it by more than `OUTLIER_LIMIT`
-times the noise; what a model that does not fit leaves changes slowly, and makes none. So they are
-seen, and left out, before anything is fitted. If a fit shows more, it is repeated with a robust
-loss; then these are left out, too, and the rest is fitted by plain least squares.
+A sample is an outlier if its residual deviates from its neighbours by more than `OUTLIER_LIMIT`
+times the noise; errors of a model change slowly, and make no outliers. So outliers are removed
+before the first fit. If a fit shows more outliers, it is repeated with a robust loss; then these
+outliers are removed, too, and the other samples are fitted by plain least squares.
 
-What is known with an error is one more residual. Information adds up, :math:`C^{-1} = \sum_i
-F_i`, hence :math:`C = \sum_i C F_i C`: what each source of it, noise or something known with an
-error, contributes to a variance (`Fit.budget`).
+A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, hence :math:`C =
+\sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance
+(`Fit.budget`).
 
 """
 
@@ -52,32 +52,32 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 INSEPARABLE = 0.99
-"""Correlation from which on two parameters are not told apart."""
+"""Correlation from which on two parameters cannot be separated. [-]"""
 
 OUTLIER_LIMIT = 6.0
-"""How many times the noise a sample must be off to be left out; noise alone is not in 1e8."""
+"""Deviation of an outlier from its neighbours [noise]; noise alone exceeds it once in 1e8."""
 
-_NEIGHBOURHOOD = 7  # samples, of which two may be outliers: one is away from all ...
-_RANKS = (2, 4)  # from the third to the fifth of them in size
-_MAX_OUTLIER_SHARE = 0.1  # of a track; if there are more, it is the model that does not fit
-_OUTLIER_ROUNDS = 6  # of leaving them out and fitting again
+_NEIGHBOURHOOD = 7  # number of neighbouring samples, of which two may be outliers
+_RANKS = (2, 4)  # ranks of the neighbours, by size, that bound the usual residuals
+_MAX_OUTLIER_SHARE = 0.1  # share of outliers of a track above which the model is wrong
+_OUTLIER_ROUNDS = 6  # largest number of repeated fits without outliers
 _AUTOCORRELATION_LAGS = 10
-_TOLERANCE = 1e-8  # of chi squared, relative: 1e-2 of an error, which steppers are exact to
+_TOLERANCE = 1e-8  # relative tolerance of chi squared: 1e-2 of an error, as exact as steppers
 _SPARSE_ABOVE = 40  # parameters: of many throws each has its own, which no other depends on
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
-_NEGLIGIBLE_RMS = 0.5  # of the noise, below which the colour of residuals does not matter
+_NEGLIGIBLE_RMS = 0.5  # residual over noise below which correlations do not matter (rms)
 _ESTIMATED_NOISE_FACTOR = 3.0  # variance of chi squared if noise was estimated, over if known
-_NOISE_ROUNDS = 2  # of estimating the noise and fitting again, unless ...
-_NOISE_TOLERANCE = 0.1  # it changes by less, relatively
-_STRAY = 5.0  # standard deviations beyond which a difference tells nothing of the noise
-_JITTER_SIGNIFICANCE = 4.0  # standard errors by which noise must grow with the speed
-_CONTRADICTION = 4.0  # errors of what is known, by which nothing differs by chance
-_SLOW_PART = 25  # samples over which residuals are averaged to see where they are not noise
-_CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # as large as white noise itself
+_NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
+_NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
+_STRAY = 5.0  # standard deviations beyond which a difference is excluded from the noise
+_JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
+_CONTRADICTION = 4.0  # deviation from a prior beyond which chance is unlikely [errors]
+_SLOW_PART = 25  # number of residuals in a mean that shows systematic errors
+_CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
 
 class FitError(ValueError):
-    """The tracks do not give what was asked for; the message says why."""
+    """The tracks do not determine the requested parameters; the message has the reason."""
 
 
 class Estimate(NamedTuple):
@@ -104,13 +104,13 @@ class Outlier(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackResidual:
-    """What a fit leaves of a track."""
+    """The residual of a track after a fit."""
 
     name: str
     track: Track
     """The data that were fitted, without outliers."""
     fitted: Floats
-    """What the model says at the same times [m]."""
+    """Heights of the model at the same times [m]."""
     noise: Floats
     """Standard deviation of each sample [m]."""
     outliers: tuple[Outlier, ...] = ()
@@ -137,7 +137,7 @@ class TrackResidual:
 
     @property
     def autocorrelation(self) -> float:
-        """Correlation of neighbouring residuals: 0 if what is left is white noise [-]."""
+        """Correlation of neighbouring residuals, 0 for white noise [-]."""
         return float(self._autocorrelations(1)[0])
 
     @property
@@ -161,7 +161,7 @@ class TrackResidual:
         if self.is_white:
             return 1.0
         found = self._autocorrelations(self.track.time.size // 4)
-        # Up to where they are lost in what chance makes of them
+        # Sum up to the first correlation that is not significant
         last = int(np.argmax(np.append(found, -1.0) < 2.0 / math.sqrt(self.track.time.size)))
         return 1.0 + 2.0 * float(found[:last].sum())
 
@@ -194,21 +194,23 @@ class Fit:
 
     names: tuple[str, ...]
     values: Floats
-    """In SI units, shape (n,)."""
+    """Fitted values, shape (n,), in SI units."""
     covariance: Floats
     chi2: float
-    """Sum of the squared residuals, each over its noise, and of what is known over its error."""
+    """Sum of the squared residuals over their noise, and of deviations from priors over errors."""
     dof: int
     """Degrees of freedom: samples, and parameters known with an error, less parameters."""
     residuals: tuple[TrackResidual, ...]
     noise: Floats
-    """Of each sample of all tracks, outliers among them [m]."""
+    """Noise of each sample of all tracks, including outliers [m]."""
     kept: Flags
     """Whether each sample of all tracks is none."""
     known: Mapping[int, Estimate] = field(default_factory=dict)
-    """What was known of some parameters, by their places."""
+    """Priors of some parameters, by their indices."""
     alternatives: tuple[Alternative, ...] = ()
     """Other minima that are hardly worse; the covariance spans them."""
+    unseen: Mapping[str, Floats] = field(default_factory=dict)
+    """Shifts of the values by unseen effects, shape (k, n), which the covariance includes."""
 
     def __getitem__(self, name: str) -> Estimate:
         place = self.names.index(name)
@@ -236,30 +238,59 @@ class Fit:
 
     @property
     def correlation(self) -> Floats:
-        """Correlations of the errors, shape (n, n); 0 with what has no error."""
+        """Correlations of the errors, shape (n, n); 0 for parameters without an error."""
         scale = np.outer(self.errors, self.errors)
         zeros = np.zeros_like(scale)
         return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
 
     def budget(self, name: str) -> dict[str, float]:
-        """Split the error of a parameter: noise, and what is known with an error."""
-        row = self.covariance[self.names.index(name)]
+        """Return the contributions of noise, priors and unseen effects to the error [SI]."""
+        index = self.names.index(name)
+        row = self.seen_covariance[index]
         parts = {
             self.names[place]: abs(float(row[place])) / known.error
             for place, known in self.known.items()
         }
-        rest = row[self.names.index(name)] - sum(part**2 for part in parts.values())
-        return {'noise': math.sqrt(max(float(rest), 0.0)), **parts}
+        noise = row[index] - sum(part**2 for part in parts.values())
+        parts |= {
+            effect: float(np.linalg.norm(shifts[:, index]))
+            for effect, shifts in self.unseen.items()
+        }
+        return {'noise': math.sqrt(max(float(noise), 0.0)), **parts}
+
+    @property
+    def seen_covariance(self) -> Floats:
+        """Return the covariance without the unseen effects."""
+        unseen = sum(shifts.T @ shifts for shifts in self.unseen.values())
+        return np.asarray(self.covariance - unseen)
+
+    def with_unseen(self, shifts: Mapping[str, Floats]) -> Fit:
+        """
+        Add unseen effects to the covariance, as shifts of the values of shape (k, n).
+
+        No error becomes larger than that of the prior.
+        """
+        added = np.zeros_like(self.values)
+        for each in shifts.values():
+            added += np.sum(each**2, axis=0)
+        scales = np.ones_like(self.values)
+        for index, known in self.known.items():
+            room = max(known.error**2 - float(self.covariance[index, index]), 0.0)
+            if added[index] > room:
+                scales[index] = math.sqrt(room / added[index])
+        scaled = {name: each * scales for name, each in shifts.items()}
+        covariance = self.covariance + sum(each.T @ each for each in scaled.values())
+        return replace(self, covariance=covariance, unseen={**self.unseen, **scaled})
 
     def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
-        """Let intervals of 95 % reach to other minima."""
+        """Extend the intervals of 95 % to other minima."""
         covariance = self.covariance.copy()
         for each in alternatives:
             covariance += np.outer(*2 * [0.5 * (each.values - self.values)])
         return replace(self, covariance=covariance, alternatives=tuple(alternatives))
 
     def warnings(self) -> list[str]:
-        """Say what there is to doubt, each in a sentence."""
+        """Return warnings about the fit, each a sentence."""
         found = []
         for each in self.alternatives:
             apart = np.abs(each.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
@@ -283,14 +314,14 @@ class Fit:
                 found.append(
                     f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
                     f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
-                    f'{factor:.0f} times what it would be if the other were known; hold one'
+                    f'{factor:.0f} times larger than with the other known; hold one'
                 )
         for place, known in self.known.items():
             off = abs(self.values[place] - known.value) / known.error
             if off > _CONTRADICTION:
                 found.append(
                     f'{self.names[place]} is found {off:.1f} errors from what is known of it, '
-                    f'{known}: something is not as it is said to be'
+                    f'{known}: a given value may be wrong'
                 )
         if self.is_mismatch:
             worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
@@ -307,7 +338,7 @@ class Fit:
             found.append(
                 f'the residuals of {worst.name}{more} are no white noise (correlation of '
                 f'neighbours {worst.autocorrelation:.2f}): errors are up to '
-                f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger for that'
+                f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger'
             )
         return found
 
@@ -322,7 +353,7 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class FitModel:
-    """What is fitted: heights of all tracks in one series [m], and their derivatives."""
+    """A model of all tracks: their heights in one series [m], and the derivatives."""
 
     names: tuple[str, ...]
     predict: Callable[[Floats], Floats]
@@ -330,9 +361,9 @@ class FitModel:
     low: Floats
     high: Floats
     known: Mapping[int, Estimate] = field(default_factory=dict)
-    """What is known of some parameters, by their places."""
+    """Priors of some parameters, by their indices."""
     speed: Callable[[Floats], Floats] | None = None
-    """Speeds [m/s] by which stamps that are off make noise; None if they are taken as right."""
+    """Speeds [m/s] that turn errors of stamps into noise; None for exact stamps."""
 
     @classmethod
     def with_steps(
@@ -343,7 +374,7 @@ class FitModel:
         high: Floats,
         steps: Floats,
     ) -> FitModel:
-        """Make a model whose derivatives are central differences with such steps."""
+        """Return a model whose derivatives are central differences with the given steps."""
 
         def jacobian(values: Floats) -> Floats:
             columns = []
@@ -380,21 +411,21 @@ def fit_tracks(
     max_evaluations: int = 100,
 ) -> Fit:
     """
-    Fit a model to tracks, from a start that is near enough, without their outliers.
+    Fit a model to tracks, from a sufficiently close start, without outliers.
 
     Parameters
     ----------
     model : FitModel
-        What predicts the tracks.
+        The model of the tracks.
     start : ndarray, shape (n,)
-        Of what the model has free.
+        Initial values of the free parameters.
     tracks : sequence of (str, Track)
-        With their names, in the order of what the model predicts.
+        Tracks with their names, in the order of the predictions of the model.
     noise : ndarray, optional
-        Of each sample of all tracks, to compare fits by their chi squared. By default it starts
-        from that of the tracks, and is estimated from what the fit leaves. [m]
+        Noise of each sample of all tracks, to compare fits by their chi squared. By default it
+        is estimated, first from the tracks and then from the residuals. [m]
     max_evaluations : int
-        Of the model, in one run of the solver.
+        Largest number of evaluations of the model in one run of the solver.
 
     Raises
     ------
@@ -419,14 +450,14 @@ def fit_tracks(
 
 def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
     r"""
-    Estimate the noise of heights and of stamps from what a fit leaves.
+    Estimate the noise of heights and of stamps from the residuals of a fit.
 
     Parameters
     ----------
     residuals : ndarray, shape (n,)
         [m]
     speed : ndarray, shape (n,)
-        Of the body; where it does not move, nothing is seen of stamps. [m/s]
+        Speed of the body; a body at rest does not show errors of stamps. [m/s]
 
     Returns
     -------
@@ -437,8 +468,8 @@ def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
 
     Notes
     -----
-    Differences of second order pass on white noise, and next to nothing of what is slow. Their
-    squares are :math:`\sigma^2 + \tau^2 v^2` on average.
+    Second differences preserve white noise, and suppress slow changes. Their mean squares are
+    :math:`\sigma^2 + \tau^2 v^2`.
 
     """
     squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
@@ -527,18 +558,18 @@ class _LeastSquares:
                 )
         except FloatingPointError:
             raise FitError(
-                'the fit leads beyond what numbers can hold; look for heights that cannot be'
+                'the fit leads beyond what numbers can hold; check the heights of the tracks'
             ) from None
         return np.asarray(solution.x)
 
     def begin(self, start: Floats) -> Floats:
-        """Return the best values without outliers, which are no outliers of the start alone."""
-        # Fitted with what is an outlier already here, it might go where there is no way back from
+        """Return the best values without outliers, starting from given values."""
+        # A fit with the outliers that are visible at the start might end in a wrong minimum
         self._kept = ~self._find_outliers(np.clip(start, self._model.low, self._model.high))
         return self.leave_out(self.solve(start))
 
     def leave_out(self, values: Floats) -> Floats:
-        """Leave outliers out, if there are any, and fit again until they stay the same."""
+        """Remove outliers, and fit again until they stay the same."""
         outliers = self._find_outliers(values)
         if (outliers & self._kept).any():
             values = self.solve(values, loss='soft_l1')
@@ -552,7 +583,7 @@ class _LeastSquares:
         return values
 
     def reweigh(self, values: Floats) -> bool:
-        """Estimate the noise of tracks of which it is not known; tell whether it changes much."""
+        """Estimate the noise of tracks where it is not known; return whether it changes much."""
         left = self._position - self._model.predict(values)
         speed = self._model.speed(values) if self._model.speed else np.zeros_like(left)
         noises = []
@@ -572,7 +603,7 @@ class _LeastSquares:
         return change > _NOISE_TOLERANCE
 
     def _find_outliers(self, values: Floats) -> Flags:
-        """Tell which samples are outliers beside a model with such values."""
+        """Return which samples are outliers of a model with such values."""
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
         for left in np.split(residuals, self._ends):
@@ -584,7 +615,7 @@ class _LeastSquares:
         return np.concatenate(flags)
 
     def conclude(self, values: Floats) -> Fit:
-        """Say how good a fit is."""
+        """Return the fit with its covariance."""
         squares = self._residuals(values) ** 2
         dof = squares.size - values.size
         chi2 = float(squares.sum())
@@ -619,7 +650,7 @@ class _LeastSquares:
     def _residual_of(
         name: str, track: Track, fitted: Floats, noise: Floats, kept: Flags
     ) -> TrackResidual:
-        """Say what is left of a track, and of what was left out."""
+        """Return the residual of a track, and its outliers."""
         left_out = zip(track.time[~kept], (track.position - fitted)[~kept], strict=True)
         return TrackResidual(
             name=name,
@@ -630,7 +661,7 @@ class _LeastSquares:
         )
 
     def _residuals(self, values: Floats) -> Floats:
-        """Weigh model less data, and values less what is known of them."""
+        """Return the weighted residuals of the samples and of the priors."""
         left = (self._model.predict(values) - self._position) / self._noise
         known = (values[self._known] - self._known_values) / self._known_errors
         return np.concatenate([left[self._kept], known])
@@ -648,6 +679,6 @@ def _covariance(jacobian: Floats) -> Floats:
     sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-60)
     triangle = np.linalg.qr(jacobian / sizes, mode='r')
     _, strengths, directions = np.linalg.svd(triangle)
-    strengths = np.maximum(strengths, 1e-12 * strengths[0])  # what is not seen at all is very wide
+    strengths = np.maximum(strengths, 1e-12 * strengths[0])  # limits the errors
     spread = directions.T / strengths
     return np.asarray((spread @ spread.T) / np.outer(sizes, sizes))

@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-A fit as a linear problem: what a change of some parameters leaves when all others are adapted.
+A fit as a linear problem: residuals after a change of some parameters, all others adapted.
 
 Notes
 -----
-With the derivatives :math:`J` at the values that were fitted, what is left of other values is
-projected off the columns of :math:`J`: that is chi squared after a step of Gauss and Newton. So
-profiles, and gains by further parameters (a score test), take no fit.
+The residuals of other values are projected off the columns of the derivatives :math:`J` at the
+fitted values. The result is chi squared after a Gauss-Newton step. So profiles, and gains by
+further parameters (a score test), need no new fit.
 
 """
 
@@ -30,27 +30,26 @@ import contextlib
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.identification.fit_description import LAYER
-from soft_throw_ros.identification.forward import EffortError
 from soft_throw_ros.identification.least_squares import Fit, FitError, INSEPARABLE
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
 
-_NEWTON_STEPS = 3  # along an interval
-_CHI2_95 = 3.84  # that 95 % are below, of one degree of freedom
-_LONGEST = 6.0  # errors that half of an interval may be long
-_HALVES = 8  # in which its end is looked for
+_NEWTON_STEPS = 3  # Gauss-Newton steps per point of a profile
+_CHI2_95 = 3.84  # 95 % quantile of chi squared with one degree of freedom
+_LONGEST = 6.0  # largest half-width of an interval [standard errors]
+_HALVES = 8  # number of bisections of the end of an interval
 
 
 class LinearFit:
     """
-    Samples, and what is known, over their errors, as linear functions of parameters.
+    Weighted samples and priors as linear functions of the parameters.
 
     Parameters
     ----------
     model : RigModel
     fit : Fit
-        Of the model.
+        Fit of the model.
     fixed : sequence of int
         Places of values that are not adapted to the others.
 
@@ -65,6 +64,7 @@ class LinearFit:
         for row, place in zip(rows, self._known, strict=True):
             row[place] = 1.0 / model.known[place].error
         slopes = self._weigh(model.jacobian(fit.values).T).T
+        self._slopes = slopes
         design = np.concatenate([slopes, rows])[:, self._others]
         self._sizes = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
         self._basis, self._triangle = np.linalg.qr(design / self._sizes)
@@ -78,7 +78,7 @@ class LinearFit:
         return adapted, float(np.sum(self._project(left) ** 2))
 
     def gain(self, columns: Floats) -> tuple[float, Floats]:
-        """By how much chi squared falls by further parameters, and their values, in any units."""
+        """Return the fall of chi squared by further parameters, and their values, in any units."""
         extra = self._weigh(columns.T).T
         unseen = np.zeros((len(self._known), extra.shape[1]))
         extra = self._project(np.concatenate([extra, unseen]))
@@ -87,28 +87,66 @@ class LinearFit:
         found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
         return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
 
+    @property
+    def slopes_over_variance(self) -> Floats:
+        """Derivatives of all heights over their squared noise, 0 for outliers, shape (n, k)."""
+        slopes = np.zeros((self._position.size, self.fit.values.size))
+        slopes[self.fit.kept] = self._slopes
+        return slopes / self.fit.noise[:, None]
+
+    def split(self, rows: Floats) -> list[Floats]:
+        """Split rows of all samples by tracks."""
+        sizes = [track.time.size for _, track in self.model.tracks()]
+        return np.split(rows, np.cumsum(sizes)[:-1])
+
+    def gradients(self, heights: Floats) -> Floats:
+        """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
+        return np.asarray(self._weigh(heights) @ self._slopes)
+
+    def score(self, heights: Floats) -> tuple[Floats, Floats]:
+        """
+        Return how well columns of shape (k, n) are seen, and how well they fit the residuals.
+
+        The first is the gain of chi squared by a column of size 1 that no parameter explains, the
+        second the product of the column with the residuals; both over the variance scale.
+        """
+        columns = np.zeros((len(heights), self._basis.shape[0]))
+        columns[:, : self._slopes.shape[0]] = self._weigh(heights)
+        columns -= columns @ self._basis @ self._basis.T
+        scale = max(self.fit.variance_scale, 1e-300)
+        residual = self._left(self.fit.values)
+        return np.sum(columns**2, axis=1) / scale, np.asarray(columns @ residual) / scale
+
+    def shifts(self, gradients: Floats) -> Floats:
+        """Return the shifts of the fitted values for such gradients, shape (k, n)."""
+        inverse = np.linalg.pinv(self._triangle, rcond=1e-12)
+        scaled = gradients[:, self._others] / self._sizes
+        shifts = np.zeros((len(gradients), self.fit.values.size))
+        shifts[:, self._others] = (scaled @ inverse @ inverse.T) / self._sizes
+        return shifts
+
     def _weigh(self, heights: Floats) -> Floats:
         """Divide heights of all samples by their noise, and leave out outliers."""
         return np.asarray((heights / self.fit.noise)[..., self.fit.kept])
 
     def _left(self, values: Floats) -> Floats:
-        """Weigh what a model with such values leaves."""
+        """Return the weighted residuals of such values."""
         known = self.model.known
         left = self._weigh(self._position - self.model.predict(values))
         priors = [(known[p].value - values[p]) / known[p].error for p in self._known]
         return np.append(left, priors)
 
     def _project(self, left: Floats) -> Floats:
-        """Take off what the parameters can explain."""
+        """Subtract the part that the parameters can explain."""
         return np.asarray(left - self._basis @ (self._basis.T @ left))
 
 
 def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float]]:
     """
-    Find intervals of 95 % of what the covariance is no good for: what is hardly told apart.
+    Compute profile intervals of 95 % for parameters that the tracks hardly separate.
 
-    Along such a parameter chi squared is followed to where it is larger by 3.84, while all others
-    are adapted, by steps of Gauss and Newton with the derivatives of the fit.
+    The covariance is inaccurate for such parameters. An interval ends where chi squared has grown
+    by 3.84, while Gauss-Newton steps with the derivatives of the fit adapt all other parameters.
     """
     correlation = np.abs(fit.correlation)
     places = {name: fit.names.index(name) for name in LAYER if name in fit.names}
@@ -124,7 +162,7 @@ def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float
 
 
 def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> float:
-    """Find by halves where the profile of a parameter leaves the interval of 95 %."""
+    """Find an end of the interval of 95 % of a parameter by bisection of its profile."""
     limit = system.adapt(fit.values)[1] + _CHI2_95 * max(1.0, fit.reduced_chi2)
     direction = fit.covariance[place] / fit.covariance[place, place]
 
@@ -134,10 +172,8 @@ def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> fl
             for _ in range(_NEWTON_STEPS):
                 moved, _chi2 = system.adapt(moved)
             return system.adapt(moved)[1] < limit
-        except EffortError:
-            raise
         except (FitError, ValueError):
-            return False  # no rig is like that
+            return False  # such a rig is impossible
 
     inside, outside = 0.0, _LONGEST * fit.errors[place]
     for _ in range(_HALVES):

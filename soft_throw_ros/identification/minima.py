@@ -12,12 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Which of several minima explains throws.
+Choice among several minima of chi squared.
 
-Where a stiff layer makes the projectile chatter, chi squared has several minima. Wave speeds
-beside the best one are looked at with all else adapted to first order, and other layers that the
-search has found; each that may be as good is fitted. What is not worse by more than `NEAR` is
-named.
+With a stiff layer, on which the projectile chatters, chi squared has several minima. Candidates
+are wave speeds beside the best one, with all other values adapted to first order, and other layers
+from the search. Promising candidates are fitted. Minima within `NEAR` of the best are reported.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import LAYER, values_of
-from soft_throw_ros.identification.forward import EffortError
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.linear_fit import LinearFit
 from soft_throw_ros.identification.rig_model import RigModel
@@ -38,70 +36,66 @@ from soft_throw_ros.identification.rig_model import RigModel
 Floats = NDArray[np.float64]
 
 NEAR = 9.0
-"""By how much chi squared of another minimum may be larger for it to be named."""
+"""Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_APART = 4.0  # of chi squared, that another minimum is farther than chance and its slope explain
-_SCAN = np.linspace(-0.08, 0.08, 65)  # relative changes of the wave speed, to see other minima
-_PROMISING = 60.0  # chi squared above the best from which a fit is still tried
-_MOST_STARTS = 4  # of other minima, the most promising ones first, each with ...
-_EVALUATIONS = 20  # of the model
+_APART = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
+_SCAN = np.linspace(-0.08, 0.08, 65)  # relative changes of the wave speed in the scan
+_PROMISING = 60.0  # largest increase of chi squared at the start of another fit
+_MOST_STARTS = 4  # largest number of fits of other minima, the most promising ones first
+_EVALUATIONS = 20  # largest number of evaluations of the model in such a fit
 
 
 def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> Fit:
     """
-    Try what else the layer may be: take what is better, and name what is hardly worse.
+    Fit other possible layers; return the best fit with its near alternatives.
 
     Parameters
     ----------
     model : RigModel
-        Of all throws.
+        Model of all throws.
     fit : Fit
-        Of the model.
+        Fit of the model.
     others : sequence of Rig
-        That the layer may be of.
+        Rigs with other possible layers.
 
     """
-    if 'layer.wave_speed' not in model.places:
+    if 'layer.wave_speed' not in model.layout:
         return fit
     starts = _find_valleys(model, fit)
     for rig in others:
         start = fit.values.copy()
         for name, value in values_of(rig, LAYER).items():
-            if name in model.places:
-                start[model.places_of(name)] = value
+            if name in model.layout:
+                start[model.layout.indices_of(name)] = value
         starts.append(start)
     if fit.is_mismatch:
         starts.insert(0, model.without_faults(fit.values))
     found = [fit]
     for start in starts[:_MOST_STARTS]:
-        try:
-            found.append(model.fit(start, noise=fit.noise, max_evaluations=_EVALUATIONS))
-        except EffortError:
-            break
-        except FitError:
-            continue
+        if model.simulator.has_budget:
+            with contextlib.suppress(FitError):
+                found.append(model.fit(start, noise=fit.noise, max_evaluations=_EVALUATIONS))
     first, *rest = sorted(found, key=attrgetter('chi2'))
     known = [first]
     for each in rest:
         if each.chi2 - first.chi2 < NEAR and all(_is_apart(one, each) for one in known):
             known.append(each)
     alternatives = [Alternative(each.values, each.chi2 - first.chi2) for each in known[1:]]
-    if first is not fit:
-        with contextlib.suppress(EffortError):
-            first = model.fit(first.values)  # with its own noise
+    if first is not fit and model.simulator.has_budget:
+        first = model.fit(first.values)  # with its own noise
     return first.spanning(alternatives)
 
 
 def _is_apart(fit: Fit, other: Fit) -> bool:
-    """Tell another minimum from the slope of a valley, where chi squared is a parabola."""
+    """Return whether a fit is another minimum, and not on the slope of the same one."""
     way = other.values - fit.values
     parabola = float(way @ np.linalg.lstsq(fit.covariance, way, rcond=1e-14)[0])
     return parabola > _APART + 2.0 * (other.chi2 - fit.chi2)
 
 
 def _find_valleys(model: RigModel, fit: Fit) -> list[Floats]:
-    """Find wave speeds at which chi squared is lower than beside, all else being adapted."""
-    places = model.places_of('layer.wave_speed')
+    """Find local minima of chi squared over the wave speed, with all other values adapted."""
+    places = model.layout.indices_of('layer.wave_speed')
     profile, values = [], []
     try:
         system = LinearFit(model, fit, places)

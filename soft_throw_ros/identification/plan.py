@@ -12,30 +12,30 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-What to measure next: which throws would narrow the parameters of a rig most, and by how much.
+Ranking of possible next throws by the errors of a rig that would remain after them.
 
 Notes
 -----
 With the Jacobian :math:`J` of the heights that a throw would show, and white noise of
 :math:`\sigma`, the throw adds :math:`J^T J / \sigma^2` to the information about the parameters.
-What each throw has for itself, its amplitude, its start and the heights from which its tracks
-count, is eliminated. The inverse of the sum of the information of throws,
-and of what is known beforehand, is the covariance that least squares reach, the bound of Cramer
-and Rao. Wave speed, loss and engine are the same in all throws; a thickness belongs to one
+The parameters of single throws (amplitude, start and zeros of the heights) are eliminated. The
+inverse of the information of all throws and priors is the Cramer-Rao bound, which least squares
+reach. Wave speed, loss and engine are the same in all throws; a thickness belongs to one
 layer, a mass to one projectile.
 
-Throws are chosen one after the other, each such that the determinant of the covariance of what
-is sought becomes smallest (D-optimal). That takes no scales, and a throw may be chosen again. The
-error of :math:`\alpha` is that over points of one standard error along the axes of the
-covariance, so that jumps of :math:`\alpha` are not taken for slopes.
+Throws are chosen one by one. Each choice minimises the determinant of the covariance of the sought
+parameters (D-optimal), which needs no scales; a throw may be chosen again. The error of
+:math:`\alpha` is the spread over rigs drawn from the covariance, as in a fit, so that jumps of
+:math:`\alpha` do not count as slopes.
 
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,35 +43,48 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit_description import changed_rig, FitDescription, values_of
+from soft_throw_ros.identification.fit_description import (
+    changed_rig,
+    FitDescription,
+    ParameterRole,
+    PARAMETERS,
+    Treatment,
+    values_of,
+)
 from soft_throw_ros.identification.forward import first_releases, ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.rig_fit import draw_normal, RigFit
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
+from soft_throw_ros.identification.unseen import unseen_effects, UnseenEffect
 
 Floats = NDArray[np.float64]
 
 SOUGHT = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
-"""What throws are to narrow, as far as it is not known exactly."""
+"""Parameters whose errors the plan reduces, unless they are held."""
 
 _CONDITIONS = ('projectile.mass', 'layer.thickness', 'engine.amplitude')
-_WEAKLY_KNOWN = 1.0  # relative error with which all is known that is free, and ...
-_WEAK_ERRORS = {'layer.loss_tangent': 0.3, 'engine.damping_ratio': 0.3}  # ... absolute
-_LARGEST_STEP = 0.5  # of these, to see how alpha changes
-_REST = 0.25  # plate periods before the start that are seen
-_IN_FLIGHT = 0.97  # of the time until the landing that a fit looks at
-_TARGET = 0  # number of the rig that alpha is wanted of, among the throws of the model
+_WEAKLY_KNOWN = 1.0  # relative error of the weak prior of free parameters
+_WEAK_ERRORS = {'layer.loss_tangent': 0.3, 'engine.damping_ratio': 0.3}  # absolute errors instead
+_LARGEST_STEP = 0.5  # largest step of the derivatives of alpha, over these errors
+
+_DRAWS = 2000
+"""Number of drawn rigs for the error of alpha, whose own sampling error is then 1.6 %. [-]"""
+
+_REST = 0.25  # length of the record before the start [plate periods]
+_IN_FLIGHT = 0.97  # share of the time until the landing that a fit uses
+_TARGET = 0  # index of the rig for alpha among the throws of the model
 
 
 class Condition(NamedTuple):
-    """A throw that can be made."""
+    """A possible throw."""
 
     mass: float
-    """Of the projectile. [kg]"""
+    """Mass of the projectile. [kg]"""
     thickness: float
-    """Of the layer. [m]"""
+    """Thickness of the layer. [m]"""
     amplitude: float
-    """Of the plate. [m]"""
+    """Amplitude of the plate. [m]"""
 
     @classmethod
     def of(cls, rig: Rig) -> Condition:
@@ -82,25 +95,21 @@ class Condition(NamedTuple):
         """Return the values by the names of the rig."""
         return dict(zip(_CONDITIONS, self, strict=True))
 
-    def describe(self, description: FitDescription) -> dict[str, str]:
-        """Say how to treat them: alike for all that is alike, but for the amplitude."""
-        texts = {}
+    def treatments(self, description: FitDescription) -> dict[str, Treatment]:
+        """Return the treatments of a description, with the values of this throw."""
+        treatments = {}
         for name, value in self.values().items():
             treatment = description.treatment(name)
-            text = f'{value:.12g}'
-            if treatment.error is not None:
-                error = treatment.error * (1e2 if treatment.is_relative else 1.0)
-                text += f' +- {error:g}' + ' %' * treatment.is_relative
-            elif treatment.is_varied:
-                text += f' +- {1e2 * _WEAKLY_KNOWN:g} %'
+            if treatment.is_varied and treatment.role is ParameterRole.FREE:
+                treatment = Treatment(ParameterRole.PRIOR, error=_WEAKLY_KNOWN, is_relative=True)
             own = name == 'engine.amplitude' and treatment.is_varied
-            texts[name] = text + ' per throw' * own
-        return texts
+            treatments[name] = treatment._replace(value=value, is_per_throw=own)
+        return treatments
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """How throws are seen."""
+    """Sensors of the planned throws."""
 
     rate: float = 5000.0
     """Samples per second of both tracks [Hz]."""
@@ -114,48 +123,107 @@ class Sight:
             checks.require_positive(name, getattr(self, name))
 
 
+class UnseenInformation(NamedTuple):
+    """Information of throws about an unseen effect with k causes."""
+
+    effect: UnseenEffect | None
+    """None if it is not known how the release changes."""
+    gradients: Floats
+    """Derivatives of half of chi squared by the sizes of the causes, shape (k, n)."""
+    squares: Floats
+    """Gain of chi squared by a cause of size 1 if all parameters were known, shape (k,)."""
+    is_posterior: bool = False
+    """Whether the effect and the gradients have the sizes that a fit leaves open."""
+
+    def after(self, other: UnseenInformation) -> UnseenInformation:
+        """Add another throw."""
+        return self._replace(
+            gradients=self.gradients + other.gradients, squares=self.squares + other.squares
+        )
+
+    def shifts(self, covariance: Floats) -> tuple[Floats, Floats]:
+        """Return the sizes of the causes after these throws, and the shifts of the parameters."""
+        shifts = self.gradients @ covariance
+        sizes = np.ones(len(shifts))
+        if self.effect is not None and not self.is_posterior:
+            seen = np.maximum(self.squares - np.sum(shifts * self.gradients, axis=1), 0.0)
+            sizes = self.effect.sizes(seen, np.zeros(len(shifts)))
+        return sizes, sizes[:, None] * shifts
+
+
 @dataclass(frozen=True, kw_only=True)
 class Knowledge:
-    """What is known of the parameters that all throws share."""
+    """Information about the parameters that all throws share."""
 
     names: tuple[str, ...]
-    """Those of the rig; other thicknesses and masses than its own have their value in brackets."""
+    """Names of parameters; thicknesses and masses unlike the rig's have values in brackets."""
     information: Floats
-    """Inverse of the covariance, shape (n, n)."""
+    """Inverse of the covariance without unseen effects, shape (n, n)."""
+    unseen: Mapping[str, UnseenInformation] = field(default_factory=dict)
+    """Information about unseen effects, by their names."""
+
+    @classmethod
+    def of_fit(cls, found: RigFit) -> Knowledge:
+        """Return the information of earlier throws from their fit, including all priors."""
+        names = [name for name in found.fit.names if '[' not in name]
+        indices = [found.fit.names.index(name) for name in names]
+        information = np.linalg.inv(found.fit.seen_covariance[np.ix_(indices, indices)])
+        unseen = {
+            effect.name: UnseenInformation(
+                effect,
+                found.fit.unseen[effect.name][:, indices] @ information,
+                np.zeros(effect.time.size),
+                is_posterior=True,
+            )
+            for effect in found.effects
+        }
+        return cls(names=tuple(names), information=np.asarray(information), unseen=unseen)
+
+    @property
+    def seen_covariance(self) -> Floats:
+        """Covariance of the parameters without unseen effects."""
+        scale = 1.0 / np.sqrt(np.diag(self.information))
+        scaled = self.information * np.outer(scale, scale)
+        return np.linalg.inv(scaled) * np.outer(scale, scale)
 
     @property
     def covariance(self) -> Floats:
         """Covariance of the parameters."""
-        scale = 1.0 / np.sqrt(np.diag(self.information))
-        scaled = self.information * np.outer(scale, scale)
-        return np.linalg.inv(scaled) * np.outer(scale, scale)
+        seen = self.seen_covariance
+        shifts = [each.shifts(seen)[1] for each in self.unseen.values()]
+        return np.asarray(seen + sum(each.T @ each for each in shifts))
 
     def errors(self) -> dict[str, float]:
         """Return standard errors by names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-    def after(self, information: Floats) -> Knowledge:
-        """Add what a throw tells."""
-        return Knowledge(names=self.names, information=self.information + information)
+    def after(
+        self, information: Floats, unseen: Mapping[str, UnseenInformation] | None = None
+    ) -> Knowledge:
+        """Add the information of a throw."""
+        effects = dict(self.unseen)
+        for name, added in (unseen or {}).items():
+            effects[name] = effects[name].after(added) if name in effects else added
+        return replace(self, information=self.information + information, unseen=effects)
 
     @property
     def volume(self) -> float:
-        """Logarithm of the determinant of the covariance of what is sought."""
+        """Logarithm of the determinant of the covariance of the sought parameters."""
         places = [k for k, name in enumerate(self.names) if name.partition('[')[0] in SOUGHT]
         return float(np.linalg.slogdet(self.covariance[np.ix_(places, places)])[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedThrow:
-    """A throw, and what would be known after it."""
+    """A throw, and the errors after it."""
 
     condition: Condition
     errors: Mapping[str, float]
-    """Standard errors of what all throws share, by the names of the rig."""
+    """Standard errors of the shared parameters, by the names of the rig."""
     energy_transfer_error: float
-    """Standard error of alpha of the rig that the plan is for, over alpha [-]."""
+    """Relative standard error of alpha of the planned rig [-]."""
     peak_strain: float
-    """Of the layer in this throw [-]."""
+    """Largest strain of the layer in this throw [-]."""
     leaves_linear_range: bool
     """Whether that is more than the linear model takes."""
 
@@ -163,21 +231,19 @@ class PlannedThrow:
 @dataclass(frozen=True)
 class Planner:
     """
-    Judges throws by what they would tell.
+    Rank throws by the errors that would remain after them.
 
     Parameters
     ----------
     rig : Rig
-        As it is thought to be; its layer and projectile are those that alpha is wanted of.
+        The assumed rig; alpha refers to its layer and projectile.
     conditions : sequence of Condition
-        Throws that can be made.
+        Possible throws.
     sight : Sight
     description : FitDescription
-        What will be fitted, and with what error the rest is known. The loss is sought unless it
-        is held.
+        Free parameters and priors of the fit. The loss is sought unless it is held.
     measured : Knowledge, optional
-        What earlier throws have told, in the names of the rig; it has what was known before them
-        in it.
+        Information from earlier throws, in the names of the rig, including all priors.
 
     Raises
     ------
@@ -195,31 +261,24 @@ class Planner:
     def __post_init__(self) -> None:
         if not self.conditions:
             raise FitError('there is no throw to choose from')
-        if not any(self._described.treatment(name).is_varied for name in SOUGHT):
+        if not any(self.description.treatment(name).is_varied for name in SOUGHT):
             raise FitError(f'nothing is sought: one of {", ".join(SOUGHT)} must be free')
 
     @cached_property
-    def _described(self) -> FitDescription:
-        return seeking_loss(self.description)
-
-    @cached_property
     def _model(self) -> RigModel:
-        """Take the rig, and then all throws that can be made, as if they were measured."""
-        description, throws = self._described, []
+        """Return a model of the rig and of all possible throws, as if they were measured."""
+        description, throws = replace(self.description, throws={}), []
         found = {}
         simulator = ThrowSimulator(throws=len(self.conditions) + 1)
         for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
-            for name, text in condition.describe(self._described).items():
-                try:
-                    description = description.set_condition(str(number), name, text)
-                except ValueError as error:
-                    raise FitError(str(error)) from None
+            for name, treatment in condition.treatments(self.description).items():
+                description = description.set_condition(str(number), name, treatment)
             throws.append(self._tracks(str(number), condition, simulator))
             found[number] = condition.values()
         return RigModel(tuple(throws), self.rig, description, simulator, found)
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
-        """Make tracks that are seen when those of a throw would be."""
+        """Return empty tracks at the times at which a throw would be seen."""
         try:
             rig = changed_rig(self.rig, condition.values())
         except ValueError as error:
@@ -242,9 +301,9 @@ class Planner:
 
     @cached_property
     def _shared(self) -> dict[str, int]:
-        """Names of what throws share, and places among the values."""
+        """Names of shared parameters, and their indices among the values."""
         shared = {}
-        for place, ((name, key), throws) in enumerate(self._model.groups.items()):
+        for place, ((name, key), throws) in enumerate(self._model.layout.groups.items()):
             if not isinstance(key, int):
                 is_own = key is None or _TARGET in throws
                 shared[name if is_own else f'{name}[{self._values[place]:.9g}]'] = place
@@ -256,91 +315,131 @@ class Planner:
         return tuple(self._shared)
 
     @cached_property
+    def effects(self) -> list[UnseenEffect]:
+        """Effects that no throw shows."""
+        return unseen_effects(self._model, self._values)[0]
+
+    @property
     def information(self) -> tuple[Floats, ...]:
-        """Return what each condition tells of them."""
+        """Return the information of each condition about the shared parameters."""
+        return tuple(information for information, _ in self._added)
+
+    @cached_property
+    def _added(self) -> tuple[tuple[Floats, dict[str, UnseenInformation]], ...]:
+        """Information of each condition about shared parameters and unseen effects."""
         jacobian = self._model.jacobian(self._values) / self.sight.noise
         shared = list(self._shared.values())
-        told = []
+        added = []
         for number in range(1, len(self.conditions) + 1):
             own = [
                 place
-                for place, ((_, key), throws) in enumerate(self._model.groups.items())
+                for place, ((_, key), throws) in enumerate(self._model.layout.groups.items())
                 if isinstance(key, int) and number in throws
             ]
             known = np.array([1.0 / self._model.known[p].error if p in self._model.known else 0.0
                               for p in own])
-            seen = jacobian[self._model.rows == number]
+            rows = self._model.rows == number
+            seen = jacobian[rows]
             of_shared = np.concatenate([seen[:, shared], np.zeros((len(own), len(shared)))])
             basis, _ = np.linalg.qr(np.concatenate([seen[:, own], np.diag(known)]))
-            left = of_shared - basis @ (basis.T @ of_shared)
-            told.append(left.T @ left)
-        return tuple(told)
+            residual = of_shared - basis @ (basis.T @ of_shared)
+            unseen = {}
+            for effect in self.effects:
+                columns = np.zeros((len(effect.heights), len(basis)))
+                columns[:, : rows.sum()] = effect.heights[:, rows] / self.sight.noise
+                columns -= columns @ basis @ basis.T
+                unseen[effect.name] = UnseenInformation(
+                    effect, columns @ residual, np.sum(columns**2, axis=1)
+                )
+            added.append((residual.T @ residual, unseen))
+        return tuple(added)
 
     def start(self) -> Knowledge:
-        """Say what is known before."""
+        """Return the information before the next throw."""
         measured = self.measured.names if self.measured else ()
-        errors = [
-            self._model.known[place].error
-            if place in self._model.known and name not in measured
-            else self._weak_error(name)
+        errors = [  # the measured information includes the priors
+            math.inf if name in measured else self._prior_error(name, place)
             for name, place in self._shared.items()
         ]
-        information = np.diag(np.array(errors) ** -2.0)
+        information, unseen = np.diag(np.array(errors) ** -2.0), {}
         if self.measured:
             kept = [number for number, name in enumerate(measured) if name in self._shared]
             here = [self.names.index(measured[number]) for number in kept]
-            covariance = self.measured.covariance[np.ix_(kept, kept)]
+            covariance = self.measured.seen_covariance[np.ix_(kept, kept)]
             information[np.ix_(here, here)] += np.linalg.inv(covariance)
-        return Knowledge(names=self.names, information=information)
+            for effect, before in self.measured.unseen.items():
+                shifts = before.shifts(self.measured.seen_covariance)[1][:, kept]
+                gradients = np.zeros((len(shifts), len(self.names)))
+                gradients[:, here] = shifts @ np.linalg.inv(covariance)
+                unseen[f'{effect}, measured'] = UnseenInformation(
+                    before.effect, gradients, np.zeros(len(shifts)), is_posterior=True
+                )
+        return Knowledge(names=self.names, information=information, unseen=unseen)
 
     def judge(self, known: Knowledge) -> list[PlannedThrow]:
-        """Say of each throw that can be made next what it would tell, the best one first."""
+        """Rank the throws that can be made next, the best one first."""
         return [self._planned(number, after) for number, after in self._ranked(known)]
 
     def choose(self, known: Knowledge) -> Iterator[PlannedThrow]:
-        """Choose throws one after the other, without end."""
+        """Yield the best throws one after the other, without end."""
         while True:
             (best, known), *_ = self._ranked(known)
             yield self._planned(best, known)
 
     def _ranked(self, known: Knowledge) -> list[tuple[int, Knowledge]]:
-        """Add what each throw tells, the best one first."""
-        after = [(number, known.after(each)) for number, each in enumerate(self.information)]
+        """Add the information of each throw, the best one first."""
+        after = [
+            # With a fit, the unseen effects are those of its throws, which more throws reduce
+            (number, known.after(information, None if self.measured else unseen))
+            for number, (information, unseen) in enumerate(self._added)
+        ]
         return sorted(after, key=lambda each: each[1].volume)
 
     def energy_transfer(self, known: Knowledge) -> tuple[float, float]:
-        """Return alpha of the rig, and its standard error over alpha."""
-        places = list(self._shared.values())
-        # Where little is known yet, steps of an error would leave what rigs can be
-        largest = np.array([self._weak_error(name) for name in self.names])
-        powers, axes = np.linalg.eigh(known.covariance / np.outer(largest, largest))
-        rigs = [self._model.rig_of(self._values, _TARGET)]
-        for step in (np.sqrt(np.maximum(powers, 0.0)) * axes).T:
-            for sign in (1.0, -1.0):
-                changed = self._values.copy()
-                changed[places] += sign * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP) * largest
-                # Neither loss nor damping becomes negative
-                signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
-                changed[signed] = np.maximum(changed[signed], 0.0)
-                rigs.append(self._model.rig_of(changed, _TARGET))
-        alpha = first_releases(rigs).energy_transfer
+        """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
+        indices = list(self._shared.values())
+        random = np.random.default_rng(0)
+        seen = known.seen_covariance
+        steps = draw_normal(random, seen, _DRAWS)
+        slower = np.zeros(1 + _DRAWS)
+        for unseen in known.unseen.values():
+            sizes, shifts = unseen.shifts(seen)
+            if unseen.effect is None:
+                steps -= random.normal(size=(_DRAWS, len(shifts))) @ shifts
+            else:
+                causes, changes = unseen.effect.draw(random, sizes, _DRAWS)
+                steps -= causes @ shifts
+                slower[1:] += changes[:, 1]
+        # Where little is known yet, steps of an error would leave the range of real rigs
+        sizes = np.array([self._size(name) for name in self.names])
+        limits = np.where(sizes > 0.0, _LARGEST_STEP * sizes, np.inf)
+        values = np.tile(self._values, (1 + _DRAWS, 1))
+        values[1:, indices] += np.clip(steps, -limits, limits)
+        # Neither loss nor damping becomes negative
+        signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
+        values[:, signed] = np.maximum(values[:, signed], 0.0)
+        found = first_releases([self._model.rig_of(each, _TARGET) for each in values])
+        alpha = ((found.speed + slower) / found.peak_plate_speed) ** 2
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
-        change = np.abs(np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)).reshape(-1, 2)
-        return float(alpha[0]), float(np.sqrt(np.sum(change.max(axis=1) ** 2)))
+        change = np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)
+        return float(alpha[0]), float(np.std(change))
 
-    def _weak_error(self, name: str) -> float:
-        """Return an error that says next to nothing, of the size of what a parameter may be."""
-        place = self._shared[name]
-        value = _WEAKLY_KNOWN * abs(float(self._values[place]))
-        known = self._model.known.get(place)
-        return _WEAK_ERRORS.get(name, value or (known.error if known else 1.0))
+    def _size(self, name: str) -> float:
+        """Return the size that a parameter of a real rig has, 0 if it may well be 0."""
+        is_of_rig = name.partition('[')[0] in PARAMETERS
+        return _WEAK_ERRORS.get(name, is_of_rig * abs(float(self._values[self._shared[name]])))
+
+    def _prior_error(self, name: str, index: int) -> float:
+        """Return the error of the prior of a parameter, or one so large that it is no prior."""
+        known = self._model.known.get(index)
+        return known.error if known else _WEAKLY_KNOWN * self._size(name) or 1.0
 
     def _planned(self, number: int, known: Knowledge) -> PlannedThrow:
-        """Say what is known after a throw."""
+        """Return the errors after a throw."""
         condition = self.conditions[number]
         rig = changed_rig(self.rig, condition.values())
-        model = 'finite_difference' if rig.layer.needs_cells else 'travelling_wave'
+        model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
         throw = simulate(rig, model=model, until=self.sight.duration)
         return PlannedThrow(
             condition=condition,
@@ -349,9 +448,3 @@ class Planner:
             peak_strain=throw.peak_strain,
             leaves_linear_range=throw.leaves_linear_range,
         )
-
-
-def seeking_loss(description: FitDescription) -> FitDescription:
-    """Have the loss sought unless it is held."""
-    loss = 'layer.loss_tangent'
-    return description.see(loss) if loss in description.if_seen else description

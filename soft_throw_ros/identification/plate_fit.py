@@ -19,8 +19,8 @@ Notes
 The model is Eq. (D2) from a start :math:`t_0` on, above a height :math:`z_0` at rest. For given
 frequency and damping the amplitude and :math:`z_0` enter linearly, and a shift in time is a
 correlation. So the sum of squares is computed for a table of frequencies and dampings and, by
-FFT, for every sample as the start; the best of these are refined by least squares. No guess is
-needed from anybody.
+FFT, for every sample as the start; least squares refine the best entries. So the fit needs no
+initial guess.
 
 """
 
@@ -49,25 +49,25 @@ NAMES = ('frequency', 'damping_ratio', 'amplitude', 'start_time', 'offset')
 MAX_DAMPING_RATIO = 0.99
 """Largest damping ratio."""
 
-_DAMPING_RATIOS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # of the table
-_MAX_SAMPLES = 4096  # for which the table is made
-_SAMPLES_PER_PERIOD = 5.0  # at least, of the highest frequency
-_PERIODS_SEEN = 0.25  # at least, of the lowest one
-_MAX_MISMATCH = 0.08  # of the amplitude that may be left
-_BLOCK = 2**18  # numbers at once
-_REFINED = 3  # of the table's best
-_STEP = 1e-5  # for derivatives, over what the values are of
+_DAMPING_RATIOS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # damping ratios of the table
+_MAX_SAMPLES = 4096  # largest number of samples in the computation of the table
+_SAMPLES_PER_PERIOD = 5.0  # samples per period of the highest frequency of the table
+_PERIODS_SEEN = 0.25  # periods of the lowest frequency of the table in the record
+_MAX_MISMATCH = 0.08  # largest residual of a plate, over the amplitude (rms)
+_BLOCK = 2**18  # numbers per block of the table, to limit memory
+_REFINED = 3  # number of refined entries of the table
+_STEP = 1e-5  # step of derivatives, relative to the scale of each value
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlateFit:
     """
-    How the plate moves, from its track.
+    Motion of the plate, fitted to its track.
 
     Parameters
     ----------
     fit : Fit
-        Of `NAMES`, or of all but the last.
+        Fit of the parameters `NAMES`, or of all but the last.
     offset : float
         Height of the plate at rest. [m]
 
@@ -78,13 +78,13 @@ class PlateFit:
 
     @property
     def motion(self) -> Underdamped:
-        """Return the motion, from its start on."""
+        """The motion from its start on."""
         frequency, damping_ratio, amplitude = (float(value) for value in self.fit.values[:3])
         return Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
 
     @property
     def start_time(self) -> float:
-        """When it begins, on the clock of the track [s]."""
+        """Start of the motion, on the clock of the track [s]."""
         return self.fit['start_time'].value
 
     @property
@@ -109,15 +109,15 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     Parameters
     ----------
     track : Track
-        Of a plate that rests, jumps up once, and settles. It need not be seen to the end, but
-        its rise must be.
+        Track of a plate that rests, jumps up once, and settles. The track must contain the rise,
+        and may end before the plate settles.
     offset : float, optional
         Height of the plate at rest; fitted if not given. [m]
 
     Raises
     ------
     FitError
-        If the track does not look like such a motion, saying what it looks like.
+        If the track does not look like such a motion; the message describes the difference.
 
     """
     free = len(NAMES) if offset is None else len(NAMES) - 1
@@ -148,7 +148,7 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
 
 
 def _motion(values: Floats) -> Underdamped:
-    """Make the motion; while it is searched for the amplitude may touch 0."""
+    """Return the motion; during the search the amplitude may touch 0."""
     return Underdamped(
         frequency=float(values[0]),
         damping_ratio=float(values[1]),
@@ -162,7 +162,7 @@ def _position(values: Floats, time: Floats) -> Floats:
 
 
 def _starts(track: Track) -> list[Floats]:
-    """Find where to start from."""
+    """Return initial values from the table of frequencies and dampings."""
     count = min(_MAX_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
     time = np.linspace(track.time[0], track.time[-1], count)
     height = np.interp(time, track.time, track.position)
@@ -179,7 +179,7 @@ def _starts(track: Track) -> list[Floats]:
 
 
 def _frequencies(time: Floats, damping: float) -> Floats:
-    """Choose frequencies as dense as an oscillation of that damping and so long a track need."""
+    """Return frequencies as dense as the damping and the length of the track require."""
     duration = float(time[-1] - time[0])
     lowest = _PERIODS_SEEN / duration
     highest = 1.0 / (_SAMPLES_PER_PERIOD * (time[1] - time[0]))
@@ -192,13 +192,13 @@ def _frequencies(time: Floats, damping: float) -> Floats:
 def _best_of(
     frequencies: Floats, damping: float, time: Floats, height: Floats
 ) -> tuple[float, Floats]:
-    """Find by how much the sum of squares falls at best for one damping, and values of `NAMES`."""
+    """Return the largest decrease of the sum of squares for one damping, and its `NAMES`."""
     count = time.size
     size = 2 ** math.ceil(math.log2(2 * count))
     mean = float(height.mean())
     transform = np.fft.rfft(height - mean, size)
     best: tuple[float, Floats] = (-1.0, np.zeros(len(NAMES)))
-    latest = count - 4  # what begins later is seen too little of
+    latest = count - 4  # a later start leaves too few samples
     since = time - time[0]
     unit = Underdamped(frequency=1.0, damping_ratio=damping, amplitude=1.0)
     for some in np.array_split(frequencies, -(-frequencies.size * size // _BLOCK)):

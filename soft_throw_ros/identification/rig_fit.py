@@ -12,22 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-A whole rig from recorded throws: plate, layer, and when each throw began, all at once.
+A whole rig from recorded throws: plate, layer, and the start of each throw.
 
 Notes
 -----
 Both tracks of all throws are compared with one model: Eq. (D2) for the plate, and for the
-projectile what the twin steps through in real time: travelling waves, or cells if there is
-internal loss. Positions go on smoothly where ejection times jump, because a projectile that has
-only just left is caught up at once. So while it is fitted nothing is said of ejections, and their
-jumps do no harm.
+projectile the model of the twin: travelling waves, or cells in a layer with internal loss.
+Positions are continuous where ejection times jump, because the layer catches up at once with a
+projectile that has only just left. The fit therefore uses positions only, and jumps of the
+ejection time do no harm.
 
-What of the layer can be seen are three times: :math:`t_s = L_s / c_s`, :math:`\tau = m / (\rho_s S
-c_s)`, and that of the loss. Mass, density and section enter by :math:`\tau` alone, so they have
-to be known, and what they are not known to is in the error of the wave speed. Wave speed and
-thickness are then seen apart if waves are. A thin, light layer is a spring and shows no more than
-:math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `least_squares.Fit.warnings` says when that
-is so.
+The tracks constrain three time scales of the layer: :math:`t_s = L_s / c_s`, :math:`\tau = m /
+(\rho_s S c_s)`, and that of the loss. Mass, density and section enter by :math:`\tau` alone, so
+they must be known, and their errors are part of the error of the wave speed. Wave speed and
+thickness are separate only if the tracks show waves. A thin, light layer is a spring and shows no
+more than :math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `least_squares.Fit.warnings`
+reports parameters that are not separate.
 
 """
 
@@ -46,12 +46,12 @@ from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
+    FIXED,
     LAYER,
     PARAMETERS,
     values_of,
 )
 from soft_throw_ros.identification.forward import (
-    EffortError,
     first_releases,
     FirstReleases,
     ThrowSimulator,
@@ -63,100 +63,116 @@ from soft_throw_ros.identification.minima import find_best_minimum
 from soft_throw_ros.identification.model_choice import (
     add_terms,
     compare_layers,
-    criterion,
-    describe_layers,
-    is_best_term,
     LayerModel,
-    likely_modes,
 )
+from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import estimate_peak_velocity, fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import (
-    cut_after,
-    PLATE_MODE,
-    ReleaseShift,
-    RigModel,
-    shift_of_release,
-    START,
-    STICKING,
-)
-from soft_throw_ros.identification.sticking import let_stick
+from soft_throw_ros.identification.rig_model import cut_after, RigModel
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
+from soft_throw_ros.identification.unseen import (
+    add_unseen,
+    release_shift,
+    ReleaseShift,
+    UnseenEffect,
+)
 
 Floats = NDArray[np.float64]
 
-_LEAST_NOISE = 0.1  # of the largest, and ...
-_MODEL_ERROR = 5e-6  # of the way a projectile goes, which models leave out
-_IN_FLIGHT = 0.97  # of the time until the landing is looked at
-_SEEN = 3.0  # errors, from which on a layer is said to stick
-_LANDING_ROUNDS = 4  # of finding out when that is
+_LEAST_NOISE = 0.1  # smallest noise of a track, over the largest noise of all tracks
+_MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
+_IN_FLIGHT = 0.97  # share of the time until the landing that the fit uses
+_SLOPE_STEP = 0.05  # step of the derivatives of the ejection time [standard errors]
+_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFit:
-    """A rig that was fitted to throws."""
+    """A rig fitted to throws."""
 
     fit: Fit
     """
-    Of what was varied, and for each throw of its `start_time`, and of `plate_offset` and
-    `projectile_offset`, the heights at rest, as far as they were free. What only some of several
-    throws have in common has the number of the first of them in brackets, from 1.
+    Fit of all varied parameters. Each throw adds its `start_time` and, unless fixed, the heights
+    at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
+    share ends with the number of its first throw in brackets, from 1.
     """
     rig: Rig
     """
-    With the values that were found, their mean where each throw has its own, and the wave speed
-    that the layer has when it is squeezed as much as in these throws.
+    Rig with the fitted values, the mean of values per throw, and the wave speed of the layer at
+    the strain of these throws.
     """
     throws: tuple[ThrowTracks, ...]
-    """What they were found from: without what comes after a landing, and without outliers."""
+    """Fitted tracks, without samples after a landing and without outliers."""
     remarks: tuple[str, ...]
-    """What had to be assumed to explain these throws, each in a sentence."""
+    """Sentences about the terms that the fit has added."""
     layers: tuple[LayerModel, ...]
-    """How well several kinds of layers explain them."""
+    """Fitted kinds of layers, the best first."""
     intervals: Mapping[str, tuple[float, float]]
-    """Intervals of 95 % of parameters for which errors are no good, see `profile_intervals`."""
+    """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
     _model: RigModel
+    effects: tuple[UnseenEffect, ...] = ()
+    """Unseen effects, of the sizes that the fit leaves open."""
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return what was varied of the rig, with the mean of what each throw has for itself."""
-        return {name: self.estimate(name) for name in PARAMETERS if name in self._model.places}
+        """Return the fitted parameters of the rig, with the mean of values per throw."""
+        return {name: self.estimate(name) for name in PARAMETERS if name in self._model.layout}
 
     def terms(self) -> dict[str, Estimate]:
-        """Return what else was varied, but for starts and heights at rest."""
-        shared = {name for name, key in self._model.groups if key is None}
+        """Return the other shared parameters, without starts and heights at rest."""
+        shared = {name for name, key in self._model.layout.groups if key is None}
         return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
 
     def estimate(self, name: str) -> Estimate:
         """
-        Return what was found of a parameter of the rig, the mean if each throw has its own.
+        Return a fitted parameter of the rig, the mean if each throw has its own.
 
         The wave speed is that of the squeezed layer, for a linear model, and its error that with
         which it is the one of a layer at rest.
         """
-        places = self._model.places_of(name)
-        if not self._model.is_per_throw(name):
+        places = self._model.layout.indices_of(name)
+        if not self._model.layout.is_per_throw(name):
             places = places[:1]
         variance = float(self.fit.covariance[np.ix_(places, places)].mean())
         return Estimate(values_of(self.rig, [name])[name], math.sqrt(variance))
 
+    def rest_wave_speed(self) -> Estimate:
+        """Return the wave speed of the layer at rest [m/s]."""
+        weights = self._wave_speed_weights()
+        return Estimate(float(weights @ self.fit.values), self._error_of(weights))
+
+    def effective_wave_speed(self) -> Estimate:
+        """Return the wave speed of the layer at the amplitude of the throws [m/s]."""
+        weights = self._wave_speed_weights()
+        stiffening = self._model.layout.indices.get('layer.stiffening', {}).get(0)
+        if stiffening is not None:
+            engine = self.rig.engine
+            weights[stiffening] = 2.0 * math.pi * engine.frequency * engine.amplitude
+        return Estimate(self.rig.layer.wave_speed, self._error_of(weights))
+
+    def _wave_speed_weights(self) -> Floats:
+        """Return the weights of the fitted values in the wave speed at rest."""
+        layout = self._model.layout
+        indices = layout.indices_of('layer.wave_speed')
+        if not layout.is_per_throw('layer.wave_speed'):
+            indices = indices[:1]
+        weights = np.zeros_like(self.fit.values)
+        weights[indices] = 1.0 / len(indices)
+        return weights
+
+    def _error_of(self, weights: Floats) -> float:
+        """Return the standard error of a weighted sum of the fitted values."""
+        return math.sqrt(float(weights @ self.fit.covariance @ weights))
+
     def held_values(self) -> dict[str, float]:
-        """Return what was taken to be known exactly of the rig."""
-        return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.places])
+        """Return the parameters of the rig that were held."""
+        return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.layout])
 
     def warnings(self) -> list[str]:
-        """Say what there is to doubt, each in a sentence."""
-        sticking = self.terms().get(STICKING)
-        if sticking is None or sticking.value < _SEEN * sticking.error:
-            return self.fit.warnings()
-        warning = (
-            f'the layer seems to hold the projectile for {1e3 * sticking.value:.2g} ms when it '
-            'would leave; one whose stiffness changes does much alike, from which it leaves so '
-            f'much earlier (as with --hold {STICKING})'
-        )
-        return [*self.fit.warnings(), warning]
+        """Return warnings about the fit, each a sentence."""
+        return self.fit.warnings()
 
     def start_time(self, throw: int) -> Estimate:
-        """When a throw began, on the clock of its tracks; they count from 0 [s]."""
-        return self.fit[self.fit.names[self._model.places[START][throw]]]
+        """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
+        return self.fit[self.fit.names[self._model.layout.indices[START][throw]]]
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
@@ -164,23 +180,15 @@ class RigFit:
         plate, projectile = self._model.paths(self.fit.values, places)
         return plate.height, projectile.height
 
-    def without_drift(self, throw: int) -> ThrowTracks:
-        """Take the drift that was found off the projectile of a throw."""
-        tracks = self.throws[throw]
-        if tracks.projectile is None:
-            return tracks
-        time = tracks.projectile.time
-        drift = self._model.drift(self.fit.values, throw, 'projectile', time)
-        return replace(
-            tracks,
-            projectile=replace(tracks.projectile, position=tracks.projectile.position - drift),
-        )
-
     def peak_plate_speed(self, throw: int) -> Estimate:
-        """Find the largest speed of the step of a throw, :math:`V_p^*` (D4) [m/s]."""
+        """Return the peak velocity of the step of a throw, :math:`V_p^*` (D4) [m/s]."""
         motion = Underdamped.of(self._model.rig_of(self.fit.values, throw).engine)
-        places = {k: self._model.places.get(name, {}).get(throw) for k, name in enumerate(ENGINE)}
-        varied = {k: place for k, place in places.items() if place is not None}
+        layout = self._model.layout
+        varied = {
+            row: layout.indices[name][throw]
+            for row, name in enumerate(ENGINE)
+            if throw in layout.indices.get(name, ())
+        }
         covariance = np.zeros((len(ENGINE), len(ENGINE)))
         of_fit = self.fit.covariance[np.ix_([*varied.values()], [*varied.values()])]
         covariance[np.ix_([*varied], [*varied])] = of_fit
@@ -188,44 +196,87 @@ class RigFit:
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
         """
-        Find how projectiles leave: that of the rig, and of others that may be as well.
+        Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first is of the rig that was fitted. Waves of the plate and a layer that sticks change
-        when and how fast they leave.
+        The first release is that of the fitted rig. Waves of the plate and unseen effects change
+        time and speed of each release.
         """
         rng = np.random.default_rng(seed)
-        powers, axes = np.linalg.eigh(self.fit.correlation)
-        steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
-        rigs, stuck, drawn = [], [], []
-        for step in (np.zeros(powers.size), *(steps @ axes.T)):
-            values = self.fit.values + self.fit.errors * step
+        fit = self.fit
+        steps = draw_normal(rng, fit.seen_covariance, count)
+        shift, slopes = self._shift_of_release()
+        shifts = np.tile(shift, (1 + count, 1))
+        for effect in self.effects:
+            causes, changes = effect.draw(rng, np.ones(effect.time.size), count)
+            steps -= causes @ fit.unseen[effect.name]
+            shifts[1:] += changes
+        shifts[1:] += steps @ slopes
+        rigs, kept = [], []
+        for row, values in enumerate(fit.values + np.vstack([np.zeros(fit.values.size), steps])):
             with contextlib.suppress(ValueError):
                 rigs.append(self._model.rig_of(values))
-                stuck.append(self._model.value(values, STICKING, 0))
-                drawn.append(step)
+                kept.append(row)
         found = first_releases(rigs)
-        shift, slopes = self._shift_of_release()
-        shifted = np.array(drawn) @ slopes
-        # A time below 0 stands for as much less of what a layer that sticks does
-        slowed = 0.5 * shift.jerk * np.array(stuck) * np.abs(stuck)
-        speed = found.speed + shift.speed + shifted[:, 1] + slowed
+        speed = found.speed + shifts[kept, 1]
         return found._replace(
-            time=found.time + shift.time + shifted[:, 0] + stuck,
+            time=found.time + shifts[kept, 0],
             speed=speed,
             energy_transfer=(speed / found.peak_plate_speed) ** 2,
         )
 
+    def release_time_budget(self) -> dict[str, float]:
+        """
+        Return the contributions to the error of the ejection time [s], to first order.
+
+        `tracks` is the contribution of the noise and of the priors, the others are unseen effects.
+        """
+        fit = self.fit
+        slopes = self._shift_of_release()[1][:, 0] + self._time_slopes()
+        parts = {'tracks': math.sqrt(max(float(slopes @ fit.seen_covariance @ slopes), 0.0))}
+        for effect in self.effects:
+            shift = -fit.unseen[effect.name] @ slopes
+            total = shift + effect.time if effect.is_linear else np.hypot(shift, effect.time)
+            parts[effect.name] = float(np.linalg.norm(total))
+        return parts
+
+    def _time_slopes(self) -> Floats:
+        """Return the derivatives of the ejection time by the fitted values; 0 across a jump."""
+        values, steps = self.fit.values, _SLOPE_STEP * np.maximum(self.fit.errors, 1e-300)
+        offsets = np.concatenate([np.zeros((1, steps.size)), np.diag(steps), -np.diag(steps)])
+        rigs, widths = [], []
+        for offset in offsets:
+            try:
+                rigs.append(self._model.rig_of(values + offset))
+                widths.append(float(np.abs(offset).sum()))
+            except ValueError:  # the value is at its bound
+                rigs.append(rigs[0])
+                widths.append(0.0)
+        found = first_releases(rigs)
+        times = np.where(found.echoes == found.echoes[0], found.time, np.nan)
+        above, below = times[1:].reshape(2, -1)
+        width = np.array(widths[1:]).reshape(2, -1).sum(axis=0)
+        slopes = np.divide(above - below, width, out=np.zeros_like(width), where=width > 0.0)
+        return np.asarray(np.nan_to_num(slopes))
+
     def _shift_of_release(self) -> tuple[ReleaseShift, Floats]:
-        """Return what waves of the plate do to the release, and time and speed per error."""
+        """Return the effect of waves of the plate on the release, and its derivatives."""
         fit, model = self.fit, self._model
-        shift = shift_of_release(model, fit.values, 0)
+        shift = release_shift(model, fit.values, 0)
         slopes = np.zeros((fit.values.size, 2))
-        for place in model.wave_places(0):
+        for place in model.layout.waves_of(0):
             values = fit.values.copy()
             values[place] += fit.errors[place]
-            there = shift_of_release(model, values, 0)
-            slopes[place] = there.time - shift.time, there.speed - shift.speed
+            there = release_shift(model, values, 0)
+            slopes[place] = np.subtract(there, shift) / fit.errors[place]
         return shift, slopes
+
+
+def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
+    """Draw rows from a normal distribution around 0; the values may have different units."""
+    scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    powers, axes = np.linalg.eigh(covariance / np.outer(scales, scales))
+    steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
+    return np.asarray(scales * (steps @ axes.T))
 
 
 def fit_rig(
@@ -241,30 +292,28 @@ def fit_rig(
     Parameters
     ----------
     throws : sequence of ThrowTracks
-        At least one has a projectile if anything of the layer is free.
+        Tracks. If a parameter of the layer is free, at least one throw has a projectile.
     rig : Rig
-        What is known. What is free is looked for everywhere, but for the thickness, which should
-        be right to a third.
+        The rig as it is known. Free parameters need no guess, apart from the thickness, which
+        should be right to a third.
     description : FitDescription, optional
-        What is fitted, held, or known with an error; what is usual by default.
+        Treatments of the parameters; `DEFAULTS` by default.
     tell : callable
-        Is told what is being done, in a few words.
+        Called with the name of each step.
 
     Raises
     ------
     FitError
-        If the tracks do not give it, saying why.
+        If the tracks do not determine the parameters, with the reason.
 
     """
     if not throws:
         raise FitError('there is no throw to fit to')
     description = description or FitDescription()
+    description.check_throws([throw.name for throw in throws])
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
-    sticks = description.treatment(STICKING).is_varied
-    if sticks:  # a loss looks much alike: first it is seen whether either is needed
-        description = description.change({STICKING: f'{description.text(STICKING)} if seen'})
     throws = _with_like_noise(throws)
     plates = [_fit_plate(throw, description) for throw in throws]
     rig = _with_engine_of(plates, description.prepare(rig), description)
@@ -278,16 +327,13 @@ def fit_rig(
         model, others = _find_layers(model, plates, of_plates, free)
     tell('fitting')
     model, fit = _fit_until_landing(model, plates, of_plates)
-    simulator.bound()
     tell('looking for other minima')
     fit = find_best_minimum(model, fit, others)
-    tell('looking for what a bench may add, and comparing layers')
+    tell('looking for effects of the bench, and comparing layers')
     model, fit, layers, more = _choose_layer(model, plates, fit)
-    simulator.unbind()  # what is left does not take long
-    if sticks and model.projectiles:
-        model, fit = let_stick(model, plates, fit)
     intervals = profile_intervals(model, fit)
-    remarks += [*more, *([describe_layers(layers, fit)] if layers else [])]
+    fit, effects, skipped = add_unseen(model, fit)
+    remarks += more + skipped
     tracks: list[dict[str, Track]] = [{} for _ in throws]
     for (number, body, _), residual in zip(model.channels, fit.residuals, strict=True):
         tracks[number][body] = residual.track
@@ -300,56 +346,39 @@ def fit_rig(
         layers=tuple(layers),
         intervals=intervals,
         _model=model,
+        effects=tuple(effects),
     )
 
 
 def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, Fit, list[str]]:
-    """Fit the plates alone, and find what they do beside a step, which no layer changes."""
+    """Fit the plates alone, with their ringing, which no layer changes."""
     alone = replace(model, throws=tuple(replace(throw, projectile=None) for throw in model.throws))
     alone, fit, remarks = add_terms(alone, plates, alone.fit(alone.start(plates)))
-    # What their own tracks do not show may later explain no projectile; but for a mode, which may
-    # be too small to be seen until a layer amplifies it
-    plates_own = [name for name in alone.description.if_seen if name.startswith('plate')]
-    unseen = [name for name in plates_own if name != PLATE_MODE]
-    description = alone.description.change(dict.fromkeys(unseen, 'held'))
-    modes = likely_modes(alone, fit) if PLATE_MODE in alone.description.if_seen else ()
-    model = replace(model, description=description, mode=alone.mode, likely_modes=modes)
-    return model, fit, remarks
+    # Waves that the tracks of the plates do not show must not explain a projectile later
+    waves = [name for name in alone.description.if_seen if name.startswith('plate')]
+    description = alone.description.change(dict.fromkeys(waves, FIXED))
+    return replace(model, description=description), fit, remarks
 
 
 def _choose_layer(
     model: RigModel, plates: Sequence[PlateFit], fit: Fit
 ) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
-    """Add what the tracks show to be needed, and take the kind of layer that explains them."""
-    is_mode = is_best_term(PLATE_MODE, model, plates, fit)
-    best = _choose_kind(model, plates, fit)
-    if is_mode:  # what that explains, a layer of another kind may explain better
-        model.simulator.allow_more()
-        other = _choose_kind(model, plates, fit, but=PLATE_MODE)
-        best = min(best, other, key=lambda option: criterion(option[1]))
-    return best
-
-
-def _choose_kind(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit, *, but: str = ''
-) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
-    """Add what is needed, `but` for one term, and take the kind of layer that is best with it."""
+    """Add the terms that the tracks show, and choose the law of the layer that explains them."""
     simple = model
-    model, fit, remarks = add_terms(model, plates, fit, but=but)
+    model, fit, remarks = add_terms(model, plates, fit)
     layers, strained = compare_layers(model, plates, fit)
-    if strained is not None:
+    if strained is not None and model.simulator.has_budget:
         other = replace(simple, rig=strained[0])
-        with contextlib.suppress(EffortError):
-            fit = other.fit(other.start_from(strained[1], plates))
-            model, fit, remarks = add_terms(other, plates, fit, but=but)
+        fit = other.fit(other.start_from(strained[1], plates))
+        model, fit, remarks = add_terms(other, plates, fit)
     return model, fit, layers, remarks
 
 
 def _find_layers(
     model: RigModel, plates: Sequence[PlateFit], of_plates: Fit, free: Sequence[str]
 ) -> tuple[RigModel, list[Rig]]:
-    """Find about which layer each throw has, and what else it may be if all have the same."""
-    groups: dict[str | None, list[int]] = {}
+    """Return start values for the layer of each throw, and other candidates if all share it."""
+    groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
         if throw.projectile is not None:
             conditions = model.description.conditions(throw.name)
@@ -369,10 +398,10 @@ def _find_layers(
 
 def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
-    Let no noise that is estimated be far below the others, or below what models leave out.
+    Raise estimates of the noise that are far below the others or below the error of the models.
 
-    Both bodies are seen by the same means; where an estimate is very small it is the motion that
-    is smooth, and the fit would see nothing else.
+    One camera measures both bodies. A very small estimate shows only a smooth motion, and this
+    track would dominate the fit.
     """
     tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
     least = max(
@@ -387,7 +416,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
 
 
 def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:
-    """Fit the plate of a throw, and name the throw if that fails."""
+    """Fit the plate of a throw; an error names the throw."""
     try:
         return fit_plate(throw.plate, offset=0.0 if description.heights == 'absolute' else None)
     except FitError as error:
@@ -395,7 +424,7 @@ def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:
 
 
 def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescription) -> Rig:
-    """Give the rig the weighted mean of the plates, as far as the engine is free."""
+    """Return the rig with the weighted means of the plates as free engine parameters."""
     values = {}
     for place, name in enumerate(ENGINE):
         if description.is_free(name):
@@ -409,7 +438,7 @@ def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescri
 def _fit_until_landing(
     model: RigModel, plates: Sequence[PlateFit], of_plates: Fit
 ) -> tuple[RigModel, Fit]:
-    """Fit to what comes before the projectile lands, which depends on the fit."""
+    """Fit the samples before the landing, whose time depends on the fit."""
     seen, rig = model, model.rig
     for _ in range(_LANDING_ROUNDS):
         cut = _before_landing(model, rig, plates)
@@ -427,7 +456,7 @@ def _sizes(model: RigModel) -> list[int]:
 
 
 def _before_landing(model: RigModel, rig: Rig, plates: Sequence[PlateFit]) -> RigModel:
-    """Leave out what comes after the landing, were it this rig."""
+    """Remove the samples after the landing of this rig."""
     seen = replace(model, rig=rig)
     if not model.projectiles:
         return seen

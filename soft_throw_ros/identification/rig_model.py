@@ -11,22 +11,20 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig and tracks of its throws as a model to fit: one residual over all throws and bodies."""
+"""The model of a fit: heights of all bodies in all throws, and their derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     DEFAULTS,
@@ -36,7 +34,7 @@ from soft_throw_ros.identification.fit_description import (
     TERMS,
     values_of,
 )
-from soft_throw_ros.identification.forward import MAX_COST, ProjectilePath, ThrowSimulator
+from soft_throw_ros.identification.forward import MAX_COST, ThrowSimulator
 from soft_throw_ros.identification.least_squares import (
     Estimate,
     Fit,
@@ -44,33 +42,24 @@ from soft_throw_ros.identification.least_squares import (
     FitError,
     FitModel,
 )
+from soft_throw_ros.identification.parameter_layout import (
+    ParameterLayout,
+    PLATE_ZERO,
+    PROJECTILE_ZERO,
+    RINGING,
+    START,
+    TERM_OF,
+    WAVES,
+)
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
-from soft_throw_ros.identification.plate_modes import Mode, PlateWithModes
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
-OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
-"""What each throw has for itself: when it begins, and the heights of its bodies at rest."""
-
-STICKING = 'projectile.sticking'
-"""For how long the layer holds the projectile when it would leave."""
-
-PLATE_MODE = 'plate.mode'
-"""A second mode of the plate."""
-
-WAVES = {
-    'plate.ringing': ('plate.ringing_cosine', 'plate.ringing_sine'),
-    PLATE_MODE: ('plate.mode_cosine', 'plate.mode_sine'),
-}
-"""Terms that are waves, and their amplitudes."""
-
-_TERM_OF = {part: name for name, parts in WAVES.items() for part in parts}
-
-MODE = ('plate.mode_frequency', 'plate.mode_damping_ratio')
-"""What is fitted with a second mode beside its amplitudes, and is the same in all throws."""
+Change: TypeAlias = Callable[[Rig, PlateWithWaves], tuple[Rig, PlateWithWaves]]
+"""Returns another rig and motion of the plate to follow in their place."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -82,71 +71,60 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.density': (1.0, 1e5),
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
-    STICKING: (0.0, math.inf),
-    MODE[0]: (1e-3, math.inf),
-    MODE[1]: (1e-4, 0.5),
 }
 _ANYTHING = (-math.inf, math.inf)
-_STEP = 3e-4  # relative, for derivatives: large against what steppers leave out; or ...
+_STEP = 3e-4
+"""Relative step of derivatives, large against the errors of steppers. [-]"""
+
 _STEPS = {  # absolute
     'engine.damping_ratio': 3e-5,
     'layer.loss_tangent': 3e-4,
     'layer.stiffening': 2e-2,
-    **dict.fromkeys((STICKING, PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
+    **dict.fromkeys((PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
-    **dict.fromkeys((*_TERM_OF, MODE[1]), 1e-3),
+    **dict.fromkeys(TERM_OF, 1e-3),
 }
-_MOVING = {*PARAMETERS, 'layer.stiffening', *_TERM_OF, *MODE}
-"""What another value of makes another throw, which has to be followed."""
+_MOVING = {*PARAMETERS, 'layer.stiffening', *TERM_OF}
+"""Parameters whose derivative needs a new simulation."""
 
-_MODE_ERROR = 0.05  # of the frequency, relative, and the damping of a mode that is seen
-_UNSEEN = 1e30  # error in SI units of what is not seen at all
-_EVALUATIONS = 60  # of the model, in one run of the solver, unless ...
-_SHARE_OF_FIT = 0.3  # of all effort goes into it; but there are ...
+_UNSEEN = 1e30
+"""Error in SI units beyond which a parameter is not seen at all."""
+
+_EVALUATIONS = 60
+"""Evaluations of the model in one run of the solver, at most."""
+
+_SHARE_OF_FIT = 0.3
+"""Part of the budget that one run of the solver may take. [-]"""
+
 _FEWEST_EVALUATIONS = 8
-_RELEASED = 3.0  # plate periods until it is looked whether the projectile left
-START_OF_STICKING = 1e-4  # [s]
-_TRIED = 400  # moments of that
-_JERK_STEP = 0.05  # of the ejection time, over which the force is seen to vanish, at least
+"""Evaluations that a run of the solver may take in any case."""
 
 
 class Channel(NamedTuple):
-    """What was seen of one body in one throw, which is counted from 0."""
+    """The track of one body in one throw, which is counted from 0."""
 
     throw: int
     body: str
     track: Track
 
 
-class Path(NamedTuple):
+class Trajectory(NamedTuple):
     """Height [m] and velocity [m/s] of a body as it is seen."""
 
     height: Floats
     velocity: Floats
 
 
-class ReleaseShift(NamedTuple):
-    """How waves of the plate change the release, and what a layer does that sticks."""
-
-    time: float
-    """[s]"""
-    speed: float
-    """[m/s]"""
-    jerk: float
-    """By how much the acceleration changes in a second in which the layer sticks. [m/s3]"""
-
-
 @dataclass(frozen=True)
 class RigModel:
     r"""
-    What is fitted to what, from the values of `rig` on.
+    A model of the tracks of all throws, around the values of `rig`.
 
     Notes
     -----
-    The values that are fitted stand in a series, see `places`: first those that all throws have in
-    common, and then those of one or some of them. Derivatives are central differences, for which
-    a parameter changes in all throws at once; where only what is seen of a throw changes, and not
-    the throw, it is not followed again.
+    The fitted values form a vector, see `layout`: first the values that all throws share, then the
+    values of one or some throws. Derivatives are central differences, with a parameter changed in
+    all throws at once. A parameter of the measurement needs no new simulation.
 
     """
 
@@ -155,15 +133,11 @@ class RigModel:
     description: FitDescription
     simulator: ThrowSimulator
     found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
-    """What was found before of the layers of some throws, to start from."""
-    mode: Mode | None = None
-    """Frequency and damping of a second mode of the plate."""
-    likely_modes: tuple[Mode, ...] = ()
-    """Second modes that the plate may have, by its own track."""
+    """Start values for the layers of some throws, by their numbers."""
 
     @property
     def by_cells(self) -> bool:
-        """Whether only cells can follow a layer, or there may be internal loss."""
+        """Whether the layer needs cells, or its loss is fitted."""
         return any(
             rig.layer.needs_cells
             or self.description.treatment('layer.loss_tangent', throw.name).is_varied
@@ -172,7 +146,7 @@ class RigModel:
 
     @cached_property
     def rigs(self) -> list[Rig]:
-        """Return the rig of each throw, as far as it is said or was found before."""
+        """Rig of each throw, with the values of the description and start values."""
         return [
             changed_rig(self.description.prepare(self.rig, throw.name), self.found.get(number, {}))
             for number, throw in enumerate(self.throws)
@@ -200,71 +174,25 @@ class RigModel:
         return np.repeat([each.throw for each in self.channels], sizes)
 
     @cached_property
-    def groups(self) -> dict[tuple[str, Hashable], list[int]]:
-        """Throws that have a parameter in common, by its name and by what tells them apart."""
-        described, heights = self.description, self.description.heights
-        groups: dict[tuple[str, Hashable], list[int]] = {}
-        for name in DEFAULTS:
-            for number, throw in enumerate(self.throws):
-                is_seen = throw.projectile is not None or name.startswith(('engine', 'plate'))
-                if is_seen and described.treatment(name, throw.name).is_varied:
-                    key = described.group(name, throw.name, number)
-                    for part in WAVES.get(name, (name,)):
-                        groups.setdefault((part, key), []).append(number)
-                    for part in MODE if name == PLATE_MODE else ():
-                        groups.setdefault((part, None), []).append(number)
-        own = [START]
-        own += [] if heights == 'absolute' else [PLATE_ZERO]
-        own += [PROJECTILE_ZERO] if heights == 'own' else []
-        for number, throw in enumerate(self.throws):
-            for name in own:
-                if name != PROJECTILE_ZERO or throw.projectile is not None:
-                    groups[name, number] = [number]
-        return dict(sorted(groups.items(), key=lambda item: item[0][1] is not None))
-
-    @cached_property
-    def places(self) -> dict[str, dict[int, int]]:
-        """Where each parameter stands among the values, by throw."""
-        places: dict[str, dict[int, int]] = {}
-        for place, ((name, _), throws) in enumerate(self.groups.items()):
-            places.setdefault(name, {}).update(dict.fromkeys(throws, place))
-        return places
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the values; of some of several throws, with the number of the first from 1."""
-        return tuple(
-            name if key is None or len(self.throws) == 1 else f'{name}[{throws[0] + 1}]'
-            for (name, key), throws in self.groups.items()
-        )
+    def layout(self) -> ParameterLayout:
+        """Return the order of the values that are fitted."""
+        return ParameterLayout.of(self.throws, self.description)
 
     @cached_property
     def known(self) -> dict[int, Estimate]:
-        """Return what is known with an error, by places."""
+        """Priors by the indices of the values."""
         found: dict[int, Estimate | None] = {}
-        for place, ((part, _), (throw, *_)) in enumerate(self.groups.items()):
-            name = _TERM_OF.get(part, part)
+        for place, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+            name = TERM_OF.get(part, part)
             if name in DEFAULTS:
                 found[place] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
                 )
-            elif self.mode is not None and part == MODE[0]:
-                found[place] = Estimate(self.mode.frequency, _MODE_ERROR * self.mode.frequency)
-            elif self.mode is not None and part == MODE[1]:
-                found[place] = Estimate(self.mode.damping_ratio, _MODE_ERROR)
         return {place: known for place, known in found.items() if known is not None}
 
-    def places_of(self, name: str) -> list[int]:
-        """Where a parameter stands among the values, of all throws."""
-        return sorted(set(self.places[name].values()))
-
-    def is_per_throw(self, name: str) -> bool:
-        """Whether each throw has its own."""
-        return any(isinstance(key, int) for part, key in self.groups if part == name)
-
     def value(self, values: Floats, name: str, throw: int) -> float:
-        """Look up what is no parameter of the rig, of a throw; 0 if nothing is said of it."""
-        place = self.places.get(name, {}).get(throw)
+        """Return a value of a throw; the default if it is not fitted."""
+        place = self.layout.indices.get(name, {}).get(throw)
         if place is not None:
             return float(values[place])
         if name in TERMS:
@@ -273,24 +201,28 @@ class RigModel:
 
     def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
         """
-        Make the rig of a throw, with the wave speed that its layer has at this strain.
+        Return the rig of a throw, with the wave speed of its layer at the strain of the throw.
 
-        By default that of the first throw, with the mean of what each has for itself.
+        By default, return the rig of the first throw with the mean of the values per throw.
         """
         number = 0 if throw is None else throw
         changes = {}
-        for name, places in self.places.items():
-            if name in PARAMETERS and number in places:
-                is_mean = throw is None and self.is_per_throw(name)
-                of_all = self.places_of(name) if is_mean else [places[number]]
-                changes[name] = float(np.mean(values[of_all]))
-        rig = changed_rig(self.rigs[number], changes)
+        for name, indices in self.layout.indices.items():
+            if name in PARAMETERS and number in indices:
+                if throw is None and self.layout.is_per_throw(name):
+                    changes[name] = float(np.mean(values[self.layout.indices_of(name)]))
+                else:
+                    changes[name] = float(values[indices[number]])
         stiffening = self.value(values, 'layer.stiffening', number)
         if stiffening:
+            rig = self.rigs[number]
+            frequency = changes.get(ENGINE[0], rig.engine.frequency)
+            amplitude = changes.get(ENGINE[2], rig.engine.amplitude)
+            speed = changes.get('layer.wave_speed', rig.layer.wave_speed)
+            speed += stiffening * 2.0 * math.pi * frequency * amplitude
             low, high = _BOUNDS['layer.wave_speed']
-            speed = rig.layer.wave_speed + stiffening * rig.engine.speed_scale
-            rig = changed_rig(rig, {'layer.wave_speed': min(max(speed, low), high)})
-        return rig
+            changes['layer.wave_speed'] = min(max(speed, low), high)
+        return changed_rig(self.rigs[number], changes)
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -309,47 +241,56 @@ class RigModel:
         return np.asarray(np.abs(np.concatenate([path.velocity for path in self.paths(values)])))
 
     def paths(
-        self, values: Floats, places: Sequence[tuple[int, str, Floats]] | None = None
-    ) -> list[Path]:
+        self,
+        values: Floats,
+        places: Sequence[tuple[int, str, Floats]] | None = None,
+        change: Change | None = None,
+        *,
+        by_cells: bool | None = None,
+    ) -> list[Trajectory]:
         """
-        Compute what is seen of bodies, or raise FitError if a throw cannot be followed.
+        Compute trajectories of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all channels.
+        of all channels. `change` returns another rig and motion to follow; `by_cells` overrides
+        the choice of the model.
         """
         if places is None:
             places = [(throw, body, track.time) for throw, body, track in self.channels]
         found = []
+        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in places}}
+        if change is not None:
+            motions = {throw: change(*motion) for throw, motion in motions.items()}
         for throw, body, time in places:
-            rig, motion = self.motion(values, throw)
-            since = time - self.value(values, START, throw)
+            rig, motion = motions[throw]
+            since = self.since(values, throw, body, time)
             if body == 'plate':
                 rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
                 travel, velocity = motion.position(since), motion.velocity(since)
             else:
                 rest = self._projectile_rest(values, throw, rig)
                 scale = self.value(values, 'projectile.scale', throw)
-                since = since - self.value(values, 'projectile.delay', throw)
-                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
-                sticking = self.value(values, STICKING, throw)
-                travel, velocity = _travel(path, rig, since, sticking)
+                path = self.simulator.follow(
+                    rig, since, motion=motion, by_cells=self.by_cells if by_cells is None
+                    else by_cells,
+                )
+                travel, velocity = path.position - rig.rest_height, path.velocity
             height = rest + scale * travel + self.drift(values, throw, body, time)
-            found.append(Path(height, scale * velocity))
+            found.append(Trajectory(height, scale * velocity))
         return found
 
-    def wave_places(self, throw: int) -> list[int]:
-        """Tell where waves of the plate of a throw stand among the values."""
-        parts = [part for part in (*_TERM_OF, *MODE) if throw in self.places.get(part, ())]
-        return [self.places[part][throw] for part in parts]
+    def since(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
+        """Return times since the start of a throw at which a body is seen [s]."""
+        since = time - self.value(values, START, throw)
+        if body == 'projectile':
+            since = since - self.value(values, 'projectile.delay', throw)
+        return since
 
-    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithModes]:
-        """Make the rig of a throw, and how its plate moves."""
+    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithWaves]:
+        """Return the rig of a throw, and the motion of its plate."""
         rig = self.rig_of(values, throw)
-        waves = tuple(self.value(values, part, throw) for pair in WAVES.values() for part in pair)
-        mode = self.mode
-        if mode is not None and MODE[0] in self.places:
-            mode = Mode(*(self.value(values, part, throw) for part in MODE))
-        return rig, PlateWithModes(Underdamped.of(rig.engine), waves, mode)
+        cosine, sine = (self.value(values, part, throw) for part in WAVES[RINGING])
+        return rig, PlateWithWaves(Underdamped.of(rig.engine), (cosine, sine))
 
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record [m]."""
@@ -364,16 +305,16 @@ class RigModel:
             return self.value(values, PROJECTILE_ZERO, throw)
         half = 0.5 * rig.projectile.length if self.description.reference == 'centre' else 0.0
         scale = self.value(values, 'projectile.scale', throw)
-        return self.value(values, PLATE_ZERO, throw) + scale * (half + rest_height(rig))
+        return self.value(values, PLATE_ZERO, throw) + scale * (half + rig.rest_height)
 
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
-        """Differentiate `predict` by all parameters, or some of them."""
+        """Return the derivatives of `predict` by all or some parameters."""
         rows = self.rows
         sizes = [each.track.time.size for each in self.channels]
         is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
         velocity = np.concatenate([path.velocity for path in self.paths(values)])
         jacobian = np.zeros((rows.size, values.size))
-        for name, by_throw in self.places.items():
+        for name, by_throw in self.layout.indices.items():
             if only and name not in only:
                 continue
             if name in (START, 'projectile.delay'):
@@ -385,8 +326,8 @@ class RigModel:
         return jacobian
 
     def _slope(self, values: Floats, name: str) -> Floats:
-        """Take a central difference by a parameter, which changes in all throws."""
-        places = self.places_of(name)
+        """Return the central difference by a parameter, changed in all throws."""
+        places = self.layout.indices_of(name)
         low, high = _BOUNDS.get(name, _ANYTHING)
         ends = []
         for sign in (1.0, -1.0):
@@ -395,50 +336,46 @@ class RigModel:
             moved[places] = np.clip(values[places] + sign * step, low, high)
             ends.append(moved)
         width = np.ones(len(self.throws))
-        for throw, place in self.places[name].items():
+        for throw, place in self.layout.indices[name].items():
             width[throw] = ends[0][place] - ends[1][place]
         return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
 
     def start(self, plates: Sequence[PlateFit]) -> Floats:
-        """Find where to start from, given fits of the plates alone."""
-        values = np.zeros(len(self.names))
-        for name, places in self.places.items():
+        """Return start values, given fits of the plates alone."""
+        values = np.zeros(len(self.layout.names))
+        for name, places in self.layout.indices.items():
             for throw, place in places.items():
                 if name in PARAMETERS:
                     values[place] = values_of(self.rigs[throw], [name])[name]
                 elif name in TERMS:
                     values[place] = self.description.value(name, self.rig, self.throws[throw].name)
-                elif name in MODE and self.mode is not None:
-                    values[place] = self.mode[MODE.index(name)]
-        if STICKING in self.places:
-            values[self.places_of(STICKING)] = START_OF_STICKING
         for throw, plate in enumerate(plates):
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
             found = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
-            for (name, key), throws in self.groups.items():
+            for (name, key), throws in self.layout.groups.items():
                 if key is not None and throw in throws and name in found:
-                    values[self.places[name][throw]] = found[name]
-        if PROJECTILE_ZERO in self.places:
+                    values[self.layout.indices[name][throw]] = found[name]
+        if PROJECTILE_ZERO in self.layout:
             paths = self.paths(values)
             for (throw, body, track), path in zip(self.channels, paths, strict=True):
                 if body == 'projectile':
                     zero = float(np.median(track.position - path.height))
-                    values[self.places[PROJECTILE_ZERO][throw]] = zero
+                    values[self.layout.indices[PROJECTILE_ZERO][throw]] = zero
         return values
 
     def start_from(self, fit: Fit, plates: Sequence[PlateFit]) -> Floats:
-        """Start from a fit of fewer, or more, parameters."""
+        """Return start values from a fit of fewer, or more, parameters."""
         before = dict(zip(fit.names, fit.values.tolist(), strict=True))
         start = self.start(plates)
         return np.array(
-            [before.get(n, v) for n, v in zip(self.names, start.tolist(), strict=True)]
+            [before.get(n, v) for n, v in zip(self.layout.names, start.tolist(), strict=True)]
         )
 
     def without_faults(self, values: Floats) -> Floats:
-        """Put what a bench may add back to what is known of it, lest a fit go astray with that."""
+        """Return the values with all priors at their means, except those of the plate."""
         start: Floats = values.copy()
         for place, known in self.known.items():
-            if not self.names[place].startswith('plate'):  # as the plates alone have it
+            if not self.layout.names[place].startswith('plate'):  # as the plates alone have it
                 start[place] = known.value
         return start
 
@@ -451,7 +388,7 @@ class RigModel:
         only: Sequence[str] | None = None,
     ) -> Fit:
         """Fit, or raise FitError if it cannot be done; see `fit_tracks`. `only` some may vary."""
-        names = [name for name, _ in self.groups]
+        names = [name for name, _ in self.layout.groups]
         free = [place for place, name in enumerate(names) if not only or name in only]
         low, high = np.transpose([_BOUNDS.get(names[place], _ANYTHING) for place in free])
 
@@ -461,7 +398,7 @@ class RigModel:
             return full
 
         model = FitModel(
-            names=tuple(self.names[place] for place in free),
+            names=tuple(self.layout.names[place] for place in free),
             predict=lambda values: self.predict(whole(values)),
             jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
@@ -487,7 +424,7 @@ class RigModel:
         return found
 
     def _affordable(self, values: Floats, paths: int) -> int:
-        """Tell how many evaluations of so many paths may be made."""
+        """Return the number of evaluations within the budget, of so many paths each."""
         before = self.simulator.cost
         self.predict(values)
         cost = (self.simulator.cost - before) * paths
@@ -496,7 +433,7 @@ class RigModel:
 
 
 def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigModel:
-    """Leave out what the projectiles do later than so long after the start [s]."""
+    """Remove the samples of projectiles later than a time after the start [s]."""
     throws = []
     for throw, plate in zip(model.throws, plates, strict=True):
         projectile = throw.projectile
@@ -506,53 +443,3 @@ def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigM
             projectile = projectile.between(-math.inf, end) if is_seen else None
         throws.append(replace(throw, projectile=projectile))
     return replace(model, throws=tuple(throws))
-
-
-def _travel(
-    path: ProjectilePath, rig: Rig, since: Floats, sticking: float
-) -> tuple[Floats, Floats]:
-    """Compute how far a projectile is from where it rests, and its velocity, if it is held."""
-    travel, velocity = path.position - rest_height(rig), path.velocity
-    left = ejections(path.events)
-    if not sticking or not left:
-        return travel, velocity
-    jerk = _jerk(since, velocity, left[-1], rig.gravity)
-    after = np.maximum(since - left[-1].time, 0.0)
-    held, free = np.minimum(after, sticking), np.maximum(after - sticking, 0.0)
-    travel = travel + jerk * (held**3 / 6.0 + 0.5 * sticking**2 * free)
-    return travel, velocity + 0.5 * jerk * held**2
-
-
-def shift_of_release(model: RigModel, values: Floats, throw: int) -> ReleaseShift:
-    """How waves of the plate change time and speed of leaving, and what sticking would."""
-    rig, motion = model.motion(values, throw)
-    time = np.linspace(0.0, _RELEASED / rig.engine.frequency, _TRIED)
-    follow = partial(model.simulator.follow, rig, time, by_cells=model.by_cells)
-    path = follow(motion=motion)
-    plain = ejections(follow().events)
-    # Waves of the plate may let go of the projectile for a moment, long before it is thrown
-    found = [event for event in path.events if event.kind == 'release']
-    if not plain or not found:
-        return ReleaseShift(0.0, 0.0, 0.0)
-    release = min(found, key=lambda event: abs(event.time - plain[0].time))
-    return ReleaseShift(
-        release.time - plain[0].time,
-        release.velocity - plain[0].velocity,
-        _jerk(time, path.velocity, release, rig.gravity),
-    )
-
-
-def _jerk(time: Floats, velocity: Floats, release: Event, gravity: float) -> float:
-    """By how much the acceleration changes in a second where the force vanishes [m/s3]."""
-    # While the layer sticks, the force goes on changing like that
-    before = np.flatnonzero(time < (1.0 - _JERK_STEP) * release.time)
-    if not before.size:
-        return 0.0
-    place = before[np.argmax(time[before])]
-    since = release.time - time[place]
-    return float(2.0 * (velocity[place] - release.velocity - gravity * since) / since**2)
-
-
-def rest_height(rig: Rig) -> float:
-    """Height of the resting projectile's lower face above the plate [m]."""
-    return rig.layer.thickness - rig.static_sag

@@ -18,12 +18,12 @@ The wave speed that throws show comes from `soft_throw_ros.identification.rig_fi
 
 Notes
 -----
-A free layer that was squeezed lengthens and shortens with the period :math:`T_0 = 2 L_s / c_s`,
-and odd multiples of that frequency. With the loss of Kelvin and Voigt, :math:`\sigma = E_s
+A free layer oscillates after a squeeze, with the period :math:`T_0 = 2 L_s / c_s`, and at odd
+multiples of this frequency. With the loss of Kelvin and Voigt, :math:`\sigma = E_s
 (\epsilon + \theta \dot\epsilon)`, each mode :math:`\omega_n = (2 n - 1) 2 \pi / T_0` decays as
 :math:`e^{-\theta \omega_n^2 t / 2}` and is slowed down to :math:`\omega_n \sqrt{1 - (\theta
-\omega_n / 2)^2}`. Two modes are fitted, so that what is left is noise; :math:`T_0` is that without
-the loss.
+\omega_n / 2)^2}`. The fit has two modes, so that the residuals are noise; :math:`T_0` is the
+period without loss.
 
 """
 
@@ -48,20 +48,20 @@ from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
 
 Floats = NDArray[np.float64]
 
-_MODES = (1.0, 3.0)  # their frequencies, over that of the first
-_LOSSES = (0.01, 0.1, 0.4)  # loss tangents to start from
-_MAX_LOSS = 1.9  # beyond 2 nothing rings
-_MAX_SAMPLES = 1024  # at which many frequencies are tried
-_MIN_CYCLES = 1.5  # that are seen
-_ONSET = 0.7  # of the largest change of length, below which the layer is taken to be free
-_STEP = 1e-5  # relative, for derivatives
-_REFINED = 3  # of the best frequencies
+_MODES = (1.0, 3.0)  # frequencies of the modes, over the first one
+_LOSSES = (0.01, 0.1, 0.4)  # initial loss tangents
+_MAX_LOSS = 1.9  # largest loss tangent; beyond 2 no layer oscillates
+_MAX_SAMPLES = 1024  # largest number of samples in the scan of frequencies
+_MIN_CYCLES = 1.5  # smallest number of periods in the record
+_ONSET = 0.7  # share of the largest change of length, below which the layer counts as free
+_STEP = 1e-5  # relative step of derivatives
+_REFINED = 3  # number of refined frequencies
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ringing:
     r"""
-    How a free layer rings.
+    Oscillation of a free layer.
 
     The fit is of `period` :math:`T_0` [s], `loss_tangent` at that period [-], `length` at rest
     [m], and of the modes, from `start_time` [s] on.
@@ -89,7 +89,7 @@ class Ringing:
 
 @dataclass(frozen=True)
 class CommonValue:
-    """What layers of one material have in common, with chi squared and degrees of freedom."""
+    """Common value of layers of one material, with chi squared and degrees of freedom."""
 
     value: Estimate
     chi2: float
@@ -102,7 +102,7 @@ class CommonValue:
 
 
 def change_of_length(bottom: Track, top: Track) -> Track:
-    """Subtract the track of a layer's bottom from its top's; both must be seen often enough."""
+    """Return the length of a layer at the common times of the tracks of its two ends."""
     time, lower, upper = np.intersect1d(bottom.time, top.time, return_indices=True)
     if time.size < FEWEST:
         raise TrackError(
@@ -124,12 +124,13 @@ def fit_ringing(length: Track) -> Ringing:
     Parameters
     ----------
     length : Track
-        From `change_of_length`. What comes before the end of its first large change is left out.
+        Track from `change_of_length`. Samples before the end of the first large change are
+        ignored.
 
     Raises
     ------
     FitError
-        If it does not ring.
+        If the layer does not ring.
 
     """
     smooth = length.without_spikes()
@@ -137,7 +138,7 @@ def fit_ringing(length: Track) -> Ringing:
     change = np.abs(smooth.position - np.median(late))
     large = change >= _ONSET * change.max()
     first = int(np.argmax(large))
-    held = int(np.argmin(np.append(large[first:], False)))  # it may have been squeezed for long
+    held = int(np.argmin(np.append(large[first:], False)))  # end of the squeeze
     onset = float(smooth.time[min(first + held, smooth.time.size - 1)])
     try:
         free = length.between(onset, math.inf)
@@ -161,7 +162,7 @@ def fit_wave_speed(
     thickness_error: float,
 ) -> CommonValue:
     r"""
-    Find the wave speed by which the periods of layers are proportional to their thicknesses.
+    Fit the common wave speed of layers to their periods and thicknesses.
 
     Parameters
     ----------
@@ -179,8 +180,8 @@ def fit_wave_speed(
 
     Notes
     -----
-    Least squares of :math:`T_0 - 2 L_s / c_s` over its error, to which both contribute. If the
-    layers scatter more than that, the error of the result is larger by as much.
+    Least squares of :math:`T_0 - 2 L_s / c_s` over its error, with contributions of period and
+    thickness. Excess scatter of the layers increases the error of the result by the same factor.
 
     """
     if not thicknesses or len(thicknesses) != len(periods):
@@ -191,39 +192,39 @@ def fit_wave_speed(
     period = checks.require_positive_array('periods', [each.value for each in periods])
     error = checks.require_not_negative_array('periods', [each.error for each in periods])
     spread = checks.require_not_negative('thickness_error', thickness_error)
-    found = _common_value(period, thickness, np.ones_like(period))  # T_0 / L_s = 2 / c_s
+    result = _common_value(period, thickness, np.ones_like(period))  # T_0 / L_s = 2 / c_s
     for _ in range(20):
-        found = _common_value(period, thickness, np.hypot(error, found.value.value * spread))
-    slowness = found.value
+        result = _common_value(period, thickness, np.hypot(error, result.value.value * spread))
+    slowness = result.value
     speed = 2.0 / slowness.value
-    return replace(found, value=Estimate(speed, speed * slowness.error / slowness.value))
+    return replace(result, value=Estimate(speed, speed * slowness.error / slowness.value))
 
 
 def fit_loss_tangent(ringings: Sequence[Ringing], *, frequency: float) -> CommonValue:
     """
-    Find the loss tangent that layers which ring have in common, their weighted mean.
+    Return the weighted mean of the loss tangents of free layers.
 
     Parameters
     ----------
     ringings : sequence of Ringing
-        At least one.
+        Fits of free layers, at least one.
     frequency : float
-        At which the loss is wanted. [Hz]
+        Frequency of the resulting loss tangent. [Hz]
 
     Raises
     ------
     ValueError
-        If there is none.
+        If there is no layer.
 
     """
     if not ringings:
         raise ValueError('there must be at least one layer that rings, got none')
-    values, errors = np.transpose([each.loss_tangent_at(frequency) for each in ringings])
+    values, errors = np.transpose([ringing.loss_tangent_at(frequency) for ringing in ringings])
     return _common_value(values, np.ones_like(values), np.maximum(errors, 1e-12))
 
 
 def _common_value(values: Floats, sizes: Floats, errors: Floats) -> CommonValue:
-    """Fit values that are proportional to sizes; if they scatter, the error is larger by that."""
+    """Fit the ratio of values to sizes; excess scatter increases the error."""
     weights = np.maximum(errors, 1e-150) ** -2.0
     information = float(np.sum(weights * sizes**2))
     mean = float(np.sum(weights * values * sizes)) / information
@@ -236,7 +237,7 @@ def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:
     """Fit from periods and losses, at which the rest is linear."""
     time = length.time - length.time[0]
     usual, _ = starts[0]
-    # A mode of which there are not two or three samples in a period cannot be seen
+    # A mode needs 2.5 samples per period
     count = sum(mode / usual <= 0.4 / length.interval for mode in _MODES) or 1
     names = ['period', 'loss_tangent', 'length']
     names += [f'{phase} {mode + 1}' for mode in range(count) for phase in ('cosine', 'sine')]
@@ -258,7 +259,7 @@ def _fit_modes(length: Track, starts: Sequence[tuple[float, float]]) -> Fit:
 
 
 def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floats:
-    """Give the columns of 1 and of the modes."""
+    """Return the columns of the constant and of the modes."""
     columns = [np.ones_like(time)]
     for multiple in _MODES[:count]:
         omega = multiple * 2.0 * math.pi / period
@@ -274,7 +275,7 @@ def _modes(time: Floats, period: float, loss_tangent: float, count: int) -> Floa
 
 
 def _starts(length: Track) -> list[tuple[float, float]]:
-    """Find periods and losses to start from, by trying all."""
+    """Return initial periods and losses from a scan."""
     every = -(-length.time.size // _MAX_SAMPLES)
     time = length.time[::every] - length.time[0]
     position = length.position[::every]

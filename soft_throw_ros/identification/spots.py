@@ -16,28 +16,29 @@ Round spots on plate, layer and projectile, followed through high-speed videos.
 
 Notes
 -----
-Spots are found in the first picture: what a closing by area fills in is dark and no larger than
-that, whatever lies around it, and what of it is round is a spot. From then on each is looked
-for where its last step leads. Its place is the centre of mass of its darkness, within a circle
-around that place itself which is wider than the spot by the blur, so that the grid of pixels does
-not show. Noise of the grey levels of :math:`\sigma` makes it err by at least :math:`\sigma
-\sqrt{\sum (y - y_c)^2} / \sum w`, where :math:`w` is the darkness of the pixels of the circle.
-Discs of 8 pixels that are 140 grey levels darker than what is around them, blurred by 1 pixel,
-are found within 0.003 pixels, and with noise of 4 levels within 0.02 pixels (rms).
+Detection. An area closing of the first picture fills dark regions up to a given area; the round
+ones are spots.
 
-What covers a part of a spot shifts its centre of mass, and makes it unlike itself turned by half
-a turn, which neither blur by motion nor uneven light does. So a spot counts as seen only if it
-is apart from all else that is dark, as large, dark and round as before, and as symmetric; one
-that moves far while a picture is taken is longer. Otherwise the sample is missing, and the spot
-is looked for where it may have got to: the doubt about its place grows by the largest
-acceleration of all spots. If two are found there, neither is taken, and if it may be too far away
-it is given up. What comes after a gap counts if the speeds on both sides explain the way in
-between, and if it is not aside: what hides at first may appear where another spot has hidden.
-The samples beside a gap are left out, too, and so is what is seen for a few pictures only. What
-covers a spot in the first picture already cannot be told from its shape.
+Measurement. In every later picture, the search for a spot begins at its extrapolated position. The
+measured position is the centre of mass of the darkness within a circle around this position. The
+circle is wider than the spot by the blur, so that the grid of pixels has no influence. Noise of
+the grey levels of :math:`\sigma` causes an error of at least :math:`\sigma \sqrt{\sum (y - y_c)^2}
+/ \sum w`, where :math:`w` is the darkness of the pixels of the circle. Discs of 8 pixels that are
+140 grey levels darker than their background, blurred by 1 pixel, are measured within 0.003 pixels,
+and with noise of 4 levels within 0.02 pixels (rms).
 
-trackpy links spots over gaps as well, but within a range that does not grow with the gap, and it
-takes what is partly covered for a spot; that is where the errors are.
+Covered spots. A partly covered spot has a shifted centre of mass, and differs from its image
+turned by half a turn; neither motion blur nor uneven light causes such an asymmetry. So a spot is
+accepted only if it is separate from other dark regions, and as large, dark, round and symmetric as
+before; fast spots may be longer. Otherwise the sample is missing, and the radius of the search
+grows with the largest acceleration of all spots. If the search finds two candidates, it accepts
+neither. It stops when the radius is too large. After a gap, a spot counts only if the speeds on
+both sides explain its path, and if it has not moved aside, since another spot may have appeared
+there. Samples beside a gap and runs of a few pictures are dropped. A spot that is already covered
+in the first picture is not recognised as covered.
+
+trackpy links spots over gaps as well, but within a constant range, and accepts partly covered
+spots, which cause most of its errors.
 
 """
 
@@ -57,56 +58,67 @@ from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Picture = NDArray[Any]  # of whatever numbers the camera gives
+Picture = NDArray[Any]  # grey levels in the type of the video
 
-BODIES = ('plate', 'layer', 'projectile', 'none')
-"""What spots may be on."""
+BODIES = ('plate', 'layer', 'projectile', 'bottom', 'top', 'none')
+"""Bodies that a spot can mark; `none` ignores the spot."""
 
-_SMOOTHING = 1.0  # of pictures, to find out what is dark [px]
-_MAX_WIDTH = 3  # the shorter side of the picture over the width of the largest spot
-_MIN_AREA = 9  # pixels of a spot
-_MIN_DARKNESS = 0.3  # darkness of a spot over that of the darkest, and ...
-_MIN_CONTRAST = 6.0  # over the noise
-_MAX_ECCENTRICITY = 0.8  # of a spot at most, as an ellipse
-_SMEARED = 0.4  # of its diameter per picture that a spot moves may make it longer
-_MIN_SOLIDITY = 0.85  # of its convex hull that it fills at least
-_BLUR = 2.0  # how far a spot reaches beyond where it is half as dark, and ...
-_RING = 2.0  # half the width of what is looked at around that [px]
-_MARGIN = 4  # beyond its diameter that it is looked for [px]
-_ROUNDS = 3  # of finding the centre of a circle around it
-_MAX_CHANGE = 1.6  # of the area and of the darkness of a spot since it was seen last
-_MAX_MASS_CHANGE = 0.05  # of its darkness altogether, from what it usually was of late
-_MASS_MEMORY = 20.0  # pictures that late is
-_MAX_ASYMMETRY = 0.03  # of its darkness that turning it changes otherwise than at first (rms)
-_ASYMMETRY_NOISE = 0.7  # times the noise of a pixel over the darkness that this may be more
-_MASS_NOISE = 4.0  # times its standard error that the mass may be off
-_MIN_ACCELERATION = 0.1  # of spots that is reckoned with [px per picture squared]
-_ACCELERATION_SPAN = 4  # pictures between the places that the acceleration is seen from
-_MAX_DOUBT = 3.0  # diameters; farther away it may be another spot
-_BEND = 0.125  # of what the acceleration does in a gap, that mean speeds may be off
-_ASIDE, _TILT = 0.5, 0.02  # that it may be aside then [px], and for each pixel up or down
-_MIN_RUN = 3  # pictures one after the other that show a spot
-_LEVELS = 63.0  # grey levels to find spots with
+_SMOOTHING = 1.0  # standard deviation of the filter of pictures before thresholds [px]
+_MAX_WIDTH = 3  # shorter side of the picture over the width of the largest spot
+_MIN_AREA = 9  # smallest area of a spot [pixels]
+_MIN_DARKNESS = 0.3  # smallest darkness of a spot, relative to the darkest spot
+_MIN_CONTRAST = 6.0  # smallest darkness of a spot, relative to the noise
+_MAX_ECCENTRICITY = 0.8  # largest eccentricity of a spot as an ellipse
+_SMEARED = 0.4  # motion per picture [diameters] above which a spot may be elongated
+_MIN_SOLIDITY = 0.85  # smallest area of a spot over the area of its convex hull
+_BLUR = 2.0  # width of the blurred edge outside the contour of half darkness [px]
+_RING = 2.0  # half the width of the ring that measures the background [px]
+_MARGIN = 4  # margin of the search beyond the diameter [px]
+_ROUNDS = 3  # iterations of the centre of the circle
+_MAX_CHANGE = 1.6  # largest ratio of area or darkness between two measurements
+_MAX_MASS_CHANGE = 0.05  # largest relative deviation of the total darkness from its recent mean
+_MASS_MEMORY = 20.0  # length of the recent mean [pictures]
+_MAX_ASYMMETRY = 0.03  # largest change of the asymmetry, relative to the darkness (rms)
+_ASYMMETRY_NOISE = 0.7  # contribution of noise to the asymmetry, per noise over darkness
+_MASS_NOISE = 4.0  # allowed deviation of the total darkness [standard errors]
+_MIN_ACCELERATION = 0.1  # smallest assumed acceleration of spots [px per picture squared]
+_ACCELERATION_SPAN = 4  # pictures between the positions that give the acceleration
+_MAX_DOUBT = 3.0  # radius [diameters] beyond which another spot may be found
+_BEND = 0.125  # allowed error of a path across a gap, over acceleration times gap squared
+_ASIDE, _TILT = 0.5, 0.02  # allowed sideways motion across a gap [px], and per pixel of height
+_MIN_RUN = 3  # smallest number of consecutive pictures with a spot
+_LEVELS = 63.0  # number of grey levels in the detection
+
+_FIRST_SEARCH = 10
+"""Number of the first picture that is searched for spots missing in the very first one."""
+
+_SEARCH_RATIO = 1.25
+"""Number of the next picture to search over that of the last; a search costs as 10 pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spot:
-    """A spot as it moves: where it is in the pictures that show it as a whole."""
+    """Path of a spot through the pictures that show it completely."""
 
     picture: Integers
     """Numbers of these pictures, from 0."""
     row: Floats
     column: Floats
-    """Its centre in each of them, counted from the upper left. [px]"""
+    """Centre of the spot in each picture, counted from the upper left. [px]"""
     error: float
-    """Standard error of each, were there nothing but the noise of the pictures. [px]"""
+    """Standard error of each centre due to the noise of the pictures. [px]"""
+    has_left: bool = False
+    """Whether the spot left the view in the end."""
+    start: tuple[float, float] | None = None
+    """Row and column in the first picture, for messages. [px]"""
 
     @property
     def place(self) -> str:
-        """Where it is at first, for messages."""
-        if not self.row.size:
+        """Description of the first position, for messages."""
+        if self.start is None and not self.row.size:
             return 'the edge'
-        return f'column {self.column[0]:.0f} row {self.row[0]:.0f}'
+        row, column = self.start or (self.row[0], self.column[0])
+        return f'column {column:.0f} row {row:.0f}'
 
     @property
     def gaps(self) -> list[tuple[int, int]]:
@@ -117,7 +129,18 @@ class Spot:
         ]
 
 
-def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> list[Spot]:
+class FollowedSpots(NamedTuple):
+    """The spots of a video."""
+
+    spots: list[Spot]
+    """Spots of the first picture, the lowest one first."""
+    pictures: int
+    """Number of pictures of the video."""
+    late: tuple[int, DetectedSpot] | None
+    """A spot that was not followed, and the number of a picture that shows it."""
+
+
+def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> FollowedSpots:
     """
     Follow round spots through a video.
 
@@ -126,12 +149,12 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> list[Sp
     pictures : iterable of ndarray, shape (rows, columns)
         Grey levels.
     light : bool
-        Whether spots are lighter than what is around them, and not darker.
+        Whether spots are lighter than their background, and not darker.
 
     Returns
     -------
-    list of Spot
-        Those of the first picture, the lowest one first.
+    FollowedSpots
+        Those of the first picture, and perhaps one that it does not show.
 
     Raises
     ------
@@ -140,20 +163,27 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> list[Sp
 
     """
     trackers: list[_SpotTracker] = []
-    shape: tuple[int, ...] | None = None
+    exposure: _Exposure | None = None
+    search = _LateSearch()
     for number, picture in enumerate(pictures):
-        levels = -picture.astype(np.float64) if light else picture
-        if shape is None:
-            shape, noise = picture.shape, _noise(levels)
-            trackers = [_SpotTracker(found, noise) for found in find_spots(levels)]
-            if not trackers:
+        if exposure is None:
+            exposure = _Exposure(picture, light=light)
+            levels = exposure.normalise(picture)
+            noise = _noise(levels)
+            found = find_spots(levels)
+            if not found:
                 raise _no_spots(levels, light)
-        if picture.shape != shape:
-            raise TrackError(f'pictures must be of one size, got {picture.shape} after {shape}')
+            exposure.set_spots(found)
+            trackers = [_SpotTracker(spot, noise) for spot in found]
+        if picture.shape != exposure.shape:
+            raise TrackError(
+                f'pictures must be of one size, got {picture.shape} after {exposure.shape}'
+            )
+        levels = exposure.normalise(picture)
         acceleration = max(each.acceleration for each in trackers)
         taken: list[_Circle] = []
-        for spot in sorted(trackers, key=lambda each: each.doubt):  # the surest ones first
-            # Where another one may have got to, nobody knows which of them it is
+        for spot in sorted(trackers, key=lambda each: each.doubt):  # the most certain ones first
+            # In a shared search region, a candidate cannot be assigned to one of two spots
             hidden = [
                 each.whereabouts
                 for each in trackers
@@ -162,13 +192,85 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> list[Sp
             spot.update(number, levels, acceleration, taken + hidden)
             if not spot.doubt:
                 taken.append(spot.whereabouts)
-    if shape is None:
-        raise TrackError('there is no picture in it')
-    return [spot.result() for spot in trackers]
+        search.update(number, levels, trackers)
+    if exposure is None:
+        raise TrackError('contains no picture')
+    return FollowedSpots([spot.result() for spot in trackers], number + 1, search.found)
+
+
+class _Exposure:
+    """
+    The brightness of pictures, which varies under lamps on mains current.
+
+    With dark spots, the background determines the brightness pixel by pixel, since most of the
+    background does not move. With light spots, the brightest region of a picture does. Its area is
+    half of the smallest spot, so that covered spots do not matter.
+    """
+
+    def __init__(self, picture: Picture, *, light: bool) -> None:
+        self.shape = picture.shape
+        self._area: float | None = None if light else 0.0
+        self._first = picture
+        self._is_background = picture >= max(float(np.median(picture)), 1.0)
+        self._reference = 0.0
+
+    def set_spots(self, spots: Sequence[DetectedSpot]) -> None:
+        """Store the size of the spots of the first picture."""
+        if self._area is None:
+            self._area = min(0.25 * math.pi * spot.diameter**2 for spot in spots)
+            self._reference = self._peak(self._first)
+
+    def normalise(self, picture: Picture) -> Floats:
+        """Return grey levels at the brightness of the first picture, with dark spots."""
+        if self._area is None:
+            return -picture.astype(np.float64)
+        if self._area:
+            return picture * (-self._reference / max(self._peak(picture), 1e-12))
+        if not self._is_background.any():
+            return picture.astype(np.float64)
+        ratios = picture[self._is_background] / self._first[self._is_background]
+        return picture / max(float(np.median(ratios)), 1e-12)
+
+    def _peak(self, picture: Picture) -> float:
+        """Return the level that the brightest part exceeds."""
+        levels = ndimage.gaussian_filter(picture.astype(np.float32), _SMOOTHING).ravel()
+        count = max(1, round(0.5 * (self._area or 0.0)))
+        return float(np.partition(levels, -count)[-count])
+
+
+class _LateSearch:
+    """A search for round spots that the first picture does not show, as behind a wire."""
+
+    def __init__(self) -> None:
+        self.found: tuple[int, DetectedSpot] | None = None
+        """Picture and place of the first such spot."""
+        self._next = _FIRST_SEARCH
+        self._last: list[DetectedSpot] = []
+
+    def update(self, number: int, levels: Floats, trackers: Sequence[_SpotTracker]) -> None:
+        """Search some pictures, more and more seldom; two in a row must show the spot."""
+        if self.found or any(each.is_lost for each in trackers) or number < self._next:
+            return
+        known = [each.whereabouts for each in trackers]
+        largest = _MAX_CHANGE * max(each.diameter for each in trackers)
+        smallest = min(each.diameter for each in trackers) / _MAX_CHANGE
+        new = [
+            spot
+            for spot in find_spots(levels)
+            if smallest < spot.diameter < largest
+            and not any(circle.has(np.array(spot[:2])) for circle in known)
+        ]
+        for spot in new:
+            if any(math.dist(spot[:2], old[:2]) < spot.diameter for old in self._last):
+                self.found = number, spot
+        is_second = bool(self._last)
+        self._last = [] if is_second else new
+        if not self._last:
+            self._next = math.ceil(_SEARCH_RATIO * number)
 
 
 def _no_spots(levels: Picture, light: bool) -> TrackError:
-    """Say that there is no spot, and whether there are some of the other kind."""
+    """Return the error for missing spots, with a hint if spots of the other kind exist."""
     kind, other = ('light', 'dark') if light else ('dark', 'light')
     others = len(find_spots(-levels.astype(np.float64)))
     hint = f', but {others} {other} ones; see --light-spots' if others else ''
@@ -186,8 +288,8 @@ def tracks_of(
     spots : sequence of Spot
         The lowest first.
     bodies : sequence of str, optional
-        For each of them one of `BODIES`. Without, the lowest is on the plate, the highest on the
-        projectile, and what is between on the layer; a single one is on the plate.
+        One of `BODIES` per spot. By default the lowest is on the plate, the highest on the
+        projectile, and all others on the layer; a single one is on the plate.
     rate : float
         Pictures per second of the camera. [Hz]
     scale : float
@@ -282,14 +384,14 @@ def close_by_area(levels: NDArray[np.uint8], area: int) -> NDArray[np.uint8]:
     Parameters
     ----------
     levels : ndarray of uint8, shape (rows, columns)
-        Grey levels, few of which make it fast.
+        Grey levels; the time is proportional to the number of different levels.
     area : int
-        Of the smallest hole that is left. [px]
+        Area of the smallest hole that remains. [px]
 
     Notes
     -----
-    `skimage.morphology.area_closing` finds the same in a time that grows with the square of a
-    noisy picture's pixels: a minute for a million of them, and this takes a second.
+    `skimage.morphology.area_closing` has the same result, but its time grows with the square of
+    the number of pixels of a noisy picture: a minute for a million pixels, against a second here.
 
     """
     closed: NDArray[np.uint8] = levels.copy()
@@ -297,7 +399,7 @@ def close_by_area(levels: NDArray[np.uint8], area: int) -> NDArray[np.uint8]:
     for level in np.unique(levels):
         parts, _ = ndimage.label(levels <= level)
         is_large = np.bincount(parts.ravel()) >= area
-        is_large[0] = False  # what is above this level
+        is_large[0] = False  # pixels above this level
         reached = is_open & is_large[parts]
         closed[reached] = level
         is_open &= ~reached
@@ -324,45 +426,47 @@ class _Sighting(NamedTuple):
 
 
 class _Circle(NamedTuple):
-    """Where another spot is, or may be."""
+    """Known or possible position of another spot."""
 
     centre: Floats
     radius: float
 
     def has(self, place: Floats) -> bool:
-        """Tell whether a place is within it."""
+        """Return whether a position is within the circle."""
         return math.dist(self.centre, place) < self.radius
 
 
 class _SpotTracker:
-    """A spot, and where it was seen so far."""
+    """A spot with its measurements so far."""
 
     def __init__(self, found: DetectedSpot, noise: float) -> None:
         self.doubt = 0.0
-        """How far it may be from where it is expected. [px]"""
+        """Uncertainty of the expected position; 0 while the spot is seen. [px]"""
         self.acceleration = 0.0
-        """The largest so far. [px per picture squared]"""
-        self._expected = np.array([found.row, found.column])
+        """Largest acceleration so far. [px per picture squared]"""
+        self._start = (float(found.row), float(found.column))
+        self._expected = np.array(self._start)
         self._velocity = np.zeros(2)
         self._velocity_doubt = 0.0
-        self._diameter = found.diameter
+        self.diameter = found.diameter
         self._noise = noise
         self._level = found.level
         self._seen: list[tuple[int, _Sighting]] = []
         self._usual_mass = 0.0
-        self._is_lost = False
+        self.is_lost = False
+        self._has_left = False
 
     @property
     def whereabouts(self) -> _Circle:
-        """Where it was seen in this picture, or may be."""
+        """Measured or possible position in this picture."""
         place = self._expected if self.doubt or not self._seen else self._seen[-1][1].place
-        return _Circle(place, self._diameter + self.doubt)
+        return _Circle(place, self.diameter + self.doubt)
 
     def update(
         self, number: int, picture: Picture, acceleration: float, others: Sequence[_Circle]
     ) -> None:
-        """Find it in the next picture, where its motion leads and no other spot is."""
-        if self._is_lost:
+        """Search the spot in the next picture, except at the positions of other spots."""
+        if self.is_lost:
             return
         found = self._find(picture, others)
         least = max(acceleration, _MIN_ACCELERATION)
@@ -370,11 +474,12 @@ class _SpotTracker:
             self._velocity_doubt += least
             self.doubt += self._velocity_doubt
             self._expected = self._expected + self._velocity
-            edge = 0.5 * self._diameter + _BLUR + 1.0
+            edge = 0.5 * self.diameter + _BLUR + 1.0
             beyond = np.maximum(edge - self._expected, self._expected + edge - picture.shape)
-            if beyond.max() > 0.0 or self.doubt > _MAX_DOUBT * self._diameter:
-                # It has left the picture, or may be anywhere
-                self._is_lost, self.doubt = True, 0.0
+            if beyond.max() > 0.0 or self.doubt > _MAX_DOUBT * self.diameter:
+                # The spot has left the picture, or its position is too uncertain
+                self.is_lost, self.doubt = True, 0.0
+                self._has_left = bool(beyond.max() > 0.0)
             if self._velocity_doubt > np.linalg.norm(self._velocity):
                 self._velocity = np.zeros(2)  # it may have turned
             return
@@ -393,7 +498,7 @@ class _SpotTracker:
         self._see_acceleration()
 
     def _see_acceleration(self) -> None:
-        """Tell the acceleration from three places that are far enough apart not to be noise."""
+        """Update the largest acceleration from three positions far enough apart."""
         span = _ACCELERATION_SPAN
         if len(self._seen) > 2 * span:
             (first, before), (_, middle), (last, after) = self._seen[-1 - 2 * span:: span]
@@ -402,7 +507,7 @@ class _SpotTracker:
                 self.acceleration = max(self.acceleration, float(np.linalg.norm(bend)) / span**2)
 
     def result(self) -> Spot:
-        """Return what was seen for long enough, but for the samples beside gaps."""
+        """Return all runs of sufficient length, without the samples beside gaps."""
         numbers = np.array([number for number, _ in self._seen], dtype=np.int64)
         runs = np.split(np.arange(numbers.size), np.flatnonzero(np.diff(numbers) > 1) + 1)
         kept = [
@@ -416,10 +521,17 @@ class _SpotTracker:
         seen = [self._seen[place][1] for place in places]
         row, column = np.array([each.place for each in seen]).reshape(-1, 2).T
         error = float(np.sqrt(np.mean(np.square([each.error for each in seen] or [0.0]))))
-        return Spot(picture=numbers[places], row=row, column=column, error=error)
+        return Spot(
+            picture=numbers[places],
+            row=row,
+            column=column,
+            error=error,
+            has_left=self._has_left,
+            start=self._start,
+        )
 
     def _is_one_motion(self, before: Integers, after: Integers) -> bool:
-        """Tell whether the speeds on both sides of a gap explain how far it went in between."""
+        """Return whether the speeds on both sides of a gap explain the path in between."""
         pairs = ((before[-_MIN_RUN], before[-1]), (after[0], after[_MIN_RUN - 1]))
         (one, end), (start, other) = ((self._seen[i], self._seen[k]) for i, k in pairs)
         speeds = [
@@ -428,30 +540,30 @@ class _SpotTracker:
         ]
         pictures = start[0] - end[0]
         off = start[1].place - end[1].place - 0.5 * pictures * (speeds[0] + speeds[1])
-        most = 0.5 * self._diameter + _BEND * self.acceleration * pictures**2
+        most = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
         up, aside = np.abs(start[1].place - end[1].place)
         return bool(np.linalg.norm(off) < most and aside < _ASIDE + _TILT * up)
 
     def _find(self, picture: Picture, others: Sequence[_Circle]) -> _Sighting | None:
-        """Look for it; return nothing if it is not there as a whole, or if two may be it."""
+        """Search the spot; return None if it is covered or missing, or for two candidates."""
         from skimage.measure import label, regionprops
 
-        smear = float(np.linalg.norm(self._velocity))  # by motion while a picture is taken
-        reach = self._diameter + _MARGIN + self.doubt + self._velocity_doubt + smear
+        smear = float(np.linalg.norm(self._velocity))  # motion during the exposure at most [px]
+        reach = self.diameter + _MARGIN + self.doubt + self._velocity_doubt + smear
         corner = np.maximum(np.floor(self._expected - reach).astype(int), 0)
         end = np.maximum(np.ceil(self._expected + reach).astype(int), 0)
         part = picture[corner[0]:end[0], corner[1]:end[1]].astype(np.float64)
         if min(part.shape) < 2 * _MARGIN:
             return None
         smooth = _smooth(part)
-        usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self._diameter**2
+        usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self.diameter**2
         candidates = [
             region
             for region in regionprops(label(smooth < self._level))
             if usual / _MAX_CHANGE < region.area < usual * _MAX_CHANGE
             and min(region.bbox[:2]) > 0
             and (np.array(region.bbox[2:]) < part.shape).all()
-            and _is_round(region, smeared=smear > _SMEARED * self._diameter)
+            and _is_round(region, smeared=smear > _SMEARED * self.diameter)
             and not any(other.has(corner + region.centroid) for other in others)
         ]
         sightings = [self._measure(region, part, smooth, smear) for region in candidates]
@@ -459,13 +571,13 @@ class _SpotTracker:
         if len(whole) > 1 and self.doubt > 0.0:
             return None
         middle = self._expected - corner
-        far = 0.5 * self._diameter + _MARGIN + self.doubt + smear
+        far = 0.5 * self.diameter + _MARGIN + self.doubt + smear
         whole = [each for each in whole if math.dist(each.place, middle) < far]
         near = min(whole, key=lambda each: math.dist(each.place, middle), default=None)
         return near and near._replace(place=near.place + corner)
 
     def _is_like(self, found: _Sighting) -> bool:
-        """Tell whether it is as dark and symmetric as it was."""
+        """Return whether a candidate is as dark and symmetric as the spot before."""
         if found.depth < _MIN_CONTRAST * self._noise:
             return False
         if not self._seen:
@@ -482,10 +594,10 @@ class _SpotTracker:
     def _measure(
         self, region: Any, part: Floats, smooth: Floats, smear: float
     ) -> _Sighting | None:
-        """Find the centre of a spot; nothing if it leaves the picture."""
+        """Measure the centre of a spot; return None if the circle leaves the picture."""
         place = np.array(region.centroid)
-        longer = smear if smear > _SMEARED * self._diameter else 0.0
-        reach = 0.5 * (self._diameter + longer) + _BLUR
+        longer = smear if smear > _SMEARED * self.diameter else 0.0
+        reach = 0.5 * (self.diameter + longer) + _BLUR
         pixels = np.indices(part.shape).reshape(2, -1).T
         levels = part.ravel()
         for _ in range(_ROUNDS):
@@ -501,9 +613,9 @@ class _SpotTracker:
             place = darkness @ pixels / total
         depth = around - float(smooth[region.slice][region.image].min())
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total
-        size = math.ceil(0.5 * self._diameter + _BLUR)
+        size = math.ceil(0.5 * self.diameter + _BLUR)
         grid = np.indices((2 * size + 1, 2 * size + 1)).reshape(2, -1) - float(size)
-        beside = grid[:, np.hypot(*grid) < 0.5 * self._diameter + _BLUR]
+        beside = grid[:, np.hypot(*grid) < 0.5 * self.diameter + _BLUR]
         this, turned = (
             ndimage.map_coordinates(smooth, place[:, None] + step, order=3, mode='nearest')
             for step in (beside, -beside)

@@ -17,9 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math
-import re
 
 import numpy as np
+from soft_throw_ros.configuration.csv_rows import is_header, parse_label, read_rows
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     MAX_HEIGHT,
@@ -38,7 +39,7 @@ COLUMN_NAMES = {
     'bottom': ('bottom', 'z_bottom', 'lower', 'z_lower'),
     'top': ('top', 'z_top', 'upper', 'z_upper'),
 }
-"""Bodies, and what their columns may be called."""
+"""Accepted names of columns, by body."""
 
 _TIME_NAMES = ('t', 'time')
 _MISSING = ('', 'nan')
@@ -53,18 +54,16 @@ def read_csv(
     Parameters
     ----------
     lines : iterable of str
-        A time [s] and the heights of bodies in each, separated by commas, semicolons, tabs or
-        blanks. A first line may name the columns (`t` or `time`, and `COLUMN_NAMES`, a unit in
-        brackets may follow); others are then passed over. Without one they are time and `bodies`
-        in this order. Lines that begin with # are comments, and spreadsheets' `sep=;` is passed
-        over; a height that is empty or nan was not seen. Unless commas separate, one may also be
-        the decimal sign.
+        Lines with a time [s] and the heights of bodies, see `csv_rows`. A first line may name the
+        columns (`t` or `time`, and `COLUMN_NAMES`, with an optional unit in brackets); other
+        columns are skipped then. Without it, the columns are time and `bodies` in this order. A
+        height that is empty or nan is missing.
     name : str
-        What to call the text if something is wrong.
+        Name of the text in errors.
     bodies : sequence of str
         Bodies to read. The first must be there, the others may be missing altogether.
     unit : str
-        Of the heights, one of `UNITS`.
+        Unit of the heights, one of `UNITS`.
 
     Raises
     ------
@@ -72,13 +71,13 @@ def read_csv(
         With the number of the line, if something is wrong.
 
     """
-    rows = list(_rows(lines))
+    rows = list(read_rows(lines))
     if not rows:
         raise TrackError(f'{name}: is empty; a time and the height of the {bodies[0]} are needed')
     number, first = rows[0]
     number_of_first = number
     columns = dict(zip(('time', *bodies), range(len(first)), strict=False))
-    if not any(map(_is_number, first)):
+    if is_header(first):
         columns = _named_columns(rows.pop(0)[1], bodies, unit, f'{name}:{number}')
     if not rows:
         raise TrackError(f'{name}:{number}: names columns, but no line with numbers follows')
@@ -131,35 +130,13 @@ def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:
         yield ','.join([f'{time:.9g}', *cells])
 
 
-def _rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the cells of lines that are no comments, with the lines' numbers."""
-    separator: str | None = ''
-    for number, line in enumerate(lines, 1):
-        text = line.strip(' \r\n\ufeff')
-        if not text.strip() or text.startswith('#') or re.fullmatch('sep=.', text):
-            continue
-        if separator == '':
-            separator = next((each for each in (';', '\t', ',') if each in text), None)
-        cells = text.split(separator)
-        if separator != ',':
-            cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
-        yield number, [cell.strip().strip('"\'') for cell in cells]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _read_number(text: str, what: str, where: str, most: float) -> float:
     """Read a number that is not above `most`, or below as much; heights may be missing."""
-    is_missing = text.lower() in _MISSING and what != 'time'
-    if not is_missing and not (_is_number(text) and math.isfinite(float(text))):
+    if text.lower() in _MISSING and what != 'time':
+        return math.nan
+    value = float_of(text)
+    if value is None or not math.isfinite(value):
         raise TrackError(f'{where}: {what} must be a finite number, got {text!r}')
-    value = math.nan if is_missing else float(text)
     if abs(value) > most:
         raise TrackError(f'{where}: {what} must be within +- {most:g}, got {text!r}')
     return value
@@ -171,21 +148,21 @@ def _named_columns(
     """Find columns by their names."""
     known = {'time': (_TIME_NAMES, 's'), **{body: (COLUMN_NAMES[body], unit) for body in bodies}}
     columns: dict[str, int] = {}
-    for place, cell in enumerate(cells):
-        label, _, bracket = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
+    for index, cell in enumerate(cells):
+        label = parse_label(cell)
         for body, (names, expected) in known.items():
-            if label.strip().lower() in names:
-                given = bracket.rstrip(' )]').replace('\N{MICRO SIGN}', 'u')
-                if bracket and given != expected:
-                    hint = '' if body == 'time' or given not in UNITS else f'; see --unit {given}'
+            if label.name in names:
+                if label.unit not in ('', expected):
+                    is_height = body != 'time' and label.unit in UNITS
+                    hint = f'; see --unit {label.unit}' if is_height else ''
                     raise TrackError(f'{where}: {body} is read in {expected}, got {cell!r}{hint}')
                 if body in columns:
                     raise TrackError(f'{where}: {body} must be there once, got {cell!r} too')
-                columns[body] = place
+                columns[body] = index
     for body in ('time', bodies[0]):
         if body not in columns:
             raise TrackError(
                 f'{where}: no column is named {known[body][0][0]!r}, got {", ".join(cells)}; '
-                'what is above the names must begin with #'
+                'lines above the names must begin with #'
             )
     return columns

@@ -18,7 +18,9 @@ from __future__ import annotations
 from collections.abc import Callable
 import contextlib
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 import math
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,57 +33,68 @@ Flags = NDArray[np.bool_]
 Places = NDArray[np.intp]
 
 FEWEST = 12
-"""Samples of a track at least."""
+"""Smallest number of samples of a track."""
 
 MAX_TIME, MAX_HEIGHT = 1e12, 1e6
-"""What is beyond these was not meant as seconds or metres. [s], [m]"""
+"""Largest time and height; larger numbers have a wrong unit. [s], [m]"""
 
 MIN_STEP = 1e-12
-"""By how much time increases at least. [s]"""
+"""Smallest increase of time between two samples. [s]"""
 
-_STRAY_LIMIT = 5.0  # median deviations from the cubic beyond which it is a kink, not noise
-_ROUNDING_TOLERANCE = 0.1  # of a step, that heights may be off from multiples of it
-_MAX_ROUNDING_STEPS = 1e5  # that heights extend over; who rounds more finely adds no noise
-_SPIKE_LIMIT = 8.0  # times what is usual that a sample is away from the cubic through neighbours
-_SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # samples that say what is usual
-_SPIKE_SHARE = 1e-4  # of the whole way is usual at least: motions without noise have kinks
-_SPIKE_ROUNDS = 4  # of leaving them out, since there may be some in a row
-_MAX_SPIKE_SHARE = 0.1  # of the samples; where there are more it is the motion
+_STRAY_LIMIT = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
+_ROUNDING_TOLERANCE = 0.1  # largest deviation of rounded heights from multiples of a step [steps]
+_MAX_ROUNDING_STEPS = 1e5  # range of heights over the smallest step whose rounding matters
+_SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [usual deviations]
+_SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # offsets of the usual samples
+_SPIKE_SHARE = 1e-4  # smallest usual deviation, as a share of the range of heights
+_SPIKE_ROUNDS = 4  # number of passes, since spikes may be neighbours
+_MAX_SPIKE_SHARE = 0.1  # share of spikes above which they are part of the motion
 
-_LONGEST_BREAK = 1.0  # within a throw [s], and ...
-_LONGEST_BREAK_SAMPLES = 100.0  # in intervals between samples
+_NEIGHBOURS = 20.0
+"""Half the window in which neighbours of a sample are counted. [intervals]"""
 
-# In plate periods:
-_KEPT_BEFORE = 0.25  # of a throw among others, and ...
-_KEPT_AFTER = 6.0  # of its start
-_SEEN_AFTER = 2.0  # the start of the last one of several throws that must be seen
-_REST = 0.5  # that the plate rests between two throws at least
-_SMOOTHING = 0.125  # that are averaged over to see where it rests
+_MIN_DENSITY = 0.25
+"""Share of the expected neighbours below which a sample is isolated. [-]"""
+
+_LONGEST_BREAK = 1.0  # longest gap within a throw [s]
+_LONGEST_BREAK_SAMPLES = 100.0  # longest gap within a throw [intervals between samples]
+
+_KEPT_BEFORE = 0.25  # time kept before a throw among others [plate periods]
+_KEPT_AFTER = 6.0  # time kept after the start of a throw [plate periods]
+_SEEN_AFTER = 2.0  # shortest record after the start of the last throw [plate periods]
+_REST = 0.5  # shortest rest of the plate between two throws [plate periods]
+_SMOOTHING = 0.125  # window of the mean that shows rest [plate periods]
+
+_FLIGHT_NOISE = 3.0
+"""Residual of a parabola over the noise, beyond which a flight is not free. [-]"""
+
+_GAP = 1.8
+"""Intervals between two samples beyond which one is missing; jitter is smaller. [-]"""
 
 _ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, an oscillation is at least
 _SEGMENT = 2**15  # samples of one spectrum
-_MAX_EVEN_SAMPLES = 2**24  # of a record, made even to look for its period
+_MAX_EVEN_SAMPLES = 2**24  # largest number of evenly resampled heights for the period
 
 
 class TrackError(ValueError):
-    """A track is not what it should be; the message says where."""
+    """A track is invalid; the message contains the position of the error."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
     """
-    Heights of one body, where it was seen.
+    Measured heights of one body.
 
     Parameters
     ----------
     time : ndarray, shape (n,)
-        Increasing. [s]
+        Increasing times. [s]
     position : ndarray, shape (n,)
-        Upwards, from any zero. [m]
+        Heights, upwards from any zero. [m]
     known_noise : float, optional
-        Standard deviation of the positions; estimated from them if not given. [m]
+        Standard deviation of the positions; estimated by default. [m]
     least_noise : float
-        What an estimate is at least. [m]
+        Lower limit of the estimate. [m]
 
     Raises
     ------
@@ -131,13 +144,37 @@ class Track:
         """Usual time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
+    @cached_property
+    def rounding_step(self) -> float:
+        """Step that all heights are multiples of; 0 if they are not rounded [m]."""
+        return _rounding_step(self.position)
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """Times of the samples before and after each gap, where at least one is missing [s]."""
+        before = np.flatnonzero(np.diff(self.time) > _GAP * self.interval)
+        return [(float(self.time[index]), float(self.time[index + 1])) for index in before]
+
     @property
     def duration(self) -> float:
         """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
+    @property
+    def is_lone(self) -> Flags:
+        """
+        Return which samples stand alone, with too few others near them.
+
+        Samples with late stamps do, after the end of the others. A motion is not seen there.
+        """
+        reach = _NEIGHBOURS * self.interval
+        before, after = (
+            np.searchsorted(self.time, self.time + sign * reach) for sign in (-1.0, 1.0)
+        )
+        return np.asarray(after - before < _MIN_DENSITY * 2.0 * _NEIGHBOURS)
+
     def where(self, kept: Flags | Places) -> Track:
-        """Return some of the samples, by flags or places, as noisy as all of them."""
+        """Return some of the samples, by flags or indices, with the noise of the whole track."""
         return replace(
             self, time=self.time[kept], position=self.position[kept], least_noise=self.noise
         )
@@ -155,11 +192,11 @@ class Track:
 
     def without_spikes(self) -> Track:
         """
-        Leave out single samples that jump, to start from where no model of the motion is at hand.
+        Remove single samples that jump, without a model of the motion.
 
-        A spike is away from the cubic through the two samples on either side much farther than is
-        usual before it, after it, and than the noise. So neither kinks of the motion nor what
-        moves like that all the time are left out.
+        A spike deviates from the cubic through the two samples on either side by much more than
+        the noise, and than the samples before and after. So kinks of the motion, and motions with
+        many such deviations, remain.
         """
         least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
         kept = np.arange(self.time.size)
@@ -184,7 +221,7 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowTracks:
-    """What was seen of one throw; the name is for messages."""
+    """Tracks of one throw; the name is for messages."""
 
     name: str
     plate: Track
@@ -211,18 +248,18 @@ def noise_of(time: Floats, position: Floats) -> float:
     Parameters
     ----------
     time : ndarray, shape (n,)
-        Of the samples, which may be uneven, as where some were lost. [s]
+        Times of the samples; intervals may differ, for example where samples are missing. [s]
     position : ndarray, shape (n,)
         [m]
 
     Notes
     -----
-    From how far each sample is from the cubic through the two on either side, over what that is
-    if they are equally noisy. A motion of n even samples per period is passed on by
-    :math:`(2 \pi / n)^4 / \sqrt{70}`. What is beyond five median deviations, at kinks and jumps,
-    is left out. Heights that are rounded err by :math:`1 / \sqrt{12}` of a step; while nothing
-    moves they do so all alike, so that only samples that move by a step tell the noise. Never 0,
-    so that one can divide by it.
+    The estimate uses the deviation of each sample from the cubic through the two samples on either
+    side, over the deviation for unit noise. A motion of n even samples per period contributes its
+    amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
+    kinks and jumps, are excluded. Rounded heights have an error of :math:`1 / \sqrt{12}` of a
+    step; at rest all have the same error, so that only samples that move by a step show the noise.
+    The result is never 0, so that weights are finite.
 
     """
     apart, spread = _beside_neighbours(time, position)
@@ -237,20 +274,20 @@ def noise_of(time: Floats, position: Floats) -> float:
 
 
 def _rms_without_strays(values: Floats) -> float:
-    """Root mean square of what is not far beyond the usual."""
+    """Return the root mean square of all values within `_STRAY_LIMIT`."""
     usual = 1.4826 * float(np.median(np.abs(values)))
     kept = values[np.abs(values) <= _STRAY_LIMIT * usual]
     return float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
 
 
 def _rounding_step(position: Floats) -> float:
-    """Find the step that all heights are multiples of, from one of them; 0 if there is none."""
+    """Return the step of rounded heights, 0 if they are not rounded."""
     levels = np.unique(position)
     steps = np.diff(levels)
     steps = steps[steps > np.ptp(position) / _MAX_ROUNDING_STEPS]
     if not steps.size:
         return 0.0
-    # The mean over many steps of one size is far more precise than any of them
+    # The mean over many equal steps is far more precise than a single step
     step = float(np.mean(steps[steps < 1.5 * steps.min()]))
     multiples = (levels - levels[0]) / step
     is_rounded = np.abs(multiples - np.round(multiples)).max() < _ROUNDING_TOLERANCE
@@ -275,6 +312,14 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
         apart[inner] -= weight * position[each]
         variance[inner] += weight**2
     return apart, np.sqrt(variance)
+
+
+def names_of(throw: str) -> tuple[str, ...]:
+    """Return the name of a throw, of its part of a record, and of the record."""
+    names = [throw]
+    while match := re.fullmatch(r'(.+), (?:part|throw) \d+', names[-1]):
+        names.append(match[1])
+    return tuple(names)
 
 
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
@@ -303,11 +348,11 @@ def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
 
     Notes
     -----
-    A throw begins where the plate leaves its lowest place of rest. If it comes back there, what
-    is kept is a quarter of a plate period before and at most six periods after that, so that the
-    plate must not be put back earlier. If there are several, the last one is left out if the
-    record ends two periods after its start or sooner. A record in which the plate rests there
-    only once, or never, is one throw and stays whole.
+    A throw begins where the plate leaves its lowest position of rest. If the plate comes back to
+    rest, a throw lasts from a quarter of a plate period before its start to at most six periods
+    after, so the plate must not be put back earlier. Of several throws, the last one is dropped if
+    the record ends within two periods after its start. A record in which the plate rests there
+    only once, or never, is one throw and remains complete.
 
     """
     parts = [record.between(*span) for span in find_throws(record.plate)]
@@ -320,7 +365,7 @@ def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
 
 
 def find_throws(plate: Track) -> list[tuple[float, float]]:
-    """Find begin and end [s] of the throws in a record to which the plate comes back to rest."""
+    """Find begin and end [s] of throws in a record in which the plate returns to rest."""
     plate = plate.without_spikes()
     time = plate.time
     period = dominant_period(plate)
@@ -368,3 +413,34 @@ def dominant_period(plate: Track) -> float:
     noise = 8.0 / step * (plate.noise * np.sin(np.pi * step * frequency)) ** 2
     strength = powers.max(axis=1) - _ABOVE_NOISE * noise
     return 1.0 / float(frequency[max(1, int(np.argmax(strength)))])
+
+
+def fall_acceleration(plate: Track, projectile: Track) -> float | None:
+    """
+    Fit the acceleration of a freely falling projectile [m/s2].
+
+    Returns
+    -------
+    float or None
+        Positive if it is downwards; None if no free flight is seen.
+
+    Notes
+    -----
+    From a parabola through the heights of the projectile while it is farther from the plate than
+    half of its largest distance, if the parabola leaves little more than noise.
+
+    """
+    rest = np.interp(projectile.time, plate.time, plate.position - plate.position[0])
+    distance = projectile.position - projectile.position[0] - rest
+    highest = int(np.argmax(distance))
+    near = np.flatnonzero(distance < 0.5 * distance[highest])
+    before, after = near[near < highest], near[near > highest]
+    begin = int(before[-1]) + 1 if before.size else 0
+    flight = slice(begin, int(after[0]) if after.size else distance.size)
+    time, height = projectile.time[flight], projectile.position[flight]
+    if time.size < FEWEST or distance[highest] < 2.0 * float(np.ptp(plate.position)):
+        return None
+    parabola = np.polynomial.Polynomial.fit(time, height, 2)
+    if float(np.std(height - parabola(time))) > _FLIGHT_NOISE * projectile.noise:
+        return None
+    return -float(parabola.deriv(2)(time[0]))

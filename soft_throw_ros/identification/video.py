@@ -34,30 +34,34 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from soft_throw_ros.configuration.regular_file import open_regular_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.identification.spots import Picture
 from soft_throw_ros.identification.tracks import Track, TrackError
 
 Floats = NDArray[np.float64]
 
-_SMOOTHING = 1.0  # of lines, to find out what is dark [px]
-_SIDE = 1  # columns on either side of a line that are averaged with it
-_MAX_CHANNELS = 4  # of a picture at most; a stack has more
-_MAX_PIXELS = 2**24  # of a picture: the largest that high-speed cameras take has half of it
+_SMOOTHING = 1.0  # standard deviation of the filter of lines before the threshold [px]
+_MAX_BYTES = 1 << 40
+"""Size of a video or a picture [byte]; its pictures are bounded one by one."""
+
+_SIDE = 1  # number of columns on either side of a line in its average
+_MAX_CHANNELS = 4  # largest number of channels of a picture; a stack has more
+_MAX_PIXELS = 2**24  # largest size of a picture [pixels]: twice that of high-speed cameras
 _OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')
-"""Files that FFmpeg reads though the system has no type for them; the first is Phantom's."""
+"""Suffixes of videos for FFmpeg that `mimetypes` does not know; Phantom cameras write .cine."""
 _DEEP = re.compile(r'(?:9|1[0-6])(?:le|be)?$')
 """End of the names of pixel formats with more than 8 bits."""
 
 
 def is_video(path: str) -> bool:
-    """Tell whether it is a video, a picture or a folder of pictures, by its name."""
+    """Return whether a path is a folder or has the suffix of a video or picture."""
     return Path(path).is_dir() or _kind(path) in ('video', 'image')
 
 
 def read_pictures(path: str) -> Iterator[Picture]:
     """
-    Read the pictures of a video, of a file of them or of a folder.
+    Read the pictures of a video, of a file or of a folder.
 
     Parameters
     ----------
@@ -73,7 +77,7 @@ def read_pictures(path: str) -> Iterator[Picture]:
     Raises
     ------
     TrackError
-        If it cannot be read, or no picture is in it.
+        If the pictures cannot be read, or none exists.
 
     """
     if not Path(path).exists():
@@ -88,11 +92,11 @@ def read_pictures(path: str) -> Iterator[Picture]:
     except Exception as error:  # noqa: BLE001  whatever damaged bytes lead the libraries to
         reason = getattr(error, 'strerror', None) or str(error) or repr(error)
         raise TrackError(
-            f'cannot be read after {count} pictures, or is none of what FFmpeg and Pillow '
-            f'read: {" ".join(reason.split())}'
+            f'cannot be read after {count} pictures, or has a format unknown to FFmpeg '
+            f'and Pillow: {" ".join(reason.split())}'
         ) from None
     if not count:
-        raise TrackError('there is no picture in it')
+        raise TrackError('contains no picture')
 
 
 def camera_rate(path: str) -> float | None:
@@ -101,6 +105,7 @@ def camera_rate(path: str) -> float | None:
         return None  # others say at which rate they are shown
     from imageio import v3 as imageio
 
+    _require_file(path)
     return float(imageio.immeta(path, plugin='pyav')['fps'])
 
 
@@ -113,8 +118,9 @@ def _pictures(path: str) -> Iterator[Picture]:
         if not files:
             raise TrackError('there is no picture in this folder')
         for file in sorted(files, key=_by_number):
-            yield from _grey(_read_picture(file))
+            yield from _read_pages(file)
     elif _kind(path) == 'video':
+        _require_file(path)
         with imageio.imopen(path, 'r', plugin='pyav') as video:
             depth = str(video.metadata().get('video_format', ''))
             # Phantom's pictures are upside down in memory, which PyAV does not notice unless they
@@ -125,19 +131,28 @@ def _pictures(path: str) -> Iterator[Picture]:
             for picture in video.iter(format=pixels):
                 yield from _grey(picture)
     elif _kind(path) == 'image':
-        yield from _grey(_read_picture(Path(path)))
+        yield from _read_pages(Path(path))
     else:
         raise TrackError('must be a video or a folder of pictures')
 
 
-def _read_picture(path: Path) -> Picture:
-    """Read a picture, or a stack, if it is no larger than it can be."""
+def _read_pages(path: Path) -> Iterator[Picture]:
+    """Read a picture, or a stack page by page, if a page is no larger than it can be."""
     from imageio import v3 as imageio
 
-    logging.getLogger('tifffile').setLevel(logging.CRITICAL)  # what is damaged is said in one line
+    logging.getLogger('tifffile').setLevel(logging.CRITICAL)  # a damaged file is one line
+    _require_file(path)
     _check_size(imageio.improps(path).shape)
-    picture: Picture = imageio.imread(path)
-    return picture
+    for page in imageio.imiter(path):
+        yield from _grey(page)
+
+
+def _require_file(path: str | Path) -> None:
+    """Refuse a video or a picture that is not a regular file, which might block."""
+    try:
+        open_regular_file(path, max_bytes=_MAX_BYTES).close()
+    except OSError as error:
+        raise TrackError(str(error.strerror)) from None
 
 
 def _check_size(shape: Sequence[int]) -> None:
@@ -174,10 +189,10 @@ def _by_number(path: Path) -> list[tuple[int, str]]:
 
 @dataclass(frozen=True, kw_only=True)
 class SpaceTime:
-    """What a vertical line through the layer shows over time."""
+    """Grey levels of a vertical line through the layer over time."""
 
     levels: Floats
-    """Grey levels, shape (pictures, heights), from its lower end to its upper one."""
+    """Grey levels, shape (pictures, heights), from the lower to the upper end."""
     rate: float
     """Pictures per second. [Hz]"""
     scale: float
@@ -185,14 +200,14 @@ class SpaceTime:
 
     @property
     def time(self) -> Floats:
-        """Of the pictures [s]."""
+        """Times of the pictures [s]."""
         return np.arange(self.levels.shape[0]) / self.rate
 
     def edges(self) -> tuple[Track, Track]:
         """
-        Follow the lowest edge and the highest one, those of a layer that fills the line.
+        Track the lowest and the highest edge of a layer along the line.
 
-        Heights count from its lower end. A picture with fewer edges raises TrackError.
+        Heights count from the lower end of the line. Raise TrackError for less than two edges.
         """
         from skimage.filters import threshold_otsu
 
@@ -219,14 +234,14 @@ def space_time(
     pictures: Iterable[Picture], *, column: int, first: int, last: int, rate: float, scale: float
 ) -> SpaceTime:
     """
-    Cut a vertical line out of every picture.
+    Extract a vertical line from every picture.
 
     Parameters
     ----------
     pictures : iterable of ndarray, shape (rows, columns)
         Grey levels.
     column : int
-        Of the line, from the left. [px]
+        Column of the line, from the left. [px]
     first, last : int
         Its rows, from the top, both included. [px]
     rate : float

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The node `calibrator`: keeps a twin true to its rig.
+The node `calibrator`: identifies the rig again when the twin's predictions are wrong.
 
-While the twin finds, throw after throw, that the projectile did something else than predicted,
-the tracks of these throws are collected; from enough of them the rig is identified, and the twin
-told. That takes seconds, and waits for the twin's answers, in a thread of its own.
+The node collects the tracks of consecutive throws that the twin predicted wrongly. When it has
+enough tracks, a worker thread identifies the rig and sets the parameters of the twin. This takes
+seconds, including the wait for the twin's answers.
 """
 
 from __future__ import annotations
@@ -47,38 +47,40 @@ from soft_throw_ros.identification.fit_description import FitDescription, USUAL
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result, status_to_msg
+from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
-from soft_throw_ros.recording.cdr import decode_joint_states, MessageError
+from soft_throw_ros.recording.cdr import JointStateReader, MessageError
 from soft_throw_ros.twin.results import ThrowResult
 from std_srvs.srv import Trigger
 
 Floats = NDArray[np.float64]
 
-_DRAIN_PERIOD = 0.02  # between looks at what was measured [s]
-_KEPT_NS = 10_000_000_000  # of what was measured
-_BEFORE = 1.0  # plate periods of rest with which a track begins, ...
-_AFTER = 6.0  # and for which it goes on after the release
-_ANSWER_TIMEOUT = 10.0  # of other nodes [s]
-_PAUSE = 0.5  # before the recommendation is asked for again, ...
-_MAX_ATTEMPTS = 120  # so many times
-_STOP_TIMEOUT = 0.3  # for the thread to end [s]
-# The twin keeps what is not found here, and follows one amplitude with a linear layer
+_DRAIN_PERIOD = 0.02  # time between two reads of the measurements [s]
+_KEPT_NS = 10_000_000_000  # age of the oldest measurements kept, longer than any throw [ns]
+_BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
+_AFTER = 6.0  # length of the track after the release [plate periods]
+_ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
+_PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
+_MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
+_STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
+# The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
+# linear layer.
 _HELD = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
 _DESCRIPTION = FitDescription(dict.fromkeys(_HELD, 'held'))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
 class _Unanswered(Exception):
-    """Another node refused something, or did not answer; the message says which, and what."""
+    """Another node rejected a request or did not answer; the message names node and reason."""
 
 
 class Calibrator(RunnableNode):
     """
-    Identifies a rig anew when its twin is no longer true to it.
+    A node that identifies the rig again when the twin's predictions are wrong.
 
     Raises
     ------
@@ -105,25 +107,30 @@ class Calibrator(RunnableNode):
         self._apply = self.create_client(
             Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, self._twin)
         )
-        self.create_timer(_DRAIN_PERIOD, self._measured.take)
+        self.call_every(_DRAIN_PERIOD, self._measured.read_messages)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = status_to_msg(
             self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
         )
-        self.create_timer(1.0, self._publish_status)
+        self.call_every(1.0, self._publish_status)
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_mispredicted: Rig | None = None
         self._is_busy = False
         self._closing = threading.Event()
-        self._worker = LatestOnlyWorker(self._identify, self._on_identified)
+        self._worker = LatestOnlyWorker(
+            self._identify,
+            self._on_identified,
+            on_failure=lambda _task, error: self._report_failure(repr(error)),
+            log=self.get_logger().error,
+        )
         self.at_end(self._worker.close, _STOP_TIMEOUT)
         self.at_end(self._closing.set)
 
     def start(self) -> None:
-        """Watch."""
+        """Log that the node is ready; its timers are running already."""
         self.get_logger().info('ready')
 
-    # in the executor's thread
+    # Executor thread
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -132,31 +139,31 @@ class Calibrator(RunnableNode):
                 self._on_final(result)
 
     def _on_final(self, result: ThrowResult) -> None:
-        """Collect a throw which the twin is not true to."""
+        """Collect a throw that the twin predicted wrongly."""
         release, accuracy, comparison = result.first, result.accuracy, result.comparison
         if release is None or accuracy is None or comparison is None:
             return
         if self._is_busy or not result.is_valid:
             return
         if comparison.is_within_threshold or result.rig != self._rig_of_mispredicted:
-            self._mispredicted.clear()  # what is identified together has to be of one rig
+            self._mispredicted.clear()  # one fit needs throws of one rig
             self._rig_of_mispredicted = result.rig
         if comparison.is_within_threshold:
             return
-        self._measured.take()
+        self._measured.read_messages()
         period_ns = 1e9 / result.rig.engine.frequency
         begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
         end_ns = accuracy.release_ns + round(_AFTER * period_ns)
         try:
             tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
         except TrackError as error:
-            self.get_logger().warning(f'throw {result.throw} is of no use: {error}')
+            self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
             return
         self._mispredicted.append(tracks)
         if len(self._mispredicted) >= self.parameters.settings['throws']:
             self.get_logger().info(
-                f'the last {len(self._mispredicted)} throws were not what the twin predicted, by '
-                f'{1e3 * comparison.position_rms:.3g} mm rms in the last one; identifying'
+                f'the last {len(self._mispredicted)} throws deviated from the prediction, the '
+                f'last one by {1e3 * comparison.position_rms:.3g} mm rms; identifying the rig'
             )
             self._is_busy = True
             self._worker.submit((self._mispredicted, result.rig))
@@ -166,38 +173,42 @@ class Calibrator(RunnableNode):
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(CALIBRATOR_TOPICS.diagnostics, now, [self._status])
 
-    # in the thread of the work
+    # Worker thread
 
     def _identify(
         self, task: tuple[list[ThrowTracks], Rig], _cancelled: Callable[[], bool]
     ) -> None:
-        """Identify, and tell the twin."""
+        """Identify the rig and apply the result."""
         tracks, rig = task
         try:
             self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
         except (_Unanswered, ValueError) as error:
             if not self._closing.is_set():
-                message = f'nothing has been changed: {error}'
-                self.get_logger().warning(message)
-                self._say(message, warn=True)
+                self._report_failure(str(error))
+
+    def _report_failure(self, reason: str) -> None:
+        """Log and publish the reason why an identification has changed nothing."""
+        message = f'nothing has been changed: {reason}'
+        self.get_logger().warning(message)
+        self._set_status(message, warn=True)
 
     def _on_identified(self, _answer: None) -> None:
         self._is_busy = False
 
-    def _apply_fit(self, found: RigFit) -> None:
-        """Give the twin what was found, and the rig the layer that it then recommends."""
-        for warning in found.fit.warnings():
+    def _apply_fit(self, rig_fit: RigFit) -> None:
+        """Set the fitted parameters of the twin, and give the rig the recommended layer."""
+        for warning in rig_fit.fit.warnings():
             self.get_logger().warning(warning)
-        if found.fit.is_mismatch:
-            raise ValueError('no parameters of the model make it do what the projectile does')
-        values = {name: found.estimate(name) for name in USUAL}
+        if rig_fit.fit.is_mismatch:
+            raise ValueError('no parameters of the model reproduce the motion of the projectile')
+        values = {name: rig_fit.estimate(name) for name in USUAL}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
         )
         message = f'identified: {", ".join(words)}'
         self.get_logger().info(message)
-        self._say(message, found)
+        self._set_status(message, rig_fit)
         if self._rig:
             before = self._layer()
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
@@ -206,26 +217,28 @@ class Calibrator(RunnableNode):
             if changes:
                 self._set_parameters(self._rig, changes)
 
-    def _say(self, message: str, found: RigFit | None = None, *, warn: bool = False) -> None:
-        """Have diagnostics say what an identification came to: all that was fitted, and doubts."""
+    def _set_status(
+        self, message: str, rig_fit: RigFit | None = None, *, warn: bool = False
+    ) -> None:
+        """Set the diagnostic status: the message, all fitted parameters, and the warnings."""
         values: dict[str, object] = {}
-        if found is not None:
-            values = {name: str(value) for name, value in found.estimates().items()}
-            values['outliers'] = sum(len(each.outliers) for each in found.fit.residuals)
-            doubts = found.fit.warnings()
-            values |= {f'warning {number}': text for number, text in enumerate(doubts, 1)}
-            warn = bool(doubts)
+        if rig_fit is not None:
+            values = {name: str(value) for name, value in rig_fit.estimates().items()}
+            values['outliers'] = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
+            warnings = rig_fit.fit.warnings()
+            values |= {f'warning {number}': text for number, text in enumerate(warnings, 1)}
+            warn = bool(warnings)
         name = self.get_fully_qualified_name()
         self._status = status_to_msg(name, 'identification', message, values, warn=warn)
 
     def _layer(self) -> Settings:
-        """Return the twin's layer, as it is to be."""
+        """Return the layer parameters of the twin, including pending changes."""
         response = self._call(self._get, GetParameters.Request(names=_LAYER))
         values = map(parameter_value_to_python, response.values)
         return dict(zip(_LAYER, values, strict=True))
 
     def _apply_recommendation(self) -> str:
-        """Have the twin take over the layer it recommends, and return what that is."""
+        """Request that the twin applies its recommendation; return the answer of the service."""
         for _ in range(_MAX_ATTEMPTS):
             response = self._call(self._apply, Trigger.Request())
             if response.success:
@@ -242,12 +255,12 @@ class Calibrator(RunnableNode):
         )
         result = self._call(self._set[node], request).result
         if not result.successful:
-            raise _Unanswered(f'{node} refuses {values}: {result.reason}')
+            raise _Unanswered(f'{node} rejects {values}: {result.reason}')
 
     def _call(self, client: Client, request: object) -> Any:
-        """Call a service, and wait for the answer, which the executor gets."""
+        """Call a service and wait until the executor has received the answer."""
         if not client.wait_for_service(_ANSWER_TIMEOUT):
-            raise _Unanswered(f'{client.srv_name} is not there')
+            raise _Unanswered(f'{client.srv_name} is not available')
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
@@ -258,38 +271,40 @@ class Calibrator(RunnableNode):
 
 
 class _Measured:
-    """What was measured lately."""
+    """The measured positions of the last seconds."""
 
     def __init__(self, node: RunnableNode, twin: str) -> None:
         self._log = node.get_logger()
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._subscription = RawSubscription.of(node, topic)
-        self._parts: deque[tuple[NDArray[np.int64], Floats]] = deque()
+        self._read = JointStateReader().read_all
+        self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque()
 
-    def take(self) -> None:
-        """Take what has come; it is to be called often."""
-        datas = [message.data for message in self._subscription.drain()]
+    def read_messages(self) -> None:
+        """Read the messages that have arrived; call this often, so that no queue overflows."""
+        messages = self._subscription.drain(_DRAIN_PERIOD * MAX_DATA_RATE)
+        datas = [item.data for item in messages if len(item.data) <= MAX_MESSAGE_SIZE]
         if not datas:
             return
         try:
-            states = decode_joint_states(datas)
+            states = self._read(datas)
             columns = [states.names.index(joint) for joint in JOINTS]
         except (MessageError, ValueError) as error:
             self._log.warning(
-                f'{len(datas)} messages are no positions of plate and projectile: {error}',
+                f'{len(datas)} messages have no positions of plate and projectile: {error}',
                 throttle_duration_sec=1.0,
             )
             return
-        self._parts.append((states.stamps, states.position[:, columns]))
-        while self._parts[0][0][-1] < states.stamps[-1] - _KEPT_NS:
-            self._parts.popleft()
+        self._batches.append((states.stamps, states.position[:, columns]))
+        while self._batches[0][0][-1] < states.stamps[-1] - _KEPT_NS:
+            self._batches.popleft()
 
     def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
         """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
-        if not self._parts or self._parts[0][0][0] > start_ns:
-            raise TrackError('not all of it was measured, or not heard of')
-        stamps = np.concatenate([part[0] for part in self._parts])
-        positions = np.concatenate([part[1] for part in self._parts])
+        if not self._batches or self._batches[0][0][0] > start_ns:
+            raise TrackError('measurements of its start were not received')
+        stamps = np.concatenate([batch[0] for batch in self._batches])
+        positions = np.concatenate([batch[1] for batch in self._batches])
         stamps, order = np.unique(stamps, return_index=True)
         inside = (stamps >= start_ns) & (stamps <= end_ns)
         time = 1e-9 * (stamps[inside] - start_ns)

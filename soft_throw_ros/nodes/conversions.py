@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Values to message objects and back; what goes out at every tick is in `recording.cdr`."""
+"""Conversion between values and messages; `recording.cdr` encodes the messages of every tick."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.time import Time
-from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings
+from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings, TWIN
 from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording.bag_metadata import load_profiles
 from soft_throw_ros.recording.message import LATEST
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
-import yaml
 
 _POLICIES = {
     'history': HistoryPolicy,
@@ -49,21 +49,21 @@ _POLICIES = {
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
 UNKNOWN_DEPTH = 1000
-"""How many messages a publisher keeps if the bag does not tell. A middleware seldom does."""
+"""Queue depth of a publisher if the bag does not contain it; few middlewares report it."""
 
 
 def msg_to_time(msg: TimeMessage) -> int:
-    """Join seconds and nanoseconds [ns]."""
+    """Return the time of a message [ns]."""
     return int(Time.from_msg(msg).nanoseconds)
 
 
 def time_to_msg(time_ns: int) -> TimeMessage:
-    """Split nanoseconds."""
+    """Return a time in nanoseconds as a message."""
     return Time(nanoseconds=time_ns).to_msg()
 
 
 def profile_to_dict(profile: QoSProfile) -> dict[str, object]:
-    """Return a profile as rosbag2 writes it into a bag."""
+    """Return a profile in rosbag2's form."""
     return {
         'history': profile.history.name.lower(),
         'depth': profile.depth,
@@ -79,14 +79,14 @@ def profile_to_dict(profile: QoSProfile) -> dict[str, object]:
 
 def text_to_profiles(text: str) -> list[QoSProfile]:
     """
-    Return the profiles that a bag tells of, as any version of rosbag2 writes them.
+    Parse the quality-of-service profiles in a bag, as written by any version of rosbag2.
 
-    Policies are names, or numbers before version 9; what is not known becomes rclpy's default.
-    A text that tells of none gives none.
+    Policies are names, or numbers before version 9; unknown policies become rclpy's default.
+    A text without valid profiles yields an empty list.
     """
     try:
-        return [_dict_to_profile(item) for item in yaml.safe_load(text) or []]
-    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return [_dict_to_profile(item) for item in load_profiles(text)]
+    except (ValueError, TypeError, LookupError, AttributeError):
         return []
 
 
@@ -117,7 +117,7 @@ def status_to_msg(
     warn: bool = False,
     level: bytes | None = None,
 ) -> DiagnosticStatus:
-    """Make a status of a node, by its full name; numbers are written with all their digits."""
+    """Create a diagnostic status of a node from its full name; numbers keep all their digits."""
     return DiagnosticStatus(
         name=f'{node_name}: {task}',
         hardware_id=node_name,
@@ -128,57 +128,51 @@ def status_to_msg(
 
 
 def msg_to_values(msg: DiagnosticStatus) -> dict[str, Scalar]:
-    """Return the values of a status, read back as what they were."""
+    """Return the values of a status with their original types."""
     return {item.key: _value(item.value) for item in msg.values}
 
 
 def statuses_to_msg(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
-    """Put statuses under one stamp."""
+    """Combine statuses into one message with a stamp."""
     header = Header(stamp=time_to_msg(stamp_ns), frame_id=FRAME)
     return DiagnosticArray(header=header, status=list(statuses))
 
 
 def throw_result_to_msg(
-    result: ThrowResult, node_name: str, beside: Mapping[str, float] = MappingProxyType({})
+    result: ThrowResult, node_name: str, additional: Mapping[str, float] = MappingProxyType({})
 ) -> DiagnosticStatus:
     """
-    Make a status of what a throw gave, with the rig that threw, and other values beside.
+    Create a status from the result of a throw, its rig, and additional values.
 
-    It is a warning if the layer left its linear range, the plate was not measured, or too many of
-    its samples had jumped.
+    The level is a warning if the strain exceeds the linear range, if the throw is invalid, or if
+    too many samples of the plate were outliers.
     """
-    values = {**result.values(), **beside, **rig_values(result.rig)}
+    values = {**result.values(), **additional, **rig_values(result.rig)}
     is_clean = result.accuracy is None or result.accuracy.is_clean
     is_bad = not (result.is_linear and result.is_valid and is_clean)
     return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
 
 
 def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
-    """Return what a throw gave."""
+    """Return the result of a throw."""
     values = msg_to_values(msg)
     return ThrowResult.from_values(values, values_to_rig(values))
-
-
-_UNSAID = {
-    'engine.motion': 'underdamped', 'layer.library': '', 'layer.stack': '',
-    'layer.elasticity': 'linear', 'layer.loss': 'kelvin_voigt',
-}
-"""What a message says nothing about, or did not in version 0.1."""
 
 
 def values_to_rig(values: Settings) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
     named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
-    return rig_of({**_UNSAID, **named})
+    named = TWIN.without_deprecated(named)
+    return rig_of({'engine.motion': 'underdamped', 'layer.library': '', **named})
 
 
 def _text(value: object) -> str:
-    """Write a value; numbers with all their digits, truth in small letters."""
+    """Format a value; numbers keep all their digits, booleans are lower case."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _value(text: str) -> Scalar:
-    """Read what `_text` wrote."""
+    """Parse a text written by `_text`."""
     if text in ('true', 'false'):
         return text == 'true'
     number = number_of(text)

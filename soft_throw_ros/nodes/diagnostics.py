@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the twin says about itself, once a second (REP 107)."""
+"""Diagnostic statuses of the twin, once per second (REP 107)."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 MAX_LATE_SHARE = 0.01
-"""What share of the ticks may be late before it is a warning [-]."""
+"""Fraction of late ticks above which the status is a warning [-]."""
 
 MAX_COMPUTE_SHARE = 0.5
-"""What share of the time may go into ticks before it is a warning [-]."""
+"""Fraction of the time spent in ticks above which the status is a warning [-]."""
 
 
 class Diagnostics:
-    """Sums up a second of a session, its ticks and what is measured, at a time."""
+    """Summary of a session, its ticks and its measurements over one second."""
 
     def __init__(
         self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
@@ -51,14 +51,16 @@ class Diagnostics:
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
         self._measured: Counter[str] = Counter()
+        self._max_lateness = 0  # since the last line of the log [ns]
+        self._logged_skips = 0
 
     def statuses(
-        self, result: ThrowResult | None, *, namesakes: int = 0
+        self, result: ThrowResult | None, *, duplicate_nodes: int = 0
     ) -> list[DiagnosticStatus]:
         """
         Return the statuses for the time since the last call.
 
-        `result` is the last throw's, and `namesakes` are nodes that publish under the same name.
+        `result` is that of the last throw; `duplicate_nodes` other nodes have the same name.
         """
         if result is not None and result.stage == 'final' and result.comparison is not None:
             self._compared = result
@@ -66,30 +68,38 @@ class Diagnostics:
             *self._timing_and_load(),
             self._parameters(),
             self._layer(result),
-            self._name(namesakes),
+            self._name(duplicate_nodes),
         ]
         if self._session.is_measured:
             statuses += [self._measurements(), self._model()]
         return statuses
 
+    def take_lateness(self) -> str:
+        """Return the lateness and the skips of ticks since the last call, for a log."""
+        lateness, self._max_lateness = self._max_lateness, 0
+        skipped = self._ticker.counts['ticks_skipped']
+        skips, self._logged_skips = skipped - self._logged_skips, skipped
+        return f'ticks at most {1e3 * lateness / SECOND:.2g} ms late, {skips} skipped'
+
     def _timing_and_load(self) -> list[DiagnosticStatus]:
-        """Tell how late the ticks were, and how much time they take."""
+        """Return the statuses of the lateness and of the processor time of the ticks."""
         session, ticker, now = self._session, self._ticker, time.monotonic()
         times = ticker.take_times()
         lateness, compute = [late for late, _ in times], [taken for _, taken in times]
+        self._max_lateness = max([self._max_lateness, *lateness])
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()
-        news, self._ticks = ticks - self._ticks, ticks
-        late, skipped = news['ticks_late'], news['ticks_skipped']
+        new, self._ticks = ticks - self._ticks, ticks
+        late, skipped = new['ticks_late'], new['ticks_skipped']
         is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
         text = f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time'
-        if not news['ticks']:
-            is_bad, text = True, f'no tick since the last status: {ticker.describe_standstill()}'
+        if not new['ticks']:
+            is_bad, text = True, f'no tick since the last status: {ticker.stall_reason()}'
         share = sum(compute) / SECOND / passed
         load = {
             **_percentiles('compute', compute),
             'compute_part': share,
-            'real_time_factor': news['ticks'] * session.time_scale / (session.rate * passed),
+            'real_time_factor': new['ticks'] * session.time_scale / (session.rate * passed),
             'time_scale': session.time_scale,
             'rate': session.rate,
         }
@@ -102,44 +112,48 @@ class Diagnostics:
             ),
             self._status(
                 'load',
-                f'{100.0 * share:.1f} % of the time goes into ticks',
+                f'ticks take {100.0 * share:.1f} % of the time',
                 load,
                 warn=share > MAX_COMPUTE_SHARE,
             ),
         ]
 
     def _parameters(self) -> DiagnosticStatus:
-        """Tell which changes are pending."""
+        """Return the status of the pending parameter changes."""
         pending = self._session.pending
-        text = f'{len(pending)} wait for the next throw or ~/reset'
+        noun = 'change' if len(pending) == 1 else 'changes'
+        text = f'{len(pending)} parameter {noun} pending until the next throw or ~/reset'
         return self._status(
             'parameters',
-            text if pending else 'none is pending',
+            text if pending else 'no parameter change pending',
             {'pending': len(pending), **pending},
         )
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
-        """Tell whether the layer stayed in its linear range in the last throw."""
+        """Return whether the strain of the last throw stayed within the linear range."""
         if result is None:
-            return self._status('layer', 'nothing has been thrown yet')
+            return self._status('layer', 'no throw yet')
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         beyond = 'within' if result.is_linear else 'beyond'
         return self._status(
             'layer',
-            f'strain of {strain:.1f} % in throw {result.throw}, {beyond} the linear {limit:.3g} %',
+            f'strain of {strain:.1f} % in throw {result.throw}, {beyond} the linear range of '
+            f'{limit:.3g} %',
             {name: getattr(result, name) for name in ('throw', 'peak_strain', 'max_strain')},
             warn=not result.is_linear,
         )
 
-    def _name(self, namesakes: int) -> DiagnosticStatus:
-        """Tell whether others publish under the same name, as if it were this one."""
-        text = describe_namesakes(self._node_name) if namesakes else 'no other node has this name'
-        return self._status('name', text, {'namesakes': namesakes}, warn=namesakes > 0)
+    def _name(self, duplicate_nodes: int) -> DiagnosticStatus:
+        """Return whether other nodes publish under the name of this node."""
+        text = 'no other node has this name'
+        if duplicate_nodes:
+            text = duplicate_name_warning(self._node_name)
+        return self._status('name', text, {'namesakes': duplicate_nodes}, warn=duplicate_nodes > 0)
 
     def _measurements(self) -> DiagnosticStatus:
-        """Tell how many measurements came, and how far ahead the projectile was known."""
+        """Return the status of the received samples and of the prediction lead."""
         counts = self._measurement.count()
-        news, self._measured = counts - self._measured, counts
+        new, self._measured = counts - self._measured, counts
         leads, self._measurement.leads = self._measurement.leads, []
         lead = min(leads) / SECOND if leads else math.nan
         clock = self._measurement.clock
@@ -151,17 +165,17 @@ class Diagnostics:
             'messages_lost',
             'samples_refused',
         )
-        reasons = {name: count for name, count in news.items() if name.startswith('refused.')}
-        is_bad = not news['samples'] or news['samples_refused'] or news['messages_lost']
+        reasons = {name: count for name, count in new.items() if name.startswith('refused.')}
+        is_bad = not new['samples'] or new['samples_refused'] or new['messages_lost']
         return self._status(
             'measurement',
-            f'{news["samples"]} samples, {news["messages_lost"]} lost, '
-            f'{news["samples_refused"]} refused'
+            f'{new["samples"]} samples, {new["messages_lost"]} lost, '
+            f'{new["samples_refused"]} refused'
             + (f'; {clock.problem}' if clock.problem else '')
-            + (f'; the projectile is known {-1e3 * lead:.2f} ms too late' if lead <= 0.0 else ''),
+            + (f'; prediction {-1e3 * lead:.2f} ms behind the tick' if lead <= 0.0 else ''),
             {
                 'at_rest': self._session.is_at_rest,
-                **{name: news[name] for name in names},
+                **{name: new[name] for name in names},
                 'clock_offset': clock.offset_ns / SECOND,
                 'lead_min': lead,
                 **reasons,
@@ -170,20 +184,20 @@ class Diagnostics:
         )
 
     def _model(self) -> DiagnosticStatus:
-        """Tell how well the model predicted the last throw."""
+        """Return how well the model predicted the last throw."""
         result = self._compared
         if result is None or result.comparison is None:
             return self._status('model', 'no throw has been compared')
         return self._status(
             'model',
-            f'throw {result.throw}: {result.comparison.describe()}',
+            f'throw {result.throw}: {result.describe_comparison()}',
             {'throw': result.throw, **known_values(result.comparison)},
             warn=not result.comparison.is_within_threshold,
         )
 
 
-def describe_namesakes(node_name: str) -> str:
-    """Say that there are two nodes of a name, and what to do."""
+def duplicate_name_warning(node_name: str) -> str:
+    """Return the warning that another node has the same name, with the remedy."""
     return (
         f'another node is named {node_name}, and both publish on the same topics: '
         'start one of them with -r __ns:=/NAMESPACE or -r __node:=NAME'
@@ -191,7 +205,7 @@ def describe_namesakes(node_name: str) -> str:
 
 
 def _percentiles(name: str, values: list[int]) -> dict[str, float]:
-    """Return median, 99th percentile and largest of nanoseconds, in seconds; zeros if none."""
-    names = (f'{name}_{part}' for part in ('p50', 'p99', 'max'))
-    found = np.percentile(values or [0], (50, 99, 100)) / SECOND
-    return dict(zip(names, found.tolist(), strict=True))
+    """Return median, 99th percentile and maximum of times [ns], in seconds; zeros if none."""
+    names = (f'{name}_{statistic}' for statistic in ('p50', 'p99', 'max'))
+    percentiles = np.percentile(values or [0], (50, 99, 100)) / SECOND
+    return dict(zip(names, percentiles.tolist(), strict=True))

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What a rig measures, taken from its topic by the thread that ticks, before every step.
+Measurements of a rig, read from their topic by the tick thread before every step.
 
-There are thousands of messages in a second, which an executor would take one callback each for;
-drained, they cost a tenth of that.
+There are thousands of messages per second. An executor would need one callback for each;
+draining the queue costs a tenth of this.
 """
 
 from __future__ import annotations
@@ -28,38 +28,46 @@ from rclpy.node import Node
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
-from soft_throw_ros.twin.plate_estimator import FARTHEST, Sample
+from soft_throw_ros.twin.plate_estimator import FARTHEST
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_clock import SensorClock
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND
+
+MAX_MESSAGE_SIZE = 2**14
+"""Size of the largest message that is decoded, 500 joints [bytes]: larger ones hold up a tick."""
+
+MAX_DATA_RATE = 16e6
+"""Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
 
 _PLATE, _PROJECTILE = JOINTS
 
 
 class Measurement:
     """
-    Gives a session what the rig has measured.
+    Subscription to the measurements of a rig, which passes them to a session.
 
-    Messages that are damaged, or lack the plate, are refused like samples: as 'unreadable', and
-    for their 'names'. What their clock is off is taken off, see `SensorClock`, and logged.
+    A message that is damaged, lacks the plate, or is larger than `MAX_MESSAGE_SIZE` is refused and
+    counted as 'unreadable', 'names' or 'too large'. A constant error of the sensor's clock is
+    removed and logged, see `SensorClock`.
 
     Parameters
     ----------
     node : Node
-        That subscribes.
+        Node that subscribes.
     session : Session
-        That is given samples.
+        Session that receives the samples.
     now : callable
-        Gives the time by the clock of the ticks. [ns]
+        Returns the time on the clock of the ticks. [ns]
     clock_limit : callable
-        Gives how far clocks may be apart. [s]
+        Returns the largest offset that is corrected. [s]
 
     Attributes
     ----------
     clock : SensorClock
-        That stamps the samples.
+        Estimate of the offset of the stamps.
     leads : list of int
-        How far ahead the projectile was known, at every step of a throw. [ns]
+        Prediction lead at every step of a throw. [ns]
 
     """
 
@@ -73,6 +81,8 @@ class Measurement:
     ) -> None:
         self.leads: list[int] = []
         self.clock = SensorClock()
+        self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
+        self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
         self._now = now
         self._clock_limit = clock_limit
@@ -82,23 +92,27 @@ class Measurement:
         self._read = JointStateReader().read
 
     def take(self) -> None:
-        """Hand on all that has been measured until now."""
+        """
+        Pass the samples that have arrived to the session, within the budget of a tick.
+
+        If the session is not measured, drop the messages.
+        """
+        messages = self._subscription.drain(MAX_DATA_RATE / self._session.rate)
         if self._session.is_measured:
-            messages = self._subscription.drain()
             samples = self._samples([message.data for message in messages])
             if samples:
                 self._session.measure(self._by_our_clock(samples))
                 self._warn_of_units()
 
     def count(self) -> Counter[str]:
-        """Count messages and samples, so far, by what became of them."""
-        self._subscription.look_for_losses()
+        """Return the numbers of messages and samples so far, by their treatment."""
+        self._subscription.poll_losses()
         counts = self._session.sample_counts
-        refused = dict(counts.refused)  # a copy, for the other thread adds to it
+        refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
         found = Counter({f'refused.{why}': count for why, count in refused.items()})
         found['samples'] = counts.taken
         found['samples_out_of_order'] = counts.out_of_order
-        found['samples_jumped'] = counts.jumped
+        found['samples_jumped'] = counts.outliers
         found['samples_refused'] = sum(refused.values())
         found['messages'] = self._subscription.received
         found['messages_lost'] = self._subscription.lost
@@ -109,7 +123,7 @@ class Measurement:
         self._subscription.close()
 
     def _warn_of_units(self) -> None:
-        """Say once what heights that are out of range may be."""
+        """Log once that heights out of range may be in millimetres."""
         if not self._is_warned and self._session.sample_counts.refused['out of range']:
             self._is_warned = True
             self._logger.warning(
@@ -118,20 +132,38 @@ class Measurement:
             )
 
     def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
-        """Take off what the clock of the samples is off."""
-        clock = self.clock
-        limit_ns = round(self._clock_limit() * SECOND)
-        stamps = (sample.stamp_ns for sample in samples)
-        if clock.observe(stamps, self._now(), limit_ns=limit_ns):
-            self._logger.warning(clock.problem or 'stamps of the samples are right again')
+        """Correct the stamps of samples by the offset of the sensor's clock."""
+        clock, now = self.clock, self._now()
+        if now != self._arrival_ns:
+            self._observe(now)
+            self._arrival_ns, self._arrived = now, []
+        self._arrived += [sample.stamp_ns for sample in samples]
         if not clock.offset_ns:
             return samples
         return [sample._replace(stamp_ns=sample.stamp_ns + clock.offset_ns) for sample in samples]
 
+    def _observe(self, now: int) -> None:
+        """
+        Compare the stamps that arrived before the clock moved with the clock.
+
+        `/clock` moves in steps of many milliseconds. The samples arrived somewhere between the
+        last step and this one, so stamps within that interval are right.
+
+        """
+        if not self._arrived or now < self._arrival_ns:  # a bag that is played again
+            return
+        arrival = min(max(*self._arrived, self._arrival_ns), now)
+        limit_ns = round(self._clock_limit() * SECOND)
+        if self.clock.observe(self._arrived, arrival, limit_ns=limit_ns):
+            self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
+
     def _samples(self, datas: list[bytes]) -> list[Sample]:
-        """Read messages, and refuse and count what cannot be read."""
+        """Decode messages; refuse and count those that are not valid."""
         samples, refused = [], self._session.sample_counts.refused
         for data in datas:
+            if len(data) > MAX_MESSAGE_SIZE:
+                refused['too large'] += 1
+                continue
             try:
                 sample = _to_sample(self._read(data))
             except MessageError:
@@ -145,7 +177,7 @@ class Measurement:
 
 
 def _to_sample(values: JointValues) -> Sample | None:
-    """Return what a message tells, None if it does not tell of the plate."""
+    """Return the sample in a message, None if the message lacks the plate."""
     stamp_ns, names, position, velocity, _ = values
     count = len(names)
     if _PLATE not in names or len(position) != count or len(velocity) not in (0, count):

@@ -16,7 +16,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 import math
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -24,61 +26,70 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.table import MAX_NAME, MAX_TEXT, quote
 from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 LOG_PERIOD = 0.5
-"""How often changes are logged at most [s]."""
+"""Time between two logs of changes [s]."""
+
+MAX_REQUEST = 250
+"""Parameters in one request [-]: twice as many as the twin has."""
 
 
 class _Refusal(Parameter):
-    """A parameter at its present value, which carries through rclpy why a request is refused."""
+    """A parameter at its present value that carries the reason of a refusal through rclpy."""
 
     reason: str
 
 
 class _Result(Parameter):
-    """A result, which the node itself sets."""
+    """A parameter with a result, which only the node sets."""
 
 
 class NodeParameters:
     """
-    Declare every parameter of a table on a node, and watch over them.
+    Declare all parameters of a table on a node, and check their changes.
 
     Parameters
     ----------
     node : RunnableNode
         Made without `automatically_declare_parameters_from_overrides`.
     table : Table
-        What there is.
+        The parameters.
     on_changed : callable
-        Called with what has really changed, by name, after `settings` has been replaced.
+        Called after `settings` has been replaced, with the changed values by name.
     describe : callable, optional
-        Says of a changed parameter, by its name, when the change takes effect, for the log.
+        Returns for the name of a changed parameter when the change takes effect, for the log.
     check : callable, optional
-        Called with complete settings before they are accepted; refuses them by ValueError.
+        Called with complete settings before they are accepted; raises ValueError to refuse.
+        The result is kept in `checked`.
     arguments : sequence of str
-        The command line, to say in which file and line a bad value stands.
+        The command line, so that errors name the file and line of a bad value.
 
     Attributes
     ----------
     settings : mapping of str to value
-        All present settings; replaced at every change, so that a thread may take it at any time.
+        All present settings; replaced at every change, so that any thread may read it.
+    checked : object
+        The result of `check` for the present settings.
 
     Raises
     ------
     ParameterError
-        In one line, if a value is refused, or a name is no parameter.
+        If a value is refused, or a name is no parameter; the message is one line.
 
     Notes
     -----
-    rclpy looks at a request in this order: pre-set callbacks, names, types and ranges of the
-    descriptors, on-set callbacks, post-set callbacks. Its own words for a wrong type name
-    neither parameter nor value, and for an unknown name nothing at all. So requests are judged in
-    the pre-set callback; what is refused is replaced there by a `_Refusal`, which rclpy lets
-    pass, and refused with our words in the on-set callback. Nobody else's callback gets to see
-    a part of a refused request, and the descriptors can still tell tools types and ranges.
+    rclpy processes a request in this order: pre-set callbacks, names, types and ranges of the
+    descriptors, on-set callbacks, post-set callbacks. Its message for a wrong type contains
+    neither parameter nor value, and for an unknown name there is none. So the pre-set callback
+    checks requests. It replaces each bad parameter by a `_Refusal`, which passes rclpy's checks;
+    the on-set callback then refuses the request with our message. Callbacks of other code never
+    see a part of a refused request, and the descriptors still contain types and ranges for tools.
 
     Requests arrive in the executor's thread. `apply` and `set_results` belong there too.
 
@@ -91,34 +102,37 @@ class NodeParameters:
         on_changed: Callable[[Settings], None] = lambda _changes: None,
         *,
         describe: Callable[[str], str] = lambda _name: '',
-        check: Callable[[Settings], None] = lambda _settings: None,
+        check: Callable[[Settings], Any] = lambda _settings: None,
         arguments: Sequence[str] = (),
     ) -> None:
         self._node = node
         self._table = table
         self._on_changed = on_changed
         self._check = check
-        self._log = _ChangeLog(node, describe)
-        # rclpy has no public way to see values for names that are not declared: the typos
-        overrides = node._parameter_overrides.values()
+        self._describe = describe
+        self._log = _ChangeLog(node)
+        overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         given = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
-        self.settings: Settings = files.start(values, given, table)
-        self._check_complete(self.settings)
+        self.settings: Settings = files.start(
+            values, given, table, warn=node.get_logger().warning
+        )
+        self.checked = self._candidate = self._check_complete(self.settings)
         for entry in table.entries:
             value = self.settings.get(entry.name, entry.default)
             node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
+        _refuse_long_requests(node)
         node.add_pre_set_parameters_callback(self._on_pre_set)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_post_set)
 
     def apply(self, changes: Settings) -> None:
-        """Change several settings as a request would; ParameterError if they are refused."""
+        """Change several settings as a request would; raise ParameterError if refused."""
         self._set([Parameter(name, value=value) for name, value in changes.items()])
 
     def set_results(self, results: Mapping[str, float | str]) -> None:
         """
-        Set parameters `recommended.*`, which are refused to everybody else.
+        Set parameters `recommended.*`, which requests cannot set.
 
         They are named without `recommended.`; those that are missing become nan, or empty.
 
@@ -134,13 +148,13 @@ class NodeParameters:
             raise ParameterError(result.reason)
 
     def _is_foreign(self, name: str) -> bool:
-        """Tell whether somebody else answers for a parameter."""
+        """Return whether other code has declared a parameter."""
         declared = name not in self._table.by_name and self._node.has_parameter(name)
         return declared or files.is_foreign(name)
 
-    def _check_complete(self, settings: Settings) -> None:
+    def _check_complete(self, settings: Settings) -> Any:
         try:
-            self._check(settings)
+            return self._check(settings)
         except ValueError as error:
             raise ParameterError(str(error)) from error
 
@@ -154,7 +168,7 @@ class NodeParameters:
             return [refusal]
 
     def _accepted(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return the parameters to be set instead, or raise ParameterError."""
+        """Return the parameters with which rclpy continues, or raise ParameterError."""
         passed: list[Parameter] = []
         request: dict[str, Value] = {}
         for parameter in parameters:
@@ -164,13 +178,18 @@ class NodeParameters:
                 passed.append(parameter)
             elif entry is not None and entry.is_result:
                 passed.append(self._node.get_parameter(name))  # as it is, so that a dump loads
+                reason = f'{name} keeps its value, since it is a result; got {quote(value)}'
+                self._log.add({'results': reason})
             elif name in request:
-                raise ParameterError(f'{name} is given twice, {request[name]!r} and {value!r}')
+                raise ParameterError(
+                    f'{name} is given twice, {quote(request[name])} and {quote(value)}'
+                )
             else:
                 request[name] = value
+        request = self._table.without_deprecated(request, self._node.get_logger().warning)
         changes = self._table.change(self.settings, request)
         if changes:
-            self._check_complete({**self.settings, **changes})
+            self._candidate = self._check_complete({**self.settings, **changes})
         return passed + [Parameter(name, value=value) for name, value in changes.items()]
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -187,38 +206,78 @@ class NodeParameters:
         }
         if changes:
             self.settings = {**self.settings, **changes}
+            self.checked = self._candidate
             self._on_changed(changes)
-            self._log.add(changes)
+            self._log.add({
+                name: f'{name} is now {shown(value)}{self._describe(name)}'
+                for name, value in changes.items()
+            })
 
 
 def shown(value: object) -> str:
-    """Write the value of a parameter for people, who need no 17 digits of 6.789000000000001."""
+    """Format the value of a parameter, with at most 9 digits."""
     return str(float(f'{value:.9g}') if isinstance(value, float) else value)
 
 
 class _ChangeLog:
-    """Says in the log what has changed, at once, but of a storm only every half a second."""
+    """A logger of changes that logs at most one line per subject within `LOG_PERIOD`."""
 
-    def __init__(self, node: RunnableNode, describe: Callable[[str], str]) -> None:
+    def __init__(self, node: RunnableNode) -> None:
         self._logger = node.get_logger()
-        self._describe = describe
-        self._waiting: dict[str, Value] = {}
+        self._waiting: dict[str, str] = {}
         self._timer = node.call_every(LOG_PERIOD, self._flush)
         self._timer.cancel()
 
-    def add(self, changes: Settings) -> None:
-        """Take note of changes, later values in place of earlier ones."""
-        self._waiting.update(changes)
+    def add(self, lines: Mapping[str, str]) -> None:
+        """Log lines by subject; a later line replaces a waiting one."""
+        self._waiting.update(lines)
         if self._timer.is_canceled():
             self._flush()
             self._timer.reset()
 
     def _flush(self) -> None:
-        for name, value in self._waiting.items():
-            self._logger.info(f'{name} is now {shown(value)}{self._describe(name)}')
+        for line in self._waiting.values():
+            self._logger.info(line)
         if not self._waiting:
             self._timer.cancel()
         self._waiting.clear()
+
+
+_SIZED = (
+    'string_value', 'byte_array_value', 'bool_array_value', 'integer_array_value',
+    'double_array_value', 'string_array_value',
+)
+"""Fields of a ParameterValue that have a length."""
+
+
+def _refuse_long_requests(node: RunnableNode) -> None:
+    """Refuse requests with too many parameters or too long values before they are converted."""
+    for service in node.services:
+        if service.srv_type in (SetParameters, SetParametersAtomically):
+            service.callback = partial(_answer_if_short, service.callback)
+
+
+def _answer_if_short(answer: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    """Answer a request to set parameters, or refuse the whole request if it is too long."""
+    count = len(request.parameters)
+    reason = ''
+    if count > MAX_REQUEST:
+        reason = f'a request must have at most {MAX_REQUEST} parameters, got {count}'
+    for parameter in request.parameters[:MAX_REQUEST]:
+        size = max(len(getattr(parameter.value, name)) for name in _SIZED)
+        if size > MAX_TEXT:
+            reason = (
+                f'{parameter.name[:MAX_NAME]} must have at most {MAX_TEXT} characters or items, '
+                f'got {size}'
+            )
+    if not reason:
+        return answer(request, response)
+    result = SetParametersResult(successful=False, reason=reason)
+    if isinstance(request, SetParameters.Request):
+        response.results = [result] * count
+    else:
+        response.result = result
+    return response
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:
@@ -229,7 +288,7 @@ def _descriptor(entry: Entry) -> ParameterDescriptor:
     )
     low = 0 if entry.or_zero else entry.low
     if not math.isfinite(low) or isinstance(entry.default, tuple):
-        return descriptor  # of a list ROS knows no range
+        return descriptor  # ROS has no ranges for lists
     if isinstance(entry.default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
     else:

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The node `replay`: publish what is in a bag again, as the bytes that it was.
+The node `replay`: publish the messages of a bag again, byte for byte.
 
-One thread publishes what is due; all else happens in the executor's.
+One thread publishes due messages; everything else runs in the thread of the executor.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 DISCOVERY_TIME = 0.5
-"""Before the first message, so that those who listen already get it. [s]"""
+"""Time for the discovery of existing subscriptions before the first message. [s]"""
 
 DRAIN_TIMEOUT = 0.5
-"""Longest wait, after the last message, for those who acknowledge it. [s]"""
+"""Longest wait for acknowledgements of the last message. [s]"""
 
 STOP_TIMEOUT = 0.3
 """Longest wait for the thread to end. [s]"""
@@ -54,21 +54,21 @@ STOP_TIMEOUT = 0.3
 _LONG = 1e9  # longer than any bag [s]
 
 _REFUSALS = (ImportError, ValueError, TypeError, KeyError, OverflowError, RuntimeError)
-"""What rclpy raises, besides bad names, if it is asked for a publisher that it cannot make."""
+"""Errors, besides bad names, that rclpy raises if it cannot create a publisher."""
 
 
 class Player(RunnableNode):
     """
-    Plays a bag.
+    A node that plays a bag.
 
     Parameters
     ----------
     reader : BagReader
-        Of the bag.
+        Open reader of the bag.
     topics : collection of str
-        Which topics; all if there is none.
+        Topics to play; all if empty.
     start, duration : float
-        From when on, counted from the beginning of the bag, and how long. [s]
+        Start after the beginning of the bag, and duration. [s]
     rate : float
         Time of the bag over real time. [-]
     loop, paused : bool
@@ -81,9 +81,9 @@ class Player(RunnableNode):
     Attributes
     ----------
     played : int
-        How many messages have been published.
+        Number of published messages.
     skipped : dict of Channel to str
-        What cannot be published, and why.
+        Channels that cannot be published, with the reasons.
 
     Raises
     ------
@@ -111,7 +111,7 @@ class Player(RunnableNode):
         self._reader = reader
         self._is_paused_first = paused
         self._code: int | None = None
-        self._has_failed = False
+        self._is_damaged = False  # set while playing
         self._clock_period = round(SECOND / clock) if clock else 0
         self._clock_due = 0
         if clock:
@@ -130,7 +130,7 @@ class Player(RunnableNode):
             is_looping=loop,
             is_paused=True,
         )
-        self._lock = threading.Lock()  # of the schedule, and for publishing
+        self._lock = threading.Lock()  # guards the schedule and publishing
         self._woken = threading.Event()
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
@@ -141,23 +141,23 @@ class Player(RunnableNode):
 
     @property
     def exit_code(self) -> int | None:
-        """0 when all has been played, 1 if something could not be; None while it goes on."""
+        """Return 0 after playing all, 1 if some messages could not be played; None until then."""
         return self._code
 
     def start(self) -> None:
-        """Begin to play, in a moment."""
+        """Start playing after `DISCOVERY_TIME`."""
         for channel, reason in self.skipped.items():
             count = self._reader.counts[channel]
-            _say(f'{channel.topic} is skipped, {count} messages: {reason}')
+            _print_line(f'{channel.topic} is skipped, {count} messages: {reason}')
         self._clock_due = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
         if not self._is_paused_first:
             self._schedule.resume(self._clock_due)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop playing, and say how much was played."""
+        """Stop playing, and log the number of played messages."""
         self._stop()
-        _say(f'{self.played} messages of {len(self._publishers_by_channel)} topics played')
+        _print_line(f'{self.played} messages of {len(self._publishers_by_channel)} topics played')
 
     def _stop(self) -> None:
         self._is_stopping = True
@@ -168,7 +168,7 @@ class Player(RunnableNode):
     def _make_publishers(
         self, topics: Collection[str], *, without_clock: bool
     ) -> dict[Channel, Publisher]:
-        """Make a publisher for every channel that is wanted, or note why there is none."""
+        """Create a publisher for every requested channel, or note the reason why not."""
         made = {}
         for channel in self._reader.channels:
             is_ours = without_clock and channel.topic == REPLAY_TOPICS.clock.name
@@ -191,18 +191,24 @@ class Player(RunnableNode):
         return self.create_publisher(kind, channel.topic, _offer(channel.qos))
 
     def _messages(self) -> Iterator[Message]:
-        """Read what is to be played."""
+        """Read the messages to play."""
         topics = {channel.topic for channel in self._publishers_by_channel}
-        for message in self._reader.messages(topics, self._begin, self._end + 1):
-            if message.channel in self._publishers_by_channel:
-                yield message
+        if self._is_damaged:  # in an earlier repetition
+            return
+        try:
+            for message in self._reader.messages(topics, self._begin, self._end + 1):
+                if message.channel in self._publishers_by_channel:
+                    yield message
+        except BagError as error:
+            _print_line(str(error))
+            self._is_damaged = True
 
-    # in the thread that plays
+    # Playing thread
 
     def _run(self) -> None:
         wake_on_time()
         set_priority(PRIORITY)
-        while not (self._is_stopping or self._has_failed or self._schedule.is_over):
+        while not (self._is_stopping or self._schedule.is_over):
             due = self._play_due()
             pause = POLL if due is None else (due - time.monotonic_ns()) / SECOND
             if pause > 0.0:
@@ -210,43 +216,40 @@ class Player(RunnableNode):
                 self._woken.clear()
         self._wait_for_acknowledgement()
         if self._reader.damage:
-            _say(f'damaged, so that something may be missing: {self._reader.damage}')
-        is_bad = self._has_failed or self._reader.damage or not self._publishers_by_channel
+            _print_line(f'damaged, so that something may be missing: {self._reader.damage}')
+        is_bad = self._is_damaged or self._reader.damage or not self._publishers_by_channel
         if not self._is_stopping:
             self._code = 1 if is_bad else 0
 
     def _play_due(self) -> int | None:
-        """Publish what is due by now; return when something is next, if that is known [ns]."""
+        """Publish the due messages; return the time of the next one, None if unknown [ns]."""
         with self._lock:
             now = time.monotonic_ns()
             schedule = self._schedule
+            while (message := schedule.next_due(now)) is not None:
+                self._publishers_by_channel[message.channel].publish(message.data)
+                self.played += 1
+                if self._is_stopping:
+                    break
+            # Publish the time after the messages up to it, so that followers have received them
             if self._clock_period and now >= self._clock_due:
                 self._clock_publisher.publish(Clock(clock=time_to_msg(schedule.time(now))))
                 missed = (now - self._clock_due) // self._clock_period
                 self._clock_due += (missed + 1) * self._clock_period
-            try:
-                while (message := schedule.next_due(now)) is not None:
-                    self._publishers_by_channel[message.channel].publish(message.data)
-                    self.played += 1
-                    if self._is_stopping:
-                        break
-            except BagError as error:
-                _say(str(error))
-                self._has_failed = True
             deadline = schedule.deadline()
         if not self._clock_period:
             return deadline
         return self._clock_due if deadline is None else min(deadline, self._clock_due)
 
     def _wait_for_acknowledgement(self) -> None:
-        """Give those who acknowledge messages a moment."""
+        """Wait until subscribers have acknowledged all messages, at most `DRAIN_TIMEOUT`."""
         end = time.monotonic_ns() + round(DRAIN_TIMEOUT * SECOND)
         for publisher in self._publishers_by_channel.values():
             is_done = False
             while not is_done and not self._is_stopping and time.monotonic_ns() < end:
                 is_done = publisher.wait_for_all_acked(Duration(nanoseconds=SECOND // 20))
 
-    # in the executor's thread
+    # Executor thread
 
     def _on_pause(self) -> str:
         with self._lock:
@@ -279,16 +282,16 @@ class Player(RunnableNode):
 
 
 def _offer(text: str) -> QoSProfile:
-    """Return the offer of those in a bag that suits the most subscribers."""
+    """Return the profile in a bag that is compatible with the most subscribers."""
     return max(
         text_to_profiles(text),
-        key=lambda each: (
-            each.durability is DurabilityPolicy.TRANSIENT_LOCAL,
-            each.reliability is ReliabilityPolicy.RELIABLE,
+        key=lambda profile: (
+            profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
+            profile.reliability is ReliabilityPolicy.RELIABLE,
         ),
         default=QoSProfile(depth=UNKNOWN_DEPTH),
     )
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     print(f'replay: {text}', file=sys.stderr, flush=True)

@@ -17,39 +17,62 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-import os
 import signal
 import sys
 import threading
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
-from soft_throw_ros.nodes.transport import use_transport_profile
+from soft_throw_ros.nodes.exit_deadline import cancel_exit, exit_after, SignalWatchdog
+from soft_throw_ros.nodes.help_texts import help_text
+from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
+from std_srvs.srv import Trigger
 
 POLL = 0.1
-"""Longest wait, after which it is looked whether to stop [s]."""
+"""Longest wait between two looks at the request to stop [s]."""
 
 EXIT_TIME = 0.6
-"""After this the process ends, whatever the middleware still waits for [s]."""
+"""Longest time from a signal, or from the end of `close`, to the end of the process [s]."""
+
+REACTION_TIME = 5.0
+"""Longest time from a signal to the end of the callback that runs at that moment [s]."""
+
+REFUSAL_LOG_PERIOD = 1.0
+"""Shortest time between two log lines about requests that raise exceptions [s]."""
 
 
 class RunnableNode(Node):
     """
-    A node that is more than its callbacks; to be derived from. It is made like any of rclpy.
+    Base class of all nodes: a node with a start, an end and an exit code.
 
     Raises
     ------
     ParameterError
         If the name, the namespace or a parameter of rclpy's own is refused.
+
+    Notes
+    -----
+    A node ends in this order:
+
+    1. The executor has stopped: no callback runs any more.
+    2. `close` completes files. Threads, publishers and subscriptions still work.
+    3. `destroy_node` calls the functions registered by `at_end`, the latest first, so that a
+       thread stops before anything that was registered earlier and that the thread uses.
+    4. The publishers, subscriptions and services are destroyed, and ROS is shut down.
+
+    Steps 3 and 4 take at most `EXIT_TIME`.
 
     """
 
@@ -60,33 +83,66 @@ class RunnableNode(Node):
         except (InvalidParameterTypeException, NameValidationException) as error:
             raise ParameterError(' '.join(str(error).split())) from error
 
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
+    ) -> Service:
+        """
+        Create a service as `rclpy.node.Node` does, and keep its errors away from the node.
+
+        The node logs an exception of the callback, and refuses the request that caused it. rclpy's
+        parameter services raise for a value of an unknown type, which anybody may send.
+        """
+
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:  # noqa: BLE001  no request ends a node
+                reason = f'{srv_name}: a request is refused: {error}'
+                self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
+                return _refuse(request, response, reason)
+
+        return super().create_service(srv_type, srv_name, guarded, **kwargs)
+
     def call_every(self, seconds: float, callback: Callable[[], None]) -> Timer:
-        """Have something called by a clock that always goes, also when `/clock` does not."""
+        """Call a function periodically on steady time, also while `/clock` stands still."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
 
     def at_end(self, callback: Callable[..., object], *args: object) -> None:
-        """Have something called when the node is destroyed, before what was asked for earlier."""
+        """Register a function to call when the node is destroyed, in reverse order."""
         self._at_end.callback(callback, *args)
 
     def destroy_node(self) -> None:
-        """Let go of everything, also if the node was not finished: a parameter may be refused."""
+        """Release all resources, also those of a node whose constructor raised an exception."""
         self._at_end.close()
         super().destroy_node()
 
     @property
     def exit_code(self) -> int | None:
-        """Return what to end with, None to go on."""
+        """Return the exit code of a node that has come to its end, None before."""
         return None
 
     def prepare(self) -> None:
-        """Do what takes long before the node starts."""
+        """Prepare the start; this may take long."""
 
     def start(self) -> None:
-        """Begin with what does not happen in the executor."""
+        """Start the threads of the node."""
 
     def close(self) -> None:
-        """Bring to an end what must not be cut short, such as a file."""
+        """Complete files and everything else that must not be cut short."""
+
+
+def _refuse(request: Any, response: Any, reason: str) -> Any:
+    """Complete the response to a request that raised an exception."""
+    refusal = SetParametersResult(successful=False, reason=reason)
+    if isinstance(response, SetParameters.Response):
+        missing = len(request.parameters) - len(response.results)
+        response.results = [*response.results, *missing * [refusal]]
+    elif isinstance(response, SetParametersAtomically.Response):
+        response.result = refusal
+    elif isinstance(response, Trigger.Response):
+        response.success, response.message = False, reason
+    return response
 
 
 def run(
@@ -102,14 +158,14 @@ def run(
     Parameters
     ----------
     name : str
-        Of the executable, to begin a message with.
+        Name of the executable, the prefix of its messages.
     make : callable
-        Makes the node from the keyword `arguments`, once ROS has begun.
+        Creates the node from the keyword `arguments` after the initialization of ROS.
     args : sequence of str or None
-        The arguments of ROS, or the request for help; those of the process if None.
+        ROS arguments, or `--help`; the arguments of the process if None.
     usage : str
-        What to say if there is something else among them, or if help is asked for; by default
-        how ROS arguments are given.
+        Usage line, printed for `--help` and for unknown arguments; by default that of ROS
+        arguments.
 
     Returns
     -------
@@ -123,26 +179,28 @@ def run(
     )
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
-        print(usage)
+        print(help_text(name, usage))
         return 0
     is_stopping = threading.Event()
-    deadline = threading.Timer(EXIT_TIME, os._exit, (0,))
-    deadline.daemon = True
+    timers = []
 
     def interrupt(*_: object) -> None:
         if not is_stopping.is_set():
             is_stopping.set()
-            deadline.start()  # numba may swallow what is raised in it
+            timers.append(exit_after(EXIT_TIME, 0))  # numba may suppress the exception
         raise KeyboardInterrupt
 
+    watchdog = SignalWatchdog(REACTION_TIME)
     _on_signals(interrupt)
+    deaths = _watch_threads()
     node = None
     code = 0
     try:
         _init(name, arguments, usage)
         node = make(arguments=arguments)
+        node.get_logger().info(describe_discovery())
         node.prepare()
-        code = _spin(node, is_stopping)
+        code = _spin(node, is_stopping, deaths)
     except KeyboardInterrupt:
         pass
     except ParameterError as error:
@@ -150,7 +208,9 @@ def run(
         code = 2
     finally:
         _on_signals(signal.SIG_IGN)
-        deadline.cancel()
+        watchdog.close()
+        for timer in timers:
+            cancel_exit(timer)
         code = _shut_down(node, code)
     return code
 
@@ -167,24 +227,38 @@ def _on_signals(handler: Callable[[int, object], object] | signal.Handlers) -> N
 
 
 def _init(name: str, arguments: Sequence[str], usage: str) -> None:
-    """Begin with ROS, or say in one line what is wrong with the arguments."""
-    files.read_arguments(arguments)  # for its words, before ROS has its own
+    """Initialize ROS; raise ParameterError with one line if it refuses its arguments."""
+    files.read_arguments(arguments)  # its errors are clearer than those of ROS
     use_transport_profile()
-    set_logger_level('rcl', LoggingSeverity.FATAL)  # it would say the same in a line of its own
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # rcl would log the same error again
     try:
-        left = remove_ros_args(args=[name, *arguments])[1:]
+        unknown = remove_ros_args(args=[name, *arguments])[1:]
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         reason = str(error).partition(', at /')[0]
-        raise ParameterError(f'ROS does not take the arguments: {reason}') from error
+        raise ParameterError(f'ROS does not start: {reason}') from error
     finally:
         set_logger_level('rcl', LoggingSeverity.UNSET)
-    if left:
-        raise ParameterError(f'no such argument: {" ".join(left)}; {usage}')
+    if unknown:
+        raise ParameterError(f'no such argument: {" ".join(unknown)}; {usage}')
 
 
-def _spin(node: RunnableNode, is_stopping: threading.Event) -> int:
-    """Serve until a signal comes, or the node has an exit code."""
+def _watch_threads() -> list[threading.ExceptHookArgs]:
+    """Return a list of the exceptions that end threads of this process from now on."""
+    deaths: list[threading.ExceptHookArgs] = []
+
+    def on_death(death: threading.ExceptHookArgs) -> None:
+        threading.__excepthook__(death)  # prints the traceback
+        deaths.append(death)
+
+    threading.excepthook = on_death
+    return deaths
+
+
+def _spin(
+    node: RunnableNode, is_stopping: threading.Event, deaths: list[threading.ExceptHookArgs]
+) -> int:
+    """Serve until a signal comes, the node has an exit code, or one of its threads dies."""
     _on_signals(lambda *_: is_stopping.set())
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -193,23 +267,30 @@ def _spin(node: RunnableNode, is_stopping: threading.Event) -> int:
     while code is None and not is_stopping.is_set():
         executor.spin_once(timeout_sec=POLL)
         code = node.exit_code
+        for death in deaths:
+            name = death.thread.name if death.thread is not None else 'unknown'
+            node.get_logger().fatal(
+                f'the node ends, since an exception has ended its thread {name!r}: '
+                f'{death.exc_value!r}'
+            )
+            code = 1
     return code or 0
 
 
 def _shut_down(node: RunnableNode | None, code: int) -> int:
     """
-    Let go of everything, and return the exit code, also of what fails only now.
+    Close and destroy the node in a bounded time, and return the exit code.
 
-    That takes a bounded time: the middleware may wait for a stopped subscriber.
+    The middleware may wait for a stopped subscriber.
     """
     if node is not None:
         node.close()
         code = code or node.exit_code or 0
-    deadline = threading.Timer(EXIT_TIME, os._exit, (code,))
-    deadline.daemon = True
-    deadline.start()
+    deadline = exit_after(EXIT_TIME, code)
+    # The destruction of publishers makes threads fail that still run; this is no error.
+    threading.excepthook = lambda _death: None
     if node is not None:
         node.destroy_node()
     rclpy.try_shutdown()
-    deadline.cancel()
+    cancel_exit(deadline)
     return code

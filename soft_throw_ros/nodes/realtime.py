@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Keep time: which step is due when, waiting for it, and how well that went."""
+"""The tick thread: it waits for each deadline, advances a session, and counts late ticks."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 SPIN = 60_000
-"""How long before a deadline sleep ends and polling begins; about what a wake-up takes [ns]."""
+"""Time of polling before a deadline [ns]: about as long as a sleep overruns."""
 
 POLL = 0.1
-"""Longest wait, after which a thread looks whether it is to stop [s]."""
+"""Longest wait of a thread before it checks the request to stop [s]."""
 
 PRIORITY = 10
-"""Of the thread that ticks, among those that go before all others."""
+"""Real-time priority (SCHED_FIFO) of the tick thread [-]."""
 
-CALM = 1.0
-"""So long after a stall the thread goes before all others again [s]."""
+FIFO_RETRY_DELAY = 1.0
+"""Time after a stall until the tick thread returns to real-time priority [s]."""
 
 
 class SystemClock:
     """
-    The time of day, which goes on steadily between calls of `adjust`.
+    The time of day; it advances steadily between calls of `adjust`.
 
-    Like every clock that steps are due by, it changes its `epoch` when times before and after
-    have nothing to do with each other; after a stall as much as `max_catch_up` is caught up and
-    the rest skipped; and what is later than `tolerance` is late. [ns]
+    Every clock for ticks has three attributes. `epoch` changes when the clock is set, so that
+    times before and after cannot be compared. After a stall, at most `max_catch_up` is caught up
+    and the remaining steps are skipped. A tick later than `tolerance` counts as late. [ns]
     """
 
     max_catch_up = SECOND // 10
@@ -60,21 +60,21 @@ class SystemClock:
         self._offset = time.time_ns() - time.monotonic_ns()
 
     def adjust(self) -> None:
-        """Follow what was done to the time of day since the last call."""
+        """Follow adjustments of the system clock since the last call."""
         offset = time.time_ns() - time.monotonic_ns()
-        if abs(offset - self._offset) > self.max_catch_up:  # somebody has set it
+        if abs(offset - self._offset) > self.max_catch_up:  # the clock was set
             self.epoch += 1
         self._offset = offset
 
     def now(self) -> int:
-        """Return nanoseconds since 1970."""
+        """Return the time since 1970 [ns]."""
         return time.monotonic_ns() + self._offset
 
     def wait_until(self, deadline: int) -> None:
         """
-        Return at a time, or before: the caller looks at the clock and waits again.
+        Return at a deadline or earlier; the caller checks the clock and waits again.
 
-        It sleeps, and polls for the last microseconds, since a sleep ends late.
+        The thread sleeps, and polls during the last microseconds, because a sleep ends late.
         """
         target = deadline - self._offset
         pause = target - SPIN - time.monotonic_ns()
@@ -85,7 +85,7 @@ class SystemClock:
 
 
 class NodeClock:
-    """The clock of a node that follows `/clock`: it moves when a message moves it."""
+    """The clock of a node that follows `/clock`: it advances with each message."""
 
     max_catch_up = 10 * SECOND
     tolerance = 10 * SECOND
@@ -106,17 +106,17 @@ class NodeClock:
         )
 
     def now(self) -> int:
-        """Return the time that `/clock` has told last, 0 before the first message [ns]."""
+        """Return the last time on `/clock`, 0 before the first message [ns]."""
         return int(self._clock.now().nanoseconds)
 
     def wait_until(self, deadline: int) -> None:
-        """Wait until the clock moves."""
+        """Wait until the clock advances."""
         if self.now() < deadline:
             self._moved.wait(POLL)
         self._moved.clear()
 
     def close(self) -> None:
-        """Let the node's clock go."""
+        """Unregister from the node's clock."""
         self._watch.unregister()
 
     def _on_jump(self, jump: TimeJump) -> None:
@@ -130,41 +130,41 @@ class NodeClock:
 
 Clock: TypeAlias = SystemClock | NodeClock
 
-MOST_TIMES = 50_000
-"""Of so many ticks is it known what they took: ten seconds of the fastest session."""
+MAX_TIMES = 50_000
+"""Number of ticks whose times are kept: ten seconds of the fastest session."""
 
-_STALL = 0.5  # of what is caught up: so late are ticks only if something is wrong
+_STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
 _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
 
 class Ticker:
     """
-    Have every step of a session done that is due.
+    A thread that advances a session at absolute deadlines.
 
     Parameters
     ----------
     session : Session
-        Its steps are due at its rate, the next one at the first look at the clock.
+        The session; its steps are due at its rate, the next one at the first reading of the clock.
     on_tick : callable
-        Goes a step on; called with when it was due. [ns]
+        Advances the session by one step; called with the deadline. [ns]
     clock : callable
-        Returns the clock to go by, before every look at it.
+        Returns the clock to follow; called before every reading of the clock.
 
     Attributes
     ----------
     counts : Counter of str
-        Ticks since the start, and what was wrong with them, by the names that are published.
+        Number of ticks, and of late, skipped and caught-up ones, by their published names.
     scheduler : str
-        What the operating system schedules the thread by, 'fifo' or 'other'.
+        Scheduling policy of the thread, 'fifo' or 'other'.
 
     Notes
     -----
-    If the clock is set, or changed for another one, the next step is due at once.
+    If the clock is set, or replaced by another one, the next step is due at once.
 
-    The thread goes before all others as long as that keeps it on time. While it waits for Python's
-    lock it asks for it again and again, and whoever has that lock may be waiting for a processor:
-    many nodes on few cores would do nothing but ask. So after a stall it is one among others for
-    a while.
+    The thread uses real-time priority as long as this keeps it on time. While it waits for
+    Python's global lock, it polls the lock, and may keep the thread that holds the lock from its
+    processor. Many nodes on few cores would then do nothing but poll. After a stall the thread
+    therefore runs with normal priority for `FIFO_RETRY_DELAY`.
 
     """
 
@@ -172,50 +172,40 @@ class Ticker:
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
         self.counts = Counter(dict.fromkeys(_COUNTED, 0))
-        self._times: deque[tuple[int, int]] = deque(maxlen=MOST_TIMES)  # nobody may ask for them
+        self._times: deque[tuple[int, int]] = deque(maxlen=MAX_TIMES)  # bounded if unread
         self.scheduler = ''
         self._session = session
         self._on_tick = on_tick
         self._clock = clock
         self._followed: tuple[Clock, int] | None = None
         self._schedule: TickSchedule | None = None
-        self._stalled = -math.inf  # when ticks were that late though they went first [s]
+        self._stalled = -math.inf  # time of the last stall under real-time priority [s]
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
-    @property
-    def is_alive(self) -> bool:
-        """Whether the thread runs."""
-        return self._thread.is_alive()
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the thread ran, and does not any more."""
-        return self._thread.ident is not None and not self._thread.is_alive()
-
     def take_times(self) -> list[tuple[int, int]]:
-        """Return how late ticks were since the last call, and what they took [ns]."""
-        times, self._times = self._times, deque(maxlen=MOST_TIMES)
+        """Return lateness and duration of the ticks since the last call [ns]."""
+        times, self._times = self._times, deque(maxlen=MAX_TIMES)
         return list(times)
 
-    def describe_standstill(self) -> str:
-        """Say why there are no ticks."""
+    def stall_reason(self) -> str:
+        """Return the reason why there are no ticks."""
         if isinstance(self._clock(), NodeClock):
             return 'the twin follows /clock (use_sim_time), which stands still'
-        return 'the thread that ticks gets no time'
+        return 'the tick thread gets no processor time'
 
     def start(self) -> None:
-        """Tick in a thread of its own."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self, timeout: float) -> None:
-        """Ask the thread to end, and wait for it at most `timeout` [s]."""
+        """Request the end of the thread, and wait at most `timeout` [s]."""
         self._is_stopping.set()
         if self._thread.is_alive():
             self._thread.join(timeout)
 
     def run_due(self) -> int:
-        """Do every step that is due now; return when the next one is, by the same clock [ns]."""
+        """Run all due steps; return the deadline of the next step on the same clock [ns]."""
         clock = self._clock()
         now = clock.now()
         schedule = self._schedule_of(clock, now)
@@ -245,7 +235,7 @@ class Ticker:
         return due
 
     def _schedule_of(self, clock: Clock, now: int) -> TickSchedule | None:
-        """Return when steps are due by a clock, or None if it does not go yet."""
+        """Return the deadlines of steps on a clock, or None if the clock has no time yet."""
         if self._followed != (clock, clock.epoch):
             self.counts['clock_jumps'] += self._schedule is not None
             self._followed = (clock, clock.epoch)
@@ -262,26 +252,26 @@ class Ticker:
         while not self._is_stopping.is_set():
             due = self.run_due()
             if best == 'fifo':
-                is_calm = time.monotonic() > self._stalled + CALM
-                if is_calm != (self.scheduler == 'fifo'):
-                    self.scheduler = set_priority(PRIORITY if is_calm else 0)
+                may_retry = time.monotonic() > self._stalled + FIFO_RETRY_DELAY
+                if may_retry != (self.scheduler == 'fifo'):
+                    self.scheduler = set_priority(PRIORITY if may_retry else 0)
             self._clock().wait_until(due)
 
 
 def wake_on_time() -> None:
-    """Have sleeps of this thread end when they should, instead of up to 50 us later."""
+    """Reduce the timer slack of this thread from 50 us to 1 ns, so that sleeps end on time."""
     prctl = getattr(ctypes.CDLL(None), 'prctl', None)
-    if prctl is not None:  # elsewhere than on Linux sleeps are as they are
+    if prctl is not None:  # Linux only
         pr_set_timerslack = 29
         prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
 
 
 def set_priority(priority: int) -> str:
     """
-    Have this thread go before whatever else the machine does, or, with 0, like all others.
+    Set the real-time priority of this thread, or the normal scheduling policy if `priority` is 0.
 
-    Returns by what it is scheduled then, 'fifo' or 'other': the former is for root, and for users
-    with an `rtprio` in limits.conf.
+    Return the resulting policy, 'fifo' or 'other'. Real-time priority is available to root, and to
+    users with an `rtprio` in limits.conf.
     """
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER

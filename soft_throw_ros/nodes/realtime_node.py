@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What the nodes `twin` and `rig` have in common: a thread that steps a session by the clock.
+Base class of the nodes `twin` and `rig`: a thread advances a session by the clock.
 
-All else happens in the executor's thread: services, parameters, and what is published now and
-then.
+Services, parameters and all messages that are not published at every tick run in the executor's
+thread.
 """
 
 from __future__ import annotations
@@ -24,23 +24,30 @@ import gc
 import os
 import subprocess
 import sys
+import time
 from typing import Any
 
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin import kernels
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
-_NICE = 10  # of the process that compiles what can wait
+_NICE = 10  # niceness of the background compilation, so that it delays no tick
 
 SWITCH_INTERVAL = 3e-5
-"""How long a tick that is due waits for another thread of Python; less wakes too many [s]."""
+"""Lower limit of the time that a due tick waits for another Python thread [s].
 
-SWITCH_PART = 0.03
-"""The same in parts of the time between ticks; less is for nothing, and many nodes on few cores
-would do nothing but wake [-]."""
+Shorter intervals wake the threads too often.
+"""
+
+SWITCH_FRACTION = 0.03
+"""The same wait as a fraction of the tick period, used at low rates [-].
+
+A shorter wait gains nothing at low rates, and costs processor time if many nodes share a core.
+"""
 
 STOP_TIMEOUT = 0.3
 """Longest wait for a thread to end [s]."""
@@ -48,26 +55,26 @@ STOP_TIMEOUT = 0.3
 
 class RealTimeNode(RunnableNode):
     """
-    A node that steps a session as steps are due; to be derived from.
+    Abstract node that advances a session at the deadlines of its steps.
 
-    Whoever derives from it declares parameters, calls `load_kernels`, makes publishers, and calls
+    A subclass declares its parameters, calls `load_kernels`, creates its publishers, and calls
     `drive` last.
 
     Parameters
     ----------
     name : str
-        Of the node.
+        Name of the node.
     system_clock : SystemClock, optional
-        What steps are due by, unless the node follows `/clock`.
+        Clock of the deadlines, unless the node follows `/clock`.
     **kwargs
         As for `rclpy.node.Node`.
 
     Attributes
     ----------
     session : Session
-        What happens at which step.
+        The session that the node advances.
     ticker : Ticker
-        What asks for the steps: by itself once it is started.
+        The thread that calls `on_tick`.
 
     """
 
@@ -81,43 +88,44 @@ class RealTimeNode(RunnableNode):
         self._system_clock = system_clock or SystemClock()
         self._compiling: subprocess.Popen[bytes] | None = None
         self._is_closed = False
+        self._started = time.monotonic()
 
     def load_kernels(self, settings: Settings) -> None:
         """
-        Load the kernels that a rig with these settings of a twin needs; compile them if need be.
+        Load the kernels that these settings of a twin require, and compile missing ones.
 
-        That is done in processes of their own. What can wait is compiled while the node ticks, and
-        loaded from the disk when it is needed.
+        A child process compiles them. Another child process compiles all other kernels in the
+        background, which are loaded from the disk when they are needed.
         """
         say = self.get_logger().info
         needed, missing = kernels.needed_parts(settings), kernels.missing_parts()
         first = [part for part in needed if part in missing]
-        if first:  # numba swallows what a signal raises in it
+        if first:  # in a child process, because numba suppresses exceptions of signal handlers
             compiling = self._compile(first, stdout=subprocess.PIPE)
             for line in compiling.stdout or ():
                 say(line.decode().strip())
             compiling.wait()
         kernels.load_kernels(needed, say=say)
-        rest = [part for part in missing if part not in needed]
-        if rest:
-            say(f'compiling beside, once: {", ".join(rest)}')
-            self._compiling = self._compile(rest, stdout=subprocess.DEVNULL)
+        others = [part for part in missing if part not in needed]
+        if others:
+            say(f'compiling in the background: {", ".join(others)} (cached for later runs)')
+            self._compiling = self._compile(others, stdout=subprocess.DEVNULL)
             os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
 
     def _compile(self, parts: list[str], *, stdout: int) -> subprocess.Popen[bytes]:
-        """Compile in a process, which ends with the node."""
+        """Start a process that compiles, and that ends with this process in every case."""
         process = subprocess.Popen(
-            [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *parts],
+            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up', *parts]),
             stdin=subprocess.DEVNULL,
             stdout=stdout,
-            start_new_session=True,  # Ctrl-C is for the node, which ends it
+            start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
         )
         self.at_end(process.wait)
-        self.at_end(process.kill)  # what is on the disk is whole at any time
+        self.at_end(process.kill)  # files on the disk are complete at any time
         return process
 
     def close(self) -> None:
-        """End what compiles beside; what else there is to do may be cut short."""
+        """End the background compilation."""
         self._is_closed = True
         if self._compiling is not None:
             self._compiling.kill()
@@ -125,12 +133,12 @@ class RealTimeNode(RunnableNode):
 
     @property
     def is_compiling(self) -> bool:
-        """Whether kernels that could wait are still being compiled, or were when all ended."""
+        """Whether the background compilation is running, or was when the node closed."""
         compiling = self._compiling
         return compiling is not None and (self._is_closed or compiling.poll() is None)
 
     def drive(self, session: Session) -> None:
-        """Have steps of a session done as soon as the node starts."""
+        """Attach the session that the node advances after its start."""
         self.session = session
         self._node_clock = NodeClock(self)
         self.at_end(self._node_clock.close)
@@ -140,27 +148,22 @@ class RealTimeNode(RunnableNode):
         self.call_every(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
-        """Go a step on, in the thread that ticks; `due` is its time [ns]."""
+        """Advance by one step, in the tick thread; `due` is its deadline [ns]."""
         self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish what a step gives, in the thread that ticks; `due` is its time [ns]."""
+        """Publish the outputs of a step, in the tick thread; `due` is its deadline [ns]."""
         raise NotImplementedError
 
     def on_second(self) -> None:
-        """Follow what is done to the time of day; in the executor's thread."""
+        """Follow adjustments of the system clock; runs in the executor's thread."""
         self._system_clock.adjust()
-        self._set_switch_interval()  # the rate may be another one
+        self._set_switch_interval()  # the rate may have changed
         if self._compiling is not None:
-            self._compiling.poll()  # lest it stays a zombie when it has ended
-
-    @property
-    def exit_code(self) -> int | None:
-        """1 if the ticks have come to an end by themselves."""
-        return 1 if self.ticker.has_ended else None
+            self._compiling.poll()  # reap the process when it has ended
 
     def prepare(self) -> None:
-        """Load all kernels that are there, and let nothing hold up the ticks."""
+        """Load all compiled kernels and freeze the garbage collector, which would delay ticks."""
         if not self.is_compiling:
             kernels.load_kernels(say=self.get_logger().info)
         self._set_switch_interval()
@@ -168,12 +171,22 @@ class RealTimeNode(RunnableNode):
         gc.freeze()
 
     def start(self) -> None:
-        """Tick."""
+        """Start the tick thread."""
         self.ticker.start()
-        self.get_logger().info('ready')
+        self._started = time.monotonic()
+        self.get_logger().info('ready' + self.describe())
+
+    def describe(self) -> str:
+        """Return the end of the log line at the start."""
+        return ''
+
+    @property
+    def duration(self) -> float:
+        """Time since the start of the ticks [s]."""
+        return time.monotonic() - self._started
 
     def _set_switch_interval(self) -> None:
-        sys.setswitchinterval(max(SWITCH_INTERVAL, SWITCH_PART / self.session.rate))
+        sys.setswitchinterval(max(SWITCH_INTERVAL, SWITCH_FRACTION / self.session.rate))
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What layer to recommend for the present settings, or why none."""
+"""Recommendations of the twin for its present settings."""
 
 from __future__ import annotations
 
@@ -23,44 +23,49 @@ from pathlib import Path
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import motions, rig_of, rig_values, Settings, TWIN
+from soft_throw_ros.commands.design_texts import remarks_of, summary_of
+from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.twin_config import model_of
+from soft_throw_ros.configuration.twin_config import model_of, TwinConfig
+from soft_throw_ros.core.processors import leave_processors
 from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
-from soft_throw_ros.design.evaluate import SearchCancelledError
 from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.requests import Answer, answer, uncertainties_of
+from soft_throw_ros.design.recommendation import Recommendation
+from soft_throw_ros.design.requests import Answer, answer
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.twin.other_models import predict_by_other_models
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
-"""What `recommended.*` shows of an answer."""
+"""Attributes of an answer that `recommended.*` shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecommendationFor:
-    """A recommendation, or an aim, and the settings that it is for; or why there is none."""
+class RecommendationState:
+    """A recommendation or an aim with its configuration, or the reason why there is none."""
 
-    settings: Settings
+    config: TwinConfig
     best: Answer | None = None
     reason: str = ''
 
     @property
     def rig(self) -> Rig:
-        """Return what it is for."""
-        return rig_of(self.settings)
+        """The rig of the recommendation."""
+        return self.config.rig
 
     def is_for(self, settings: Settings) -> bool:
-        """Tell whether it is for these settings as well."""
+        """Return whether the recommendation is valid for these settings."""
         return all(
-            value == settings[name] for name, value in self.settings.items() if matters(name)
+            value == settings[name]
+            for name, value in self.config.settings.items()
+            if affects_recommendation(name)
         )
 
     def changes(self) -> dict[str, float | str]:
-        """Return the parameters that make the rig what is recommended; a motion becomes a file."""
+        """Return the changes that apply the recommendation; a motion is saved to a file."""
         best = self.best
         if best is None:
             return {}
@@ -71,7 +76,7 @@ class RecommendationFor:
             changes['engine.amplitude'] = best.amplitude
         if best.layer:
             changes['layer.name'] = best.layer
-            known = library(self.settings['layer.library']).layers[best.layer]
+            known = library(self.config.settings['layer.library']).layers[best.layer]
             if 'layer.thickness' not in known:
                 changes['layer.thickness'] = best.thickness
             return changes
@@ -81,16 +86,24 @@ class RecommendationFor:
         return changes
 
     def results(self) -> dict[str, float | str]:
-        """Return the parameters `recommended.*` by their last names; none, if none is there."""
+        """Return the parameters `recommended.*` by their last names; empty without an answer."""
         return {name: getattr(self.best, name) for name in _RESULTS if hasattr(self.best, name)}
 
+    def values(self) -> dict[str, float | str | bool]:
+        """Return the values of the recommendation without its rig; empty without an answer."""
+        if self.best is None:
+            return {}
+        return {
+            'g_load': self.best.peak_acceleration / STANDARD_GRAVITY, **self.best.values()
+        }
+
     def describe(self) -> str:
-        """Say in a line what is recommended, or why nothing is."""
+        """Return the recommendation, or the reason why there is none, in one line."""
         best = self.best
         if best is None:
-            return f'there is no recommendation: {self.reason}'
+            return f'no recommendation: {self.reason}'
         if isinstance(best, (Aim, MotionDesign)):
-            return best.summary
+            return summary_of(best, self.rig, self.config.settings)
         name = f'{best.layer}, ' if best.layer else ''
         return (
             f'recommended: {name}{1e3 * best.thickness:.4g} mm and {best.wave_speed:.4g} m/s, '
@@ -98,19 +111,22 @@ class RecommendationFor:
         )
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
-        """Make a status of it, with the rig that it is for."""
+        """Return a diagnostic status with the recommendation and its rig."""
         best, rig = self.best, rig_values(self.rig)
         if best is None:
             return status_to_msg(
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
             )
-        values = {'g_load': best.peak_acceleration / STANDARD_GRAVITY, **best.values(), **rig}
+        values = {**self.values(), **rig}
+        if isinstance(best, Recommendation):
+            values['remarks'] = remarks_of(best)
+        summary = summary_of(best, self.rig, self.config.settings)
         is_missed = isinstance(best, Aim) and not best.is_reached
-        return status_to_msg(node_name, 'recommendation', best.summary, values, warn=is_missed)
+        return status_to_msg(node_name, 'recommendation', summary, values, warn=is_missed)
 
 
 def _save_motion(best: MotionDesign) -> Path:
-    """Write a motion to where ROS keeps its files, under a name that no other motion has."""
+    """Write a motion below ROS_HOME; the name of the file contains the checksum of the motion."""
     text = '\n'.join(motions.csv_lines(best.motion)) + '\n'
     folder = Path(os.environ.get('ROS_HOME', '~/.ros')).expanduser() / 'soft_throw'
     folder.mkdir(parents=True, exist_ok=True)
@@ -120,53 +136,58 @@ def _save_motion(best: MotionDesign) -> Path:
     return path
 
 
-def matters(name: str) -> bool:
-    """Tell whether a parameter matters for what is recommended."""
+def affects_recommendation(name: str) -> bool:
+    """Return whether a parameter affects the recommendation."""
     entry = TWIN.by_name[name]
     return entry.is_of_rig or entry.group in ('recommendation', 'uncertainty')
 
 
+@leave_processors(1)  # to the thread of the ticks
 def recommend_for(
-    settings: Settings, cancelled: Callable[[], bool] = lambda: False
-) -> RecommendationFor:
-    """Recommend a layer, or aim, or say why not."""
-    for error in TWIN.contradictions(settings):  # such as come about by single changes
-        if all(name.startswith('recommendation.') for name in error.names):
-            return RecommendationFor(settings=settings, reason=str(error))
+    config: TwinConfig, cancelled: Callable[[], bool] = lambda: False
+) -> RecommendationState:
+    """Return a recommendation or an aim, or the reason why there is none."""
+    settings = config.settings
+    names = [name for name in settings if name.startswith('recommendation.')]
+    for error in TWIN.contradictions(settings, names):  # single changes may cause some
+        if set(error.names) <= set(names):
+            return RecommendationState(config=config, reason=str(error))
     try:
-        return RecommendationFor(settings=settings, best=answer(settings, cancelled=cancelled))
+        best = answer(settings, rig=config.rig, cancelled=cancelled)
     except (SearchCancelledError, ValueError) as error:
-        return RecommendationFor(settings=settings, reason=str(error))
+        return RecommendationState(config=config, reason=str(error))
+    return RecommendationState(config=config, best=best)
 
 
 def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
-    """Return how far a rig's throw may be off, as values of a status."""
+    """Return the uncertainty of a rig's throw, as values of a status."""
     if settings['model'] not in _RELEASED:
         return {}
-    return _uncertainty_values(rig, uncertainties_of(settings))
+    return _uncertainty_values(rig, Uncertainties.from_settings(settings))
 
 
 def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the first release as other models predict it, as values of a status."""
     if rig.engine.motion is not None:
-        return {}  # they know the motion of the engine alone
-    found = predict_by_other_models(rig, model_of(settings, rig))
+        return {}  # the other models support the motions of the engine only
+    predictions = predict_by_other_models(rig, model_of(settings, rig))
     return {
         f'{model}.{name}': value
-        for model, release in found.items()
+        for model, release in predictions.items()
         if release is not None
         for name, value in asdict(release).items()
     }
 
 
-_RELEASED = ('travelling_wave', 'finite_difference', 'finite_difference_elastic')
-"""Models whose first release is that of waves in the layer, or differs by 1e-5."""
+_RELEASED = ('travelling_wave', 'cells', 'cells_elastic')
+"""Models whose first release is that of waves in the layer, within 1e-5."""
 
 
 @functools.lru_cache(maxsize=4)
+@leave_processors(1)  # to the thread of the ticks
 def _uncertainty_values(rig: Rig, uncertainties: Uncertainties) -> dict[str, float]:
     try:
-        found = prediction_uncertainty(rig, uncertainties)
+        uncertainty = prediction_uncertainty(rig, uncertainties)
     except ValueError:
         return {}
-    return {f'uncertainty.{name}': value for name, value in found.values().items()}
+    return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Play a bag: its messages come again on their topics. Or check it, without ROS.
+Play a bag on its original topics, or check it without ROS.
 
-What is checked is whether the bag of a twin is what the journal in it gives when it is repeated.
+The check repeats the run of a twin from the journal in its bag, and compares all messages.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ import math
 import sys
 from typing import Any
 
-from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.recording.message import BagError
 
 CLOCK_RATE = 40.0
-"""How often `--clock` tells the time, if nothing is said. [Hz]"""
+"""Default rate of `/clock`. [Hz]"""
 
 _USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
 
@@ -42,19 +42,19 @@ def main(args: list[str] | None = None) -> int:
     Parameters
     ----------
     args : list of str, optional
-        Those of the process by default.
+        Arguments; those of the process by default.
 
     Returns
     -------
     int
-        Exit code: 0 after the end or a signal, or if all that was checked is the same; 1 if the
-        bag is damaged, or something cannot be played, or is different; 2 if there is no bag, or
-        nothing in it to play or to check; 130 after Ctrl-C while a bag is checked.
+        Exit code: 0 after the end, a signal, or a check without differences; 1 if the bag is
+        damaged, cannot be played, or differs from its repetition; 2 if the bag is missing, or has
+        no messages to play or to check; 130 after Ctrl-C during a check.
 
     Raises
     ------
     SystemExit
-        With exit code 2 if an argument is refused, after a line that says which.
+        With exit code 2 after an error in an argument, which is printed in one line.
 
     """
     own, of_ros = _split(sys.argv[1:] if args is None else args)
@@ -64,13 +64,13 @@ def main(args: list[str] | None = None) -> int:
             return _check(reader) if given.check else _play(reader, given, of_ros)
     except (BagError, CheckError) as error:
         print(f'replay: {error}', file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, UnfinishedError) else 2
     except KeyboardInterrupt:
         return 130
 
 
 def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    """Tell our arguments from those for ROS, which stand between --ros-args and --."""
+    """Separate the arguments of this command from ROS arguments, between --ros-args and --."""
     if '--ros-args' not in arguments:
         return arguments, []
     begin = arguments.index('--ros-args')
@@ -86,35 +86,36 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
-    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one file of it')
+    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     playing = parser.add_argument_group('playing')
     playing.add_argument(
-        '--rate', metavar='R', type=_positive, help='how much faster than it was (default 1)'
+        '--rate', metavar='R', type=_positive,
+        help='playback speed relative to the recording (default 1)',
     )
     playing.add_argument(
-        '--start', metavar='S', type=_not_negative, help='seconds of the bag to leave out'
+        '--start', metavar='S', type=_not_negative, help='skip the first S seconds of the bag'
     )
     playing.add_argument(
-        '--duration', metavar='S', type=_not_negative, help='seconds of the bag to play'
+        '--duration', metavar='S', type=_not_negative, help='play S seconds of the bag'
     )
-    playing.add_argument('--topics', metavar='T', nargs='+', help='these only')
-    playing.add_argument('--loop', action='store_true', help='begin again after the end')
-    playing.add_argument('--paused', action='store_true', help='wait for a call of ~/resume')
+    playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
+    playing.add_argument('--loop', action='store_true', help='restart after the end')
+    playing.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
     playing.add_argument(
         '--clock',
         metavar='HZ',
         nargs='?',
         type=_positive,
         const=CLOCK_RATE,
-        help=f'tell the time of the bag on /clock (default {CLOCK_RATE:g} Hz), '
-        'in place of a recorded one',
+        help=f'publish the time of the bag on /clock (default {CLOCK_RATE:g} Hz) '
+        'instead of a recorded /clock',
     )
     checking = parser.add_argument_group('checking')
     checking.add_argument(
         '--check',
         action='store_true',
         default=False,
-        help='compare the bag with what its journal gives; exit code 1 if that is not the same',
+        help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
     given = parser.parse_args(arguments)
     if given.check and (options := sorted(_options(given))):
@@ -123,7 +124,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _options(given: argparse.Namespace) -> dict[str, Any]:
-    """Return what is said about playing, as `Player` takes it."""
+    """Return the playback options as keyword arguments of `Player`."""
     return {
         name: value
         for name, value in vars(given).items()
@@ -154,7 +155,7 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
     unknown = sorted(set(options.get('topics', ())) - topics)
     if unknown:
         raise CheckError(
-            f'{reader.path} has no topic {", ".join(unknown)}; there are: '
+            f'{reader.path} has no topic {", ".join(unknown)}; its topics are '
             f'{", ".join(sorted(topics)) or "none"}'
         )
     length = 1e-9 * (reader.end_time - reader.start_time)
@@ -168,18 +169,22 @@ def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]
         return 1
     return run(
         'replay',
-        lambda arguments: Player(reader, **options),  # noqa: ARG005  it has no parameters
+        lambda arguments: Player(reader, **options),  # noqa: ARG005  the node has no parameters
         arguments,
         usage=_USAGE,
     )
 
 
+def _report_progress(twin: str, steps: int) -> None:
+    print(f'replay: {twin}: {steps} steps repeated', file=sys.stderr, flush=True)
+
+
 def _check(reader: BagReader) -> int:
-    results = check_bag(reader)
+    results = check_bag(reader, _report_progress)
     for result in results:
         for line in result.describe().splitlines():
             print(f'{result.twin}: {line}')
     if reader.damage:
-        print(f'replay: damaged, so that something may be missing: {reader.damage}')
+        print(f'replay: the bag is damaged, and messages may be missing: {reader.damage}')
     codes = {result.exit_code for result in results}
     return 1 if reader.damage or 1 in codes else max(codes)

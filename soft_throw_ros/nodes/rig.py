@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The node `rig`: plays a rig whose plate and projectile are measured, for trials without one."""
+"""The node `rig`: a simulated rig with measured plate and projectile, for tests without a rig."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from soft_throw_ros.configuration import rig_of, Settings
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import imperfections_of, RIG, sensor_faults_of, to_twin
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
 from soft_throw_ros.nodes.topics import Publishers
-from soft_throw_ros.twin.imperfect_rig import Deviations, Imperfections
+from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
+from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.sensor_faults import chances_one_by_one, SensorFaults
 from soft_throw_ros.twin.session import Session
 
 
 class SimulatedRig(RealTimeNode):
     """
-    A rig that throws by itself, as far as sensors tell.
+    A simulated rig that publishes the measurements of its sensors.
 
     Raises
     ------
     ParameterError
-        In one line, if a parameter is refused.
+        If a parameter is refused.
 
     Notes
     -----
-    Inside is the session of a twin with parameters of its own, which whoever watches the rig does
-    not know. What it publishes are positions, as faulty sensors see them. What no model does, a
-    layer that stiffens for one, is computed beforehand, and added to what the model does.
+    The node runs a session of a twin with its own parameters, unknown to the observed twin, and
+    publishes positions as faulty sensors would measure them. Effects that no model of the core
+    has, such as a stiffening layer, are computed before the throw as `Deviations` and added.
 
     """
 
@@ -66,49 +66,49 @@ class SimulatedRig(RealTimeNode):
         )
         self.send = Publishers(self, RIG_TOPICS).sender(RIG_TOPICS.measured_joint_states)
         settings = self.parameters.settings
-        self._played = to_twin(settings)
+        self._played = self.parameters.checked.settings
         self.load_kernels(self._played)
         self._faults = SensorFaults(**sensor_faults_of(settings))
         self._deviations = self._next_deviations = self._find_deviations()
         self.drive(Session(self._played))
 
-    # in the thread of the ticks
+    # Tick thread
 
     def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish what sensors tell."""
+        """Publish the measurements of the sensors."""
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
         rate = self.session.rate
         time = outputs.step / rate
-        off = self._off(outputs.step, rate)
+        deviation = self._deviation(outputs.step, rate)
         plate, projectile, plate_velocity, projectile_velocity = outputs.state[:4]
         sample = self._faults.measure(
             time,
-            lambda seen: plate + off[0] + (seen - time) * plate_velocity,
-            lambda seen: projectile + off[1] + (seen - time) * projectile_velocity,
+            lambda moment: plate + deviation[0] + (moment - time) * plate_velocity,
+            lambda moment: projectile + deviation[1] + (moment - time) * projectile_velocity,
             next(self._chances),
         )
-        if sample.is_seen:
+        if sample.is_received:
             self.send(due + round(1e9 * (sample.stamp - time)), (sample.plate, sample.projectile))
 
-    def _off(self, step: int, rate: float) -> tuple[float, float]:
-        """Tell how far plate and projectile are from where the model has them."""
+    def _deviation(self, step: int, rate: float) -> tuple[float, float]:
+        """Return the deviations of plate and projectile from the model [m]."""
         deviations = self._deviations
         if deviations is None:
             return 0.0, 0.0
         since = (step - self._start) / rate
         period = self.parameters.settings['throw.period']
-        if period and since > period + deviations.start:  # the next throw is near
+        if period and since > period + deviations.start:  # ringing before the next throw
             since -= period
         elif not self._throws:
             return 0.0, 0.0
         return deviations.at(since)
 
-    # in the executor's thread
+    # Executor thread
 
     def on_second(self) -> None:
-        """Let the layer age when it is time to."""
+        """Apply the wear of the layer after its number of throws."""
         super().on_second()
         settings = self.parameters.settings
         if not self._is_worn and 0 < settings['wear.throws'] <= self._throws:
@@ -118,20 +118,21 @@ class SimulatedRig(RealTimeNode):
 
     def _on_changed(self, _changes: Settings) -> None:
         settings = self.parameters.settings
-        before, self._played = self._played, to_twin(settings)
+        before, self._played = self._played, self.parameters.checked.settings
         self._faults = SensorFaults(**sensor_faults_of(settings))
-        found = self._find_deviations()
+        deviations = self._find_deviations()
         self.session.change(
-            {name: value for name, value in self._played.items() if value != before[name]}
+            {name: value for name, value in self._played.items() if value != before[name]},
+            self.parameters.checked,
         )
-        self._next_deviations = found  # with the next throw, as the rest
+        self._next_deviations = deviations  # in effect with the next throw, as the settings
 
     def _find_deviations(self) -> Deviations | None:
-        """Compute what imperfections change, which takes a tenth of a second, if there are any."""
+        """Return the effect of the imperfections, computed in about 0.1 s; None without any."""
         imperfections = Imperfections(**imperfections_of(self.parameters.settings))
-        if not imperfections.are_there:
+        if not imperfections.are_present:
             return None
-        return Deviations(rig_of(self._played), imperfections)
+        return Deviations(self.parameters.checked.rig, imperfections)
 
 
 main = partial(run, 'rig', SimulatedRig)

@@ -24,7 +24,6 @@ from rclpy.event_handler import (
     QoSPublisherEventType,
     UnsupportedEventTypeError,
 )
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -37,15 +36,13 @@ from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import statuses_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.rclpy_internals import close_event, open_event, take_event
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
-EventHandle = rclpy_implementation.EventHandle
-"""Of an event of the middleware: rclpy has nothing else to ask for one without its executor."""
-
-_EVENT_PERIOD = 1.0  # in which it is looked whether somebody cannot be sent anything [s]
-_MANY = 8  # joints, from which on arrays are quicker than single values
+_EVENT_PERIOD = 1.0  # period of the check for incompatible subscriptions [s]
+_MANY = 8  # number of joints from which on arrays are faster than single values
 
 
 def load_type(name: str) -> Any:
@@ -78,7 +75,7 @@ def create_subscription(node: Node, topic: Topic, on_message: Callable[..., None
 
 
 def create_service(node: Node, service: Service, act: Callable[[], str]) -> None:
-    """Let a node offer a service; `act` says what it has done, or raises why it has not."""
+    """Create a service of a node; `act` returns its answer, or raises the reason of a failure."""
 
     def on_request(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -93,12 +90,12 @@ def create_service(node: Node, service: Service, act: Callable[[], str]) -> None
 
 class Publishers:
     """
-    All that a node publishes, made from its rows of topics, and sent as plain values.
+    The publishers of a node, made from its rows of topics, which convert plain values.
 
     Notes
     -----
-    rclpy's executor would wait for events of each publisher, at two thirds of what it costs it to
-    wait at all, and a tick may be due meanwhile. So they are looked at once a second.
+    Events of all publishers would increase the cost of every wait of rclpy's executor by two
+    thirds, and a tick may be due meanwhile. So a timer polls the events once a second.
 
     """
 
@@ -112,21 +109,22 @@ class Publishers:
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """
-        Return what publishes on a topic.
+        Return the function that publishes on a topic.
 
-        It takes what fills a message of the topic's type: a stamp [ns] and the values of one
-        quantity after another for joint states, or an array for each where there are many joints;
-        a stamp and statuses for diagnostics; an array, a number or a text for the others.
+        Its arguments depend on the type of the topic. Joint states take a stamp [ns] and the
+        values of one quantity after another, or one array per quantity where there are many
+        joints. Diagnostics take a stamp and statuses. Other types take an array, a number or a
+        text.
 
         """
         return self._senders[topic.name]
 
     def send(self, topic: Topic, *values: object) -> None:
-        """Publish once; see `sender` for what."""
+        """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
 
     def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
-        """Return what turns values into a message, and publishes it."""
+        """Return a function that converts values into a message and publishes it."""
         message_type = load_type(topic.type)
         publisher = node.create_publisher(
             message_type,
@@ -147,7 +145,7 @@ class Publishers:
         return lambda value: publish(message_type(data=value))
 
     def _look_for_mismatches(self) -> None:
-        """Say it if a subscription asks for more than is offered."""
+        """Log subscriptions whose requested quality of service exceeds the offered one."""
         for publisher in self._publishers:
             try:
                 event = _incompatible_qos_of(publisher)
@@ -162,13 +160,11 @@ class Publishers:
 
 
 def _incompatible_qos_of(publisher: Publisher) -> Any:
-    """Return what the middleware says of subscriptions that cannot be served, None if nothing."""
-    with publisher.handle:
-        handle = EventHandle(
-            publisher.handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS
-        )
+    """Return the event for incompatible subscriptions of a publisher, None if none is new."""
+    event = open_event(
+        publisher.handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS
+    )
     try:
-        with handle:
-            return handle.take_event()
+        return take_event(event)
     finally:
-        handle.destroy_when_not_in_use()  # it would keep the publisher
+        close_event(event)

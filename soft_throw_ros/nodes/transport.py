@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How messages get from process to process; `config/fastdds.xml` says what and why."""
+"""Transport of messages between processes, explained in `config/fastdds.xml`."""
 
 from __future__ import annotations
 
@@ -27,27 +27,48 @@ _CHOICES = (
     'FASTDDS_DEFAULT_PROFILES_FILE',
     'FASTRTPS_DEFAULT_PROFILES_FILE',
 )
-"""Who sets one of these has chosen."""
+"""Environment variables that select a transport; if one is set, the package changes nothing."""
 
 _RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 
+_LOCAL = ('LOCALHOST', 'OFF')
+"""Discovery ranges that are limited to this machine."""
+
 
 def distribution() -> str:
-    """Return the name of the ROS distribution, empty if it is not known."""
+    """Return the name of the ROS distribution, empty if unknown."""
     return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(_rclpy_version(), ''))
+
+
+def discovery_range() -> str:
+    """Return the discovery range of this process, with the precedence that ROS uses."""
+    if os.environ.get('ROS_LOCALHOST_ONLY') == '1':  # obsolete, and has precedence
+        return 'LOCALHOST'
+    return os.environ.get(_RANGE) or 'SUBNET'
+
+
+def describe_discovery() -> str:
+    """Return which machines can reach a node of this process, and how to limit them."""
+    reach = discovery_range()
+    if reach in _LOCAL:
+        return f'discovery range {reach}: other machines do not reach this node'
+    return (
+        f'discovery range {reach}: other machines may reach this node; '
+        f'{_RANGE}=LOCALHOST limits it to this machine'
+    )
 
 
 def use_transport_profile() -> None:
     """
-    Have Fast DDS, if that is the middleware, let messages wait for a second; before `init`.
+    Configure Fast DDS to buffer one second of messages; call this before `rclpy.init`.
 
-    Where discovery is limited to this machine, its ports are open to this machine only.
+    If discovery is limited to this machine, its ports are reachable from this machine only.
 
     """
     if not any(name in os.environ for name in _CHOICES):
-        is_former = int(_rclpy_version()) < _KILTED  # which would read the other one, too
+        is_former = int(_rclpy_version()) < _KILTED  # former versions read both variables
         name = f'FAST{"RTPS" if is_former else "DDS"}_DEFAULT_PROFILES_FILE'
-        is_local = os.environ.get(_RANGE) in {'LOCALHOST', 'OFF'}
+        is_local = discovery_range() in _LOCAL
         file = 'fastdds_loopback.xml' if is_local else 'fastdds.xml'
         os.environ[name] = str(resources.files('soft_throw_ros') / 'config' / file)
 

@@ -14,8 +14,8 @@
 """
 The node `twin`: the throwing rig in real time.
 
-The thread that ticks publishes what comes at every tick. All else is published by the executor's
-thread; what other threads have for it waits in a queue.
+The tick thread publishes the messages of every tick. The executor's thread publishes all other
+messages; other threads hand them over through a queue.
 """
 
 from __future__ import annotations
@@ -23,53 +23,71 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+import math
 import threading
 import time
 from typing import Any
 
 from soft_throw_ros.configuration import Settings, TWIN
-from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import (
+    ALL_TWIN_TOPICS,
+    RECOMMENDED_TOPICS,
+    throw_numbers,
+    TWIN_SERVICES,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.conversions import throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import describe_namesakes, Diagnostics
+from soft_throw_ros.nodes.diagnostics import Diagnostics, duplicate_name_warning
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime_node import RealTimeNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.recommendations import (
-    matters,
+    affects_recommendation,
     other_models_values,
     recommend_for,
-    RecommendationFor,
+    RecommendationState,
     uncertainty_values,
 )
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.kernels import missing_parts
 from soft_throw_ros.twin.prepared_rig import check_settings
-from soft_throw_ros.twin.results import Outputs, ThrowResult
+from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-_JOBS_AT_ONCE = 100  # of the executor
-_COMPILING_POLL = 0.3  # looks whether kernels have been compiled [s]
+_JOBS_AT_ONCE = 100  # jobs that the executor runs before it serves other callbacks
+_COMPILING_POLL = 0.3  # period of the check whether the compilation has finished [s]
+
+PHASES = tuple(Phase)
+"""Phases, each at the index that `~/phase_change` publishes."""
+
+LINE_INTERVAL_NS = 9_900_000_000
+"""Shortest time between two log lines about throws, except warnings [ns].
+
+It is slightly below ten seconds, so that the lines come after ten throws at the default period.
+"""
 
 RECOMMENDATION_INTERVAL = 0.3
-"""Least time from one search for a better layer to the next, so that ticks do not feel it [s]."""
+"""Shortest time between two searches for a better layer, to limit their processor load [s]."""
 
 
 class Twin(RealTimeNode):
     """
-    A throwing rig.
+    The twin of a throwing rig.
 
     Attributes
     ----------
     parameters : NodeParameters
         All settings.
     measurement : Measurement
-        What is measured of a real rig.
+        Measured samples of a real rig.
     outgoing : Publishers
-        All that it publishes.
-    recommendation : RecommendationFor or None
-        The present one; None while it is computed.
+        Publishers of all topics.
+    recommendation : RecommendationState or None
+        The present recommendation; None while it is computed.
 
     Raises
     ------
@@ -80,21 +98,25 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.recommendation: RecommendationFor | None = None
+        self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_some_jobs)
+        self._config: TwinConfig | None = None
         self._last_result: ThrowResult | None = None
-        self._namesakes = 0
+        self._last_line_ns = -LINE_INTERVAL_NS
+        self._logged_throws = 0
+        self._rig_beyond_range: tuple[Rig, float] | None = None
+        self._duplicate_nodes = 0
         self.parameters = NodeParameters(
             self,
             TWIN,
             self._on_changed,
             describe=self._describe_change,
-            check=check_settings,
+            check=self._check,
             arguments=arguments,
         )
         self.load_kernels(self.parameters.settings)
-        self.outgoing = Publishers(self, TWIN_TOPICS)
+        self.outgoing = Publishers(self, ALL_TWIN_TOPICS)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
@@ -113,23 +135,29 @@ class Twin(RealTimeNode):
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
         self._worker = LatestOnlyWorker(
-            self._recommend, self._on_recommendation, interval=RECOMMENDATION_INTERVAL
+            self._recommend,
+            self._on_recommendation,
+            on_failure=lambda config, error: RecommendationState(
+                config=config, reason=f'the search has failed: {error!r}'
+            ),
+            log=self.get_logger().error,
+            interval=RECOMMENDATION_INTERVAL,
         )
         self.at_end(self._worker.close, STOP_TIMEOUT)
-        self._worker.submit(self.parameters.settings)
+        self._worker.submit(self.parameters.checked)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
 
-    # in the thread of the ticks
+    # Tick thread
 
     def on_tick(self, due: int) -> None:
-        """Take what has been measured until now, and go a step on."""
+        """Read the samples that have arrived, and advance by one step."""
         self.measurement.take()
         super().on_tick(due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish what comes often, and leave the rest to the executor."""
+        """Publish the messages of every tick, and hand the others over to the executor."""
         self._send_state(due, outputs.state)
         if outputs.layer is not None:
             self._send_layer(due, outputs.layer)
@@ -139,13 +167,13 @@ class Twin(RealTimeNode):
             self._send_prediction(prediction.stamp_ns, prediction[1:4])
         if residual is not None:
             self._send_residual(residual.stamp_ns, residual[1:])
-        if outputs.phases or outputs.results or outputs.notices or outputs.throw_field is not None:
+        if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
-    # in any thread
+    # Any thread
 
     def _run_in_executor(self, job: Callable[[], None]) -> None:
-        """Have the executor's thread do something, in the order of the calls."""
+        """Run a job in the executor's thread, in the order of the calls."""
         self._jobs.append(job)
         if threading.current_thread() is threading.main_thread():
             self._run_some_jobs()
@@ -153,24 +181,24 @@ class Twin(RealTimeNode):
             self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
-        """Publish a line of the journal, soon."""
+        """Schedule the publication of a line of the journal."""
         self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
 
-    def _on_recommendation(self, found: RecommendationFor) -> None:
+    def _on_recommendation(self, found: RecommendationState) -> None:
         self._run_in_executor(lambda: self._publish_recommendation(found))
 
-    # in the worker's thread
+    # Worker thread
 
-    def _recommend(self, settings: Settings, cancelled: Callable[[], bool]) -> RecommendationFor:
-        """Recommend a layer once nothing has to be compiled for it any more."""
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
+        """Wait until the kernels of the search are compiled, and return a recommendation."""
         while self.is_compiling and 'design' in missing_parts() and not cancelled():
             time.sleep(_COMPILING_POLL)
-        return recommend_for(settings, cancelled)
+        return recommend_for(config, cancelled)
 
-    # in the executor's thread
+    # Executor thread
 
     def _run_some_jobs(self) -> None:
-        """Run what waits, but no more than lets signals and services have their turn."""
+        """Run waiting jobs, up to a limit so that signals and services are served in between."""
         for _ in range(_JOBS_AT_ONCE):
             if not self._jobs:
                 return
@@ -182,39 +210,41 @@ class Twin(RealTimeNode):
             self._jobs.popleft()()
 
     def _publish_outputs(self, outputs: Outputs, due: int) -> None:
-        """Publish, and log, what a step gave besides the state."""
+        """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
-        for phase in outputs.phases:
+        for phase, stamp_ns in outputs.phases:
+            send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
             send(TWIN_TOPICS.phase, phase.value)
         if outputs.throw_field is not None:
             send(TWIN_TOPICS.throw_field, outputs.throw_field.strain)
         for result in outputs.results:
             self._publish_result(result, due)
-        for notice in outputs.notices:
-            self.get_logger().warning(notice)
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
-        """Publish a result as one message, and what is plotted as numbers."""
+        """Publish a result as one message, and its numbers for plots."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
         settings = self.parameters.settings
         beside = {}
-        if not self.is_compiling:  # whose kernels a process of its own compiles, and not this one
+        if not self.is_compiling:  # otherwise this process would compile their kernels, too
             beside = uncertainty_values(result.rig, settings)
             if not self.session.is_measured:
                 beside |= other_models_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, due, [status])
-        if result.stage == 'release' and result.first is not None:
-            send(TWIN_TOPICS.ejection_time, result.first.ejection_time)
-            send(TWIN_TOPICS.ejection_speed, result.first.ejection_speed)
-            send(TWIN_TOPICS.energy_transfer, result.first.energy_transfer)
-            send(TWIN_TOPICS.peak_strain, result.peak_strain)
+        if result.is_valid:
+            for topic, number in throw_numbers(result.stage, {**result.values(), **beside}):
+                send(topic, number)
         if result.stage != 'predicted' or last is None or last.throw != result.throw:
-            self._log_result(result)
+            self._log_result(result, due)
 
-    def _log_result(self, result: ThrowResult) -> None:
-        """Log one line per throw, and what is wrong with it."""
+    def _log_result(self, result: ThrowResult, due: int) -> None:
+        """
+        Log a throw at level DEBUG, or at level WARN if it is invalid or mispredicted.
+
+        One throw in ten seconds is logged at level INFO, with a summary since the last such line.
+        A strain beyond the linear range is a warning once per rig.
+        """
         log, throw = self.get_logger(), f'throw {result.throw}'
         comparison = result.comparison
         if not result.is_valid:
@@ -222,16 +252,59 @@ class Twin(RealTimeNode):
         elif result.stage == 'predicted':
             if not result.is_ahead:
                 log.warning(
-                    f'{throw}: {result.describe_lead()}; a shorter measured.window or '
-                    'measured.wait, and a higher rate.state, let it be known earlier'
+                    f'{throw}: {result.describe_lead()}; for an earlier prediction decrease '
+                    'measured.smoothing_window or measured.latency, or increase rate.state'
                 )
         elif result.stage == 'release' or result.first is None:
-            log.info(result.describe())
+            rig = (result.rig, result.max_strain)
+            if not result.is_linear and rig != self._rig_beyond_range:
+                self._rig_beyond_range = rig
+                log.warning(result.describe())
+            elif due - self._last_line_ns >= LINE_INTERVAL_NS:
+                self._last_line_ns = due
+                log.info(result.describe() + self._describe_throws(result.throw))
+            else:
+                log.debug(result.describe())
         elif comparison and not comparison.is_within_threshold:
-            log.warning(f'{throw}: {comparison.describe()}')
+            log.warning(f'{throw}: {result.describe_comparison()}')
 
-    def _publish_recommendation(self, found: RecommendationFor) -> None:
-        """Publish a recommendation, unless it is for what the rig no longer is."""
+    def _describe_throws(self, number: int) -> str:
+        """Return a summary of the throws since the last summary; empty for the first throw."""
+        throws, self._logged_throws = number - self._logged_throws, number
+        lateness = self._diagnostics.take_lateness()
+        noun = 'throw' if throws == 1 else 'throws'
+        return f'; {throws} {noun}, {lateness}' if number > 1 else ''
+
+    def describe(self) -> str:
+        """Return the rig, its model, rates and topics for the log line at the start."""
+        settings, rig = self.parameters.settings, self.parameters.checked.rig
+        name = self.get_fully_qualified_name()
+        motion, period = settings['engine.motion'], settings['throw.period']
+        engine = f'{rig.engine.frequency:.4g} Hz, {1e3 * rig.engine.amplitude:.4g} mm'
+        if motion == 'file':
+            engine = settings['engine.motion_file']
+        elif motion == 'measured':
+            engine = TWIN_TOPICS.measured_joint_states.at(name).name
+        throws = f'a throw every {period:.4g} s' if period else 'throws on request'
+        return (
+            f": layer {settings['layer.name']}, {1e3 * rig.layer.thickness:.4g} mm, "
+            f'{rig.layer.wave_speed:.4g} m/s; projectile {1e3 * rig.projectile.mass:.4g} g; '
+            f'plate {motion}, {engine}; model {self.parameters.checked.model}; '
+            f"{settings['rate.state']:.4g} Hz on {TWIN_TOPICS.joint_states.at(name).name}"
+            + ('' if motion == 'measured' else f', {throws}')
+        )
+
+    def close(self) -> None:
+        """Log the number of throws and skipped ticks."""
+        super().close()
+        throws, skipped = self.session.throws, self.ticker.counts['ticks_skipped']
+        noun = 'throw' if throws == 1 else 'throws'
+        self.get_logger().info(
+            f'stopped after {throws} {noun} in {self.duration:.1f} s, {skipped} ticks skipped'
+        )
+
+    def _publish_recommendation(self, found: RecommendationState) -> None:
+        """Publish a recommendation, unless the rig has changed since its request."""
         if not found.is_for(self.parameters.settings):
             return
         self.recommendation = found
@@ -240,29 +313,36 @@ class Twin(RealTimeNode):
             self.get_logger().warning(found.describe())
         else:
             self.get_logger().info(found.describe())
-            self.outgoing.send(TWIN_TOPICS.recommended_energy_transfer, found.best.energy_transfer)
+        values = found.values()
+        for number, topic in RECOMMENDED_TOPICS:
+            self.outgoing.send(topic, float(values.get(number.name, math.nan)))
         status = found.to_status(self.get_fully_qualified_name())
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
 
+    def _check(self, settings: Settings) -> TwinConfig:
+        """Return the configuration of settings; raise ValueError if no rig can have it."""
+        self._config = check_settings(settings, self._config)
+        return self._config
+
     def _on_changed(self, changes: Settings) -> None:
-        self.session.change(changes)
-        if any(matters(name) for name in changes):
+        self.session.change(changes, self.parameters.checked)
+        if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
-            self._worker.submit(self.parameters.settings)
+            self._worker.submit(self.parameters.checked)
 
     def _describe_change(self, name: str) -> str:
-        """Say when a change takes effect."""
+        """Return when a change takes effect, as the end of a log line."""
         return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
     def _on_throw(self) -> str:
         self.session.request_throw()
         topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
-        return f'the result comes on {topic.name}'
+        return f'the result will be published on {topic.name}'
 
     def _on_reset(self) -> str:
         self.session.reset()
-        return 'the rig is being put back'
+        return 'resetting the rig'
 
     def _on_apply_recommendation(self) -> str:
         found = self.recommendation
@@ -276,21 +356,26 @@ class Twin(RealTimeNode):
         return f'{values}, from the next throw or ~/reset on'
 
     def on_second(self) -> None:
-        """Publish how well time is kept, and what is pending."""
+        """Publish the diagnostics."""
         super().on_second()
-        self._run_some_jobs()  # in case that a wake-up went astray
-        self._look_for_namesakes()
-        statuses = self._diagnostics.statuses(self._last_result, namesakes=self._namesakes)
+        self._run_some_jobs()  # in case a wake-up was lost
+        for report in self.session.diagnose_sensors():
+            self.get_logger().warning(report)
+        self._check_duplicate_nodes()
+        statuses = self._diagnostics.statuses(
+            self._last_result, duplicate_nodes=self._duplicate_nodes
+        )
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
 
-    def _look_for_namesakes(self) -> None:
-        """Say it when other nodes publish under the name of this one, or do no more."""
+    def _check_duplicate_nodes(self) -> None:
+        """Log when another node with the same name appears or disappears."""
         topic = TWIN_TOPICS.journal.at(self.get_fully_qualified_name()).name
-        before, self._namesakes = self._namesakes, max(self.count_publishers(topic) - 1, 0)
-        if self._namesakes > before:
-            self.get_logger().error(describe_namesakes(self.get_fully_qualified_name()))
-        elif before and not self._namesakes:
+        before = self._duplicate_nodes
+        self._duplicate_nodes = max(self.count_publishers(topic) - 1, 0)
+        if self._duplicate_nodes > before:
+            self.get_logger().error(duplicate_name_warning(self.get_fully_qualified_name()))
+        elif before and not self._duplicate_nodes:
             self.get_logger().info('no other node has this name any more')
 
 

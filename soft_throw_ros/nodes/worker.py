@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Compute beside the ticks, for the latest request only."""
+"""A worker thread for slow computations that serves only the latest request."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 import threading
+import traceback
 from typing import Generic, TypeVar
 
 Request = TypeVar('Request')
@@ -27,7 +28,8 @@ class LatestOnlyWorker(Generic[Request, Answer]):
     """
     One thread that answers requests; a newer request replaces all earlier ones.
 
-    What is being computed for an earlier request is cancelled, and its answer is dropped.
+    A newer request cancels the computation for an earlier one, whose answer is dropped. An
+    exception ends one computation, and not the thread.
 
     Parameters
     ----------
@@ -36,8 +38,17 @@ class LatestOnlyWorker(Generic[Request, Answer]):
         waits for the answer any more; then any answer will do.
     on_answer : callable
         Called in the thread with every answer.
+    on_failure : callable
+        Makes the answer to a request whose computation has raised an exception.
+    log : callable
+        Takes the traceback of every such exception.
     interval : float
         Time from an answer to the next beginning, so that a storm of requests costs little. [s]
+
+    Attributes
+    ----------
+    failures : int
+        Number of computations that have raised an exception.
 
     """
 
@@ -46,10 +57,15 @@ class LatestOnlyWorker(Generic[Request, Answer]):
         compute: Callable[[Request, Callable[[], bool]], Answer],
         on_answer: Callable[[Answer], None],
         *,
+        on_failure: Callable[[Request, Exception], Answer],
+        log: Callable[[str], object],
         interval: float = 0.0,
     ) -> None:
+        self.failures = 0
         self._compute = compute
         self._on_answer = on_answer
+        self._on_failure = on_failure
+        self._log = log
         self._interval = interval
         self._request: Request
         self._is_waiting = threading.Event()
@@ -58,7 +74,7 @@ class LatestOnlyWorker(Generic[Request, Answer]):
         self._thread.start()
 
     def submit(self, request: Request) -> None:
-        """Have a request answered in place of all earlier ones."""
+        """Replace all earlier requests by this one."""
         self._request = request
         self._is_waiting.set()
 
@@ -71,7 +87,16 @@ class LatestOnlyWorker(Generic[Request, Answer]):
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            answer = self._compute(self._request, self._is_waiting.is_set)
+            answer = self._answer(self._request)
             if not self._is_waiting.is_set():
                 self._on_answer(answer)
             self._is_closing.wait(self._interval)
+
+    def _answer(self, request: Request) -> Answer:
+        try:
+            return self._compute(request, self._is_waiting.is_set)
+        except Exception as error:  # noqa: BLE001  later requests must still be answered
+            self.failures += 1
+            text = ''.join(traceback.format_exception(error))
+            self._log(f'failure {self.failures} of a computation in the background: {text}')
+            return self._on_failure(request, error)

@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bags, and messages in them, without ROS; what the viewer shows."""
+"""Bags and their messages, without ROS, and the pictures of the viewer."""

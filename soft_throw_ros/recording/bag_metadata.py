@@ -18,24 +18,54 @@ from __future__ import annotations
 from collections.abc import Mapping
 import functools
 from pathlib import Path
+import re
 from typing import Any
 
 from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.configuration.regular_file import read_regular_file
 import yaml
 
 METADATA_FILE = 'metadata.yaml'
 
 VERSION = 9
-"""That of ROS 2 Jazzy and later."""
+"""Version of the metadata format of ROS 2 Jazzy and later."""
 
 _KEY = 'rosbag2_bagfile_information'
 
-_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)  # faster where it is there
+MAX_FILE_SIZE = 512 * 2**10
+"""Largest size of the file [bytes]: 500 topics, or 16 twins and the files of a day, take half."""
+
+MAX_PROFILES_SIZE = 64 * 2**10
+"""Largest size of the quality of service of a topic [bytes]: 100 publishers take 45 kB."""
+
+MAX_DEPTH = 20
+"""Largest number of brackets within one another [-]: PyYAML takes seconds for thousands."""
+
+_WANTED = ('ros_distro', 'storage_identifier', 'compression_mode')
+
+_ERRORS = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+"""Errors that PyYAML raises for texts of all kinds."""
+
+
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    """Writes every value in full, since readers may refuse aliases."""
+
+    def ignore_aliases(self, _data: object) -> bool:
+        return True
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses aliases, which make a short text as large as one likes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError('aliases are not allowed')
+        return super().compose_node(parent, index)
 
 
 def dump_yaml(data: object) -> str:
     """Write YAML."""
-    text: str = yaml.dump(data, Dumper=_DUMPER, sort_keys=False)
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
     return text
 
 
@@ -47,34 +77,64 @@ def write_metadata(path: Path, information: Mapping[str, object]) -> None:
 
 def read_metadata(path: Path) -> dict[str, Any]:
     """
-    Read the file of a bag.
+    Read the parts of the file of a bag that are needed to find and read the other files.
 
     Raises
     ------
     ValueError
-        If there is none, or it does not describe a bag.
+        If there is none, it is too large, or it does not describe a bag.
 
     Notes
     -----
-    LibYAML would be faster, but many an opening bracket makes it overflow its stack.
+    Texts are taken from the nodes of the file, which are not built into objects: a short file
+    can make these as large as it likes by aliases and merges. LibYAML would be faster, but many
+    opening brackets make it overflow its stack.
 
     """
     try:
-        information = yaml.safe_load(path.read_text(encoding='utf-8'))[_KEY]
-        files = [str(name) for name in information['relative_file_paths']]
+        text = _require_shallow(read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode())
+        information = _values(_values(yaml.compose(text, yaml.SafeLoader))[_KEY])
+        found = {name: information[name].value for name in _WANTED if name in information}
+        files = [node.value for node in information['relative_file_paths'].value]
     except FileNotFoundError:
         raise ValueError('the file is missing') from None
-    # PyYAML raises what comes its way if, say, a text is tagged as a number
-    except (yaml.YAMLError, OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+    except OSError as error:
+        raise ValueError(f'the file {error.strerror}') from None
+    except _ERRORS as error:
         reason = str(error).partition('\n')[0]
-        raise ValueError(f'the file does not describe a bag, {reason}') from None
-    return {**information, 'relative_file_paths': files}
+        raise ValueError(f'the file does not describe a bag, {reason:.200}') from None
+    if not all(isinstance(text, str) for text in (*files, *found.values())):
+        raise ValueError('the file does not describe a bag, it has lists in place of texts')
+    return {**found, 'relative_file_paths': files}
+
+
+def _values(node: Any) -> dict[str, Any]:
+    return {key.value: value for key, value in node.value if isinstance(key, yaml.ScalarNode)}
+
+
+def _require_shallow(text: str) -> str:
+    depth = 0
+    for match in re.finditer(r'[][{}]', text):
+        depth += 1 if match[0] in '[{' else -1
+        if depth > MAX_DEPTH:
+            raise ValueError(f'it has more than {MAX_DEPTH} brackets within one another')
+    return text
+
+
+def load_profiles(text: str) -> list[Any]:
+    """Read a short list in YAML without aliases; return an empty one if it is no such list."""
+    if len(text) > MAX_PROFILES_SIZE:
+        return []
+    try:
+        return list(_Loader(_require_shallow(text)).get_single_data() or [])
+    except _ERRORS:
+        return []
 
 
 @functools.lru_cache(maxsize=1000)  # every file of a bag, and many channels, have the same
 def profiles_of(text: str) -> list[dict[str, Any]]:
     """
-    Read the quality of service that stands at a channel; nothing if it is not as in version 9.
+    Read the quality of service of a channel; return an empty list if it is not as in version 9.
 
     Examples
     --------
@@ -84,9 +144,9 @@ def profiles_of(text: str) -> list[dict[str, Any]]:
     ([], [])
 
     """
+    profiles = load_profiles(text)
     try:
-        profiles = yaml.safe_load(text) or []
         are_named = all(isinstance(profile['reliability'], str) for profile in profiles)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError):
+    except _ERRORS:
         return []
-    return list(profiles) if are_named else []
+    return profiles if are_named else []

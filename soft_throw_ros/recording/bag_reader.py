@@ -11,11 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Read bags: ours and those of other recorders, whole, still being written, or damaged."""
+"""
+Finished bags of this package and of other recorders, opened for reading.
+
+The error for a damaged or unfinished bag names the command that recovers its messages (see
+`recovery`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Sequence
 import heapq
 import itertools
 from pathlib import Path
@@ -26,71 +31,132 @@ import zlib
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.recording.bag_writer import is_being_written
-from soft_throw_ros.recording.mcap_file import Chunk, CONVERSION, Gap, McapFile, read_stream
+from soft_throw_ros.recording.mcap_file import McapFile, memory_of, UnfinishedError
+from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Memory
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 
-__all__ = ['BagReader', 'Gap', 'read_stream']
+__all__ = ['BagReader', 'UnfinishedError']
 
 
-class BagReader:
+class BagFolder:
     """
-    Reads a bag.
+    The files of a bag, by its folder and `metadata.yaml`.
 
     Parameters
     ----------
     path : path_like
         A folder with MCAP files, or one such file.
-    by_scan : bool
-        Whether to look at every record first, instead of believing the ends of the files.
 
     Attributes
     ----------
     path : Path
-        As given.
-    channels : tuple of Channel
-        The topics; one object each, in all files.
-    counts : dict of Channel to int
-        How many messages there are.
-    start_time, end_time : int
-        Log times of the first and the last message; 0 if there is none. [ns]
+        Path of the bag, as passed to the reader.
+    files : list of Path
+        The files in their order, without empty ones.
     distribution : str
-        Of ROS; empty if the bag does not say.
+        ROS distribution; empty if the bag does not name one.
+    defects : list of str
+        Files that are missing, empty or not readable, with the reason.
 
     Raises
     ------
     BagError
-        If there is no bag of ROS 2 in MCAP; the message says what would be right.
-
-    Notes
-    -----
-    Of a file that was cut off, or is still being written, all whole chunks are read; of a damaged
-    one also those after the damage. Messages that are in no chunk, as some recorders write them,
-    are read up to the damage, and kept in memory.
+        If there is no bag in MCAP; the message gives the remedy.
 
     """
 
-    def __init__(self, path: str | Path, *, by_scan: bool = False) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._gaps: list[Gap] = []
+        self.defects: list[str] = []
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
+        self.files = self._find_files(information) if self.path.is_dir() else [self.path]
+
+    def _read_information(self) -> dict[str, Any]:
+        """Read `metadata.yaml`; without it the files tell all that is needed."""
+        path = self.path / METADATA_FILE
+        try:
+            return read_metadata(path)
+        except ValueError as error:
+            self.defects.append(f'{path}: {error}')
+            return {}
+
+    def _find_files(self, information: dict[str, Any]) -> list[Path]:
+        is_sqlite = any(self.path.glob('*.db3'))
+        storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
+        if storage != 'mcap':
+            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
+        if str(information.get('compression_mode')).lower() in ('file', 'message'):
+            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
+        present = sorted(self.path.glob('*.mcap'), key=_by_number)
+        listed = [self.path / Path(n).name for n in information.get('relative_file_paths', ())]
+        missing = [path for path in listed if path not in present]
+        self.defects += [f'{path}: the file is missing' for path in missing]
+        if not present:
+            raise BagError(f'{self.path} is no bag, it contains no MCAP file')
+        # A loss of power may leave empty files, which are no reason to refuse the others
+        empty = [path for path in present if path.is_file() and not path.stat().st_size]
+        self.defects += [f'{path}: the file is empty' for path in empty]
+        return [path for path in present if path not in empty] or present
+
+
+class BagReader:
+    """
+    A finished bag opened for reading.
+
+    Parameters
+    ----------
+    path : path_like
+        A folder with MCAP files, or one such file.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the bag, as passed to the reader.
+    channels : tuple of Channel
+        The topics; one object each, in all files.
+    counts : dict of Channel to int
+        Numbers of messages.
+    start_time, end_time : int
+        Log times of the first and the last message; 0 if there is none. [ns]
+    distribution : str
+        ROS distribution; empty if the bag does not name one.
+    damage : str
+        Files that are missing or not readable, in short; empty if there are none.
+
+    Raises
+    ------
+    UnfinishedError
+        If a file is damaged, was not finished, or is being written.
+    BagError
+        If there is no bag of ROS 2 in MCAP; the message gives the remedy.
+
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        folder = BagFolder(path)
+        self.path = folder.path
+        self.distribution = folder.distribution
+        more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
+        self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
         known: dict[tuple[object, ...], Channel] = {}
+        memory = Memory()
         self._files: list[McapFile] = []
         try:
-            for file_path in self._paths(information):
-                self._files.append(McapFile(file_path, known, by_scan=by_scan))
-        except BagError:
+            for file_path in folder.files:
+                self._files.append(McapFile(file_path, known, memory))
+        except BagError as error:
             self.close()
+            if isinstance(error, UnfinishedError) and is_being_written(self.path):
+                raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
         self.counts: dict[Channel, int] = {}
         for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
             self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
-        chunks = [chunk for file in self._files for chunk in file.chunks]
-        self.start_time = min((chunk.first for chunk in chunks), default=0)
-        self.end_time = max((chunk.last for chunk in chunks), default=0)
-        if self.gaps and is_being_written(self.path):
-            self._gaps.append(Gap(self.path, 0, 0, 'the bag is being written'))
+        self._chunks = [chunk for file in self._files for chunk in file.chunks]
+        self.start_time = min((file.start_time for file in self._files if file.chunks), default=0)
+        self.end_time = max((chunk.message_end_time for chunk in self._chunks), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -105,45 +171,17 @@ class BagReader:
 
     @property
     def message_count(self) -> int:
-        """How many messages there are."""
+        """Number of all messages."""
         return sum(self.counts.values())
-
-    @property
-    def gaps(self) -> list[Gap]:
-        """List what could not be read, as far as is known by now."""
-        return self._gaps + [gap for file in self._files for gap in file.gaps]
-
-    @property
-    def damage(self) -> str:
-        """Say what is wrong with the bag, in short, as far as is known by now, or nothing."""
-        gaps = self.gaps
-        more = f'; and {len(gaps) - 1} more' if len(gaps) > 1 else ''
-        return f'{gaps[0]}{more}' if gaps else ''
-
-    @property
-    def doubts(self) -> list[str]:
-        """List what is left out of the definitions of channels, since it cannot be trusted."""
-        return list(dict.fromkeys(it for file in self._files for it in file.definitions.doubts))
 
     @property
     def metadata(self) -> list[mcap.Metadata]:
         """Named texts in their order, without those that a next file repeats."""
-        found: list[mcap.Metadata] = []
-        last: dict[str, mcap.Metadata] = {}
-        for record in itertools.chain(*(file.metadata for file in self._files)):
-            if record.name != 'rosbag2' and last.get(record.name) != record:
-                last[record.name] = record
-                found.append(record)
-        return found
+        return unrepeated_metadata(file.metadata for file in self._files)
 
     def attachments(self) -> Iterator[mcap.Attachment]:
         """Yield files that were written into the bag, without those that a next one repeats."""
-        seen = set()
-        for record in itertools.chain(*(file.attachments() for file in self._files)):
-            key = (record.name, len(record.data), zlib.crc32(record.data))
-            if key not in seen:
-                seen.add(key)
-                yield record
+        return unrepeated_attachments(file.attachments() for file in self._files)
 
     def messages(
         self,
@@ -159,68 +197,87 @@ class BagReader:
         Parameters
         ----------
         topics : str or collection of str, optional
-            Of these only.
+            Yield only messages of these topics.
         start, end : int, optional
-            From `start` on, and before `end`. [ns]
+            Yield only messages from `start` on and before `end`. [ns]
         by_log_time : bool
-            False to yield them in the order in which they were written.
+            Whether to sort the messages by log time; False keeps the order of writing.
+
+        Raises
+        ------
+        UnfinishedError
+            Where a chunk is damaged.
 
         """
         wanted = {topics} if isinstance(topics, str) else topics
-        span = range(start or 0, LATEST + 1 if end is None else end)
-        chunks = [
-            (file, chunk) for file in self._files for chunk in file.chunks_with(wanted, span)
-        ]
+        span = range(max(start or 0, 0), LATEST + 1 if end is None else max(end, 0))
         if by_log_time:
-            yield from _by_log_time(chunks, wanted, span)
+            _require_order(self._chunks)
+            yield from _merge(self._files, wanted, span)
         else:
-            for file, chunk in chunks:
-                yield from file.messages(chunk, wanted, span)
-
-    def _read_information(self) -> dict[str, Any]:
-        """Read `metadata.yaml`; what is not there is left to the files."""
-        path = self.path / METADATA_FILE
-        try:
-            return read_metadata(path)
-        except ValueError as error:
-            self._gaps.append(Gap(path, 0, 0, str(error)))
-            return {}
-
-    def _paths(self, information: Mapping[str, Any]) -> list[Path]:
-        """List the files of the bag."""
-        if not self.path.is_dir():
-            return [self.path]
-        is_sqlite = any(self.path.glob('*.db3'))
-        storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
-        if storage != 'mcap':
-            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
-        if str(information.get('compression_mode')).lower() in ('file', 'message'):
-            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
-        found = sorted(self.path.glob('*.mcap'), key=_by_number)
-        listed = [self.path / Path(n).name for n in information.get('relative_file_paths', ())]
-        missing = [path for path in listed if path not in found]
-        self._gaps += [Gap(path, 0, 0, 'the file is missing') for path in missing]
-        if not found:
-            raise BagError(f'{self.path} is no bag, there is no MCAP file in it')
-        # What a machine leaves that loses its power is no reason to refuse the others
-        empty = [path for path in found if path.is_file() and not path.stat().st_size]
-        self._gaps += [Gap(path, 0, 0, 'the file is empty') for path in empty]
-        return [path for path in found if path not in empty] or found
+            for file in self._files:
+                yield from file.messages(wanted, span, by_log_time=False)
 
 
-def _by_log_time(
-    chunks: Iterable[tuple[McapFile, Chunk]], topics: Collection[str] | None, span: range
+def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.Metadata]:
+    """Return named texts of files, without those of rosbag2 and those that a next file repeats."""
+    texts: list[mcap.Metadata] = []
+    last: dict[str, mcap.Metadata] = {}
+    for record in itertools.chain.from_iterable(files):
+        if record.name != 'rosbag2' and last.get(record.name) != record:
+            last[record.name] = record
+            texts.append(record)
+    return texts
+
+
+def unrepeated_attachments(
+    files: Iterable[Iterable[mcap.Attachment]],
+) -> Iterator[mcap.Attachment]:
+    """Yield attachments of files, without those that a next file repeats."""
+    seen = set()
+    for record in itertools.chain.from_iterable(files):
+        key = (record.name, len(record.data), zlib.crc32(record.data))
+        if key not in seen:
+            seen.add(key)
+            yield record
+
+
+def _require_order(chunks: Iterable[mcap.ChunkIndex]) -> None:
+    """Raise BagError if too many chunks overlap in time to be sorted in memory."""
+    overlapping: list[tuple[int, int]] = []  # end time and memory of each
+    size = 0
+    for chunk in sorted(chunks, key=lambda chunk: chunk.message_start_time):
+        while overlapping and overlapping[0][0] < chunk.message_start_time:
+            size -= heapq.heappop(overlapping)[1]
+        heapq.heappush(overlapping, (chunk.message_end_time, memory_of(chunk)))
+        size += memory_of(chunk)
+        if size > MAX_KEPT:
+            raise BagError(
+                f'more than {MAX_KEPT} bytes of its messages are of about the same time'
+            )
+
+
+def _merge(
+    files: Sequence[McapFile], topics: Collection[str] | None, span: range
 ) -> Iterator[Message]:
-    """Merge the messages of chunks; each is unpacked when its first message is due."""
-    waiting = sorted(enumerate(chunks), key=lambda item: item[1][1].first, reverse=True)
-    messages: list[tuple[int, int, int, Message]] = []
-    while waiting or messages:
-        while waiting and (not messages or waiting[-1][1][1].first <= messages[0][0]):
-            number, (file, chunk) = waiting.pop()
-            for place, message in enumerate(file.messages(chunk, topics, span)):
-                heapq.heappush(messages, (message.log_time, number, place, message))
-        if messages:
-            yield heapq.heappop(messages)[-1]
+    """Merge the messages of files by log time; a file is read when its first message is due."""
+    starts = [file.start_time for file in files]
+    waiting = sorted(range(len(files)), key=starts.__getitem__, reverse=True)
+    heads: list[tuple[int, int, Message, Iterator[Message]]] = []
+    while waiting or heads:
+        while waiting and (not heads or starts[waiting[-1]] <= heads[0][0]):
+            number = waiting.pop()
+            messages = files[number].messages(topics, span, by_log_time=True)
+            for message in itertools.islice(messages, 1):
+                heapq.heappush(heads, (message.log_time, number, message, messages))
+        if heads:
+            _, number, message, messages = heads[0]
+            yield message
+            following = next(messages, None)
+            if following is None:
+                heapq.heappop(heads)
+            else:
+                heapq.heapreplace(heads, (following.log_time, number, following, messages))
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

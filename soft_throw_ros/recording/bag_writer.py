@@ -49,6 +49,9 @@ from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
 
+WRITE_SIZE = 4 * 2**20
+"""Largest part handed to the disk at once, so that its progress is seen. [bytes]"""
+
 PROFILE = 'ros2'
 LIBRARY = f'soft_throw_ros {__version__}'
 
@@ -61,31 +64,33 @@ _COMPRESSIONS = {
 
 class BagWriter:
     """
-    Writes a bag, a new folder.
+    A new bag opened for writing.
 
-    What is written waits in memory until `flush` has handed it to the system, which is to be
-    called about once a second; then it is kept, whatever happens to this process. If the disk is
-    full, `flush` says so, and what waits goes on waiting for the next one.
+    Messages wait in memory until `flush` hands them to the operating system. From then on they
+    survive the end of this process, so call `flush` about once a second. If the disk is full,
+    `flush` raises an error, and the messages wait for the next call.
 
     Parameters
     ----------
     folder : path_like
-        The bag; files in it are called alike. It must not exist.
+        Path of the bag, which must not exist; its files begin with the same name.
     distribution : str
-        Of ROS, as `jazzy`; may be empty.
+        Distribution of ROS, such as `jazzy`; may be empty.
     compression : {'zstd', 'lz4', 'none'}
-        Of chunks.
+        Compression of chunks.
     max_size : int
-        A file that has grown beyond this is followed by a next one; 0 for never. [bytes]
+        Size of a file beyond which a new one is started; 0 for no limit. [bytes]
     max_duration : float
-        So is one whose messages span as much; 0 for never. [s]
+        Time span of a file beyond which a new one is started; 0 for no limit. [s]
     sync : bool
-        Whether `flush` waits until the disk has it, so that it outlasts the machine too.
+        Whether `flush` waits for the disk, so that the messages survive a loss of power too.
 
     Attributes
     ----------
     folder : Path
         The bag.
+    is_abandoned : bool
+        Whether the caller has given up waiting; all unsaved messages are lost.
 
     Raises
     ------
@@ -94,7 +99,7 @@ class BagWriter:
 
     Notes
     -----
-    Every file is complete by itself: each has all channels, metadata and attachments so far.
+    Every file can be read alone: it contains all channels, metadata and attachments so far.
     The folder is locked (`flock`) while it is written.
 
     """
@@ -121,6 +126,7 @@ class BagWriter:
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
+        self.is_abandoned = False
         self._files: list[_File] = []
         self._described = 0  # how many files are in `metadata.yaml`
         self._channels: dict[Channel, None] = {}
@@ -160,12 +166,8 @@ class BagWriter:
             If its times are none.
 
         """
-        channel, _, log_time, publish_time, _ = message
-        if (log_time | publish_time) >> 63:
-            raise ValueError(
-                f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
-                f'got {log_time} and {publish_time}'
-            )
+        channel, log_time = message.channel, message.log_time
+        message.require_valid_times()
         self._require_open()
         file = self._files[-1]
         if file.size > self._max_size or log_time - file.first >= self._max_duration:
@@ -176,29 +178,29 @@ class BagWriter:
         file.add(message)
 
     def add_channel(self, channel: Channel) -> None:
-        """Have a channel in the bag even if no message comes."""
+        """Add a channel to the bag, even if it never receives a message."""
         self._channels[channel] = None
         self._files[-1].define(channel)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write named texts; the last ones of a name are repeated in files that follow."""
+        """Write named texts; later files repeat the last texts of each name."""
         add = partial(Writer.add_metadata, name=name, data=dict(values))
         self._add('metadata', name, add)
 
     def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
         """
-        Write a file into the bag; the last one of a name is repeated in files that follow.
+        Write an attachment into the bag; later files repeat the last one of each name.
 
         Parameters
         ----------
         name : str
-            Of the file.
+            Name of the attachment.
         data : bytes
-            What is in it.
+            Its content.
         media_type : str
-            What kind of file it is, as `application/yaml`.
+            Its media type, such as `application/yaml`.
         time : int
-            When it was attached. [ns]
+            Time of attaching. [ns]
 
         """
         add = partial(
@@ -212,7 +214,7 @@ class BagWriter:
         self._add('attachment', name, add)
 
     def split(self) -> None:
-        """Go on in a next file, unless there is no message in this one."""
+        """Continue in a new file, unless the present one is empty."""
         self._require_open()
         if self._files[-1].count:
             self._files[-1].finish(self._information())
@@ -220,12 +222,12 @@ class BagWriter:
 
     def flush(self) -> None:
         """
-        Have all that was written kept whatever happens.
+        Hand all messages so far to the system, which keeps them if this process is killed.
 
         Raises
         ------
         BagError
-            If that cannot be done (yet).
+            If the disk does not take them (yet), or another program has changed the file.
 
         """
         self._require_open()
@@ -257,24 +259,24 @@ class BagWriter:
 
     @property
     def unsaved(self) -> int:
-        """How much waits to be handed to the system [bytes]."""
+        """Size of the data not yet handed to the operating system [bytes]."""
         return sum(file.waiting for file in list(self._files))
 
     @property
     def counts(self) -> dict[Channel, int]:
-        """How many messages are in the bag as of the last `flush`."""
-        files = [file for file in list(self._files) if not file.is_deleted]
+        """Numbers of messages in the bag since the last `flush`, by channel."""
+        files = [file for file in list(self._files) if not file.damage]
         return {channel: sum(file.kept.get(channel, 0) for file in files)
                 for channel in list(self._channels)}
 
     @property
     def lost(self) -> Counter[Channel]:
-        """How many messages were written in vain: the bag was deleted, or could not be closed."""
+        """Numbers of messages in damaged files or not saved before the end, by channel."""
         lost: Counter[Channel] = Counter()
         for file in list(self._files):
-            if file.is_deleted:
+            if file.damage:
                 lost.update(file.written.copy())
-            elif self._is_closed:
+            elif self._is_closed or self.is_abandoned:
                 lost.update(Counter(file.written) - Counter(file.kept))
         return lost
 
@@ -301,7 +303,7 @@ class BagWriter:
         self._files.append(file)
 
     def _save(self) -> None:
-        """Hand what waits to the system, and note what is kept then."""
+        """Hand all waiting data to the operating system, and update the kept counts."""
         path = self.folder
         try:
             for file in self._files:
@@ -317,7 +319,7 @@ class BagWriter:
             raise BagError(f'{path}: {error.strerror}') from None
 
     def _information(self) -> dict[str, object]:
-        """Return what rosbag2 wants to know of the bag, to write it as YAML."""
+        """Return the metadata of the bag that rosbag2 expects as YAML."""
         first = min(file.first for file in self._files)
         last = max((file.last for file in self._files if file.count), default=first)
         written = sum((Counter(file.written) for file in self._files), Counter())
@@ -351,10 +353,10 @@ class BagWriter:
 
 class _File:
     """
-    A file of a bag, complete by itself: how it is written, and what is in it.
+    A file of a bag: its stream and its counts.
 
-    It is the stream that the library writes to, which waits in memory until it is saved. So the
-    library never fails halfway, and can go on after a full disk.
+    The library `mcap` writes to this stream, which buffers in memory until `save`. So the library
+    never fails halfway, and can continue after a full disk.
     """
 
     def __init__(self, path: Path, compression: CompressionType) -> None:
@@ -363,8 +365,11 @@ class _File:
         self.count = 0
         self.first, self.last = LATEST, 0  # log times [ns]
         self.written: dict[Channel, int] = {}
-        self.kept: dict[Channel, int] = {}  # of these, whatever happens
-        self.is_deleted = False
+        self.kept: dict[Channel, int] = {}  # handed to the operating system
+        self.damage = ''  # by another program
+        self._identity = (0, 0)  # device and inode
+        self._cut = ''  # the damage, if it cannot be undone
+        self._written_size = 0  # handed to the system [bytes]
         self._waiting = bytearray()
         self._kept_size = 0  # [bytes]
         self._descriptor = -1
@@ -389,13 +394,13 @@ class _File:
         return self.size
 
     def flush(self) -> None:
-        """Leave it to `save`."""
+        """Do nothing; `save` writes the buffered data."""
 
     # as a file
 
     @property
     def waiting(self) -> int:
-        """How much is not in the file yet [bytes]."""
+        """Size of the buffered data [bytes]."""
         return len(self._waiting)
 
     def define(self, channel: Channel) -> None:
@@ -439,22 +444,41 @@ class _File:
         self._is_finished = True
 
     def save(self, *, sync: bool) -> None:
-        """Have all that was written kept, whatever happens; OSError if that cannot be done."""
+        """Hand all buffered bytes to the system; raise OSError if the file does not hold them."""
+        if not self._is_closed and self._descriptor < 0:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+            self._descriptor = os.open(self.path, flags, 0o666)
+            status = os.fstat(self._descriptor)
+            self._identity = status.st_dev, status.st_ino
+        self.damage = self._find_damage()
         if not self._is_closed:
-            if self._descriptor < 0:
-                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-                self._descriptor = os.open(self.path, flags, 0o666)
             written = self.written.copy()
             while self._waiting:
-                del self._waiting[: os.write(self._descriptor, self._waiting)]
+                size = os.write(self._descriptor, self._waiting[:WRITE_SIZE])
+                del self._waiting[:size]
+                self._written_size += size
             if sync:
                 os.fsync(self._descriptor)
             self.kept, self._kept_size = written, self.size
-        self.is_deleted = not self.path.exists()
         if self._is_finished:  # somebody may need the room
             self.close()
-        elif self.is_deleted:
-            raise FileNotFoundError(errno.ENOENT, 'it was deleted while it was written')
+        elif self.damage:
+            raise OSError(errno.EIO, self.damage)
+
+    def _find_damage(self) -> str:
+        """Return the damage that another program did to the file; empty if it is whole."""
+        try:
+            status = self.path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return 'it was deleted while it was written'
+        if (status.st_dev, status.st_ino) != self._identity:
+            return 'it was replaced by another file while it was written'
+        if status.st_size != self._written_size:
+            self._cut = (
+                f'it was changed to {status.st_size} bytes while it was written, '
+                f'and had {self._written_size}'
+            )
+        return self._cut  # which stays, though further messages make the file longer
 
     def close(self) -> None:
         """Close the file, without the part of a record that may be at its end after an error."""
@@ -466,7 +490,7 @@ class _File:
         self._is_closed = True
 
     def to_dict(self) -> dict[str, object]:
-        """Return what rosbag2 wants to know of it."""
+        """Return the metadata of the file that rosbag2 expects."""
         return {
             'path': self.path.name,
             'starting_time': {'nanoseconds_since_epoch': self.first},
@@ -492,7 +516,7 @@ def register_channel(
 
 
 def is_being_written(path: str | Path) -> bool:
-    """Tell whether a `BagWriter`, here or in another process, writes the bag that has a path."""
+    """Return whether a `BagWriter`, in this or another process, writes the bag at a path."""
     folder = Path(path)
     try:
         folder = folder if folder.is_dir() else folder.parent
@@ -500,7 +524,7 @@ def is_being_written(path: str | Path) -> bool:
     except BlockingIOError:
         return True
     except OSError:
-        pass  # nothing is there, or it may not be opened; whoever reads it will say so
+        pass  # missing or unreadable; reading the bag raises a better error
     return False
 
 

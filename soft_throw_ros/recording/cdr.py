@@ -14,10 +14,10 @@
 """
 Messages as bytes (CDR), written and read without ROS.
 
-What goes out at every tick is not built as a message object: its bytes (little endian) are made
-once, and only stamp and numbers are written into them. Padding is zero, so that equal messages are
-equal bytes; `rclpy.serialization` leaves in it what was in memory. What comes in by the thousand
-is read in one go, since it is all of one layout. For everything else there is a library.
+Messages of every tick are not built as message objects: their bytes (little endian) are made once,
+and only stamp and numbers are overwritten. Padding is zero, so that equal messages have equal
+bytes; `rclpy.serialization` leaves old memory in the padding. Thousands of joint states of one
+layout are read at once. A library reads all other messages.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import contextlib
 from dataclasses import dataclass
 from functools import lru_cache
 import math
+import re
 import struct
 from typing import Any, NamedTuple
 
@@ -41,13 +42,20 @@ _HEADER = b'\x00\x01\x00\x00'
 
 _STAMP = struct.Struct('<iI')
 
+MAX_SCHEMA = 256 * 2**10
+"""Largest length of a definition with its dependencies [characters]; images have 3000."""
+
+_SIZED_FIELD = re.compile(
+    r'^[ \t]*[A-Za-z][\w/<=]*(?:\[(?!0+\])[<=\d]*\])?[ \t]+[a-z]', re.MULTILINE
+)
+
 
 class MessageError(ValueError):
     """Bytes are no message of their type."""
 
 
 class _Writer:
-    """Writes a message field by field; alignment counts from behind the header, as CDR has it."""
+    """A writer of messages, field by field; alignment counts from the end of the header (CDR)."""
 
     def __init__(self) -> None:
         self.data = bytearray(_HEADER)
@@ -142,16 +150,28 @@ class JointValues(NamedTuple):
     effort: tuple[float, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class JointStates:
+    """Messages sensor_msgs/JointState of the same joints."""
+
+    stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
+    names: tuple[str, ...]  # Of the joints
+    # (n, joints) In SI units; (n, 0) where the messages have none
+    position: Floats
+    velocity: Floats
+    effort: Floats
+
+
 class JointStateReader:
     """
-    Read messages sensor_msgs/JointState as they come.
+    Decoder of messages sensor_msgs/JointState, one by one or many at once.
 
-    The last message tells where things stand in the next one, which takes two microseconds, and
-    more only when frame, joints or lengths change. Padding may hold anything.
+    The reader keeps the layout of the last message. A message with the same layout takes two
+    microseconds; another frame, other joints or other lengths take more. Padding is ignored.
     """
 
     def __init__(self) -> None:
-        self._layout: _Layout | None = None
+        self._last: _Layout | None = None
 
     def read(self, data: bytes) -> JointValues:
         """
@@ -160,23 +180,55 @@ class JointStateReader:
         Raises
         ------
         MessageError
-            If it is none.
+            If the bytes are no JointState.
 
         """
-        layout = self._layout
-        if layout is None or not layout.fits(data):
-            self._layout = None  # in case that it is no message
-            self._layout = layout = _Layout(data)
+        layout = self._layout(data)
         seconds, nanoseconds = _STAMP.unpack_from(data, layout.stamp)
         position, velocity, effort = [
-            each.numbers.unpack_from(data, each.begin) for each in layout.series
+            item.numbers.unpack_from(data, item.begin) for item in layout.series
         ]
         stamp_ns = seconds * _SECOND + nanoseconds
         return JointValues(stamp_ns, layout.names, position, velocity, effort)
 
+    def read_all(self, datas: Sequence[bytes]) -> JointStates:
+        """
+        Read at least one message into arrays.
+
+        Raises
+        ------
+        MessageError
+            If one is no JointState, or its frame, joints or lengths differ from the first.
+
+        """
+        layout = self._layout(datas[0])
+        if not all(map(layout.fits, datas)):
+            names = ', '.join(layout.names)
+            raise MessageError(f'messages JointState of one topic are not all of {names} alike')
+        rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
+        stamps = rows[:, layout.stamp:layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
+        position, velocity, effort = [
+            rows[:, item.begin:item.begin + 8 * item.size].copy().view('<f8')
+            for item in layout.series
+        ]
+        return JointStates(
+            stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
+            names=layout.names,
+            position=position,
+            velocity=velocity,
+            effort=effort,
+        )
+
+    def _layout(self, data: bytes) -> _Layout:
+        last = self._last
+        if last is None or not last.fits(data):
+            self._last = None  # in case that the bytes are no JointState
+            self._last = last = _Layout(data)
+        return last
+
 
 class _Series(NamedTuple):
-    """Where the numbers of a series begin, how many there are, and how they are (un)packed."""
+    """Offset, count and format of a series of numbers."""
 
     begin: int
     size: int
@@ -184,7 +236,7 @@ class _Series(NamedTuple):
 
 
 class _Layout:
-    """Where things stand in a message sensor_msgs/JointState, and which bytes of it are fixed."""
+    """Offsets of the fields of a sensor_msgs/JointState, and a mask of its constant bytes."""
 
     def __init__(self, data: bytes) -> None:
         cursor = _Cursor(data)
@@ -202,50 +254,9 @@ class _Layout:
         self._fixed = int.from_bytes(data, 'little') & self._mask
 
     def fits(self, data: bytes) -> bool:
-        """Tell whether another message is of the same frame, joints and lengths."""
+        """Return whether another message has the same frame, joints and lengths."""
         is_long = len(data) == self.size
         return is_long and int.from_bytes(data, 'little') & self._mask == self._fixed
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointStates:
-    """Messages sensor_msgs/JointState of the same joints, one after another."""
-
-    stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
-    names: tuple[str, ...]  # Of the joints
-    # (n, joints) In SI units; (n, 0) where the messages have none
-    position: Floats
-    velocity: Floats
-    effort: Floats
-
-
-def decode_joint_states(datas: Sequence[bytes]) -> JointStates:
-    """
-    Read messages sensor_msgs/JointState of the same joints, at least one, in one go.
-
-    Raises
-    ------
-    MessageError
-        If one is none, or its frame, joints or lengths are not those of the first.
-
-    """
-    layout = _Layout(datas[0])
-    if not all(map(layout.fits, datas)):
-        names = ', '.join(layout.names)
-        raise MessageError(f'messages JointState of one topic are not all of {names} alike')
-    rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
-    stamps = rows[:, layout.stamp:layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
-    position, velocity, effort = [
-        rows[:, each.begin:each.begin + 8 * each.size].copy().view('<f8')
-        for each in layout.series
-    ]
-    return JointStates(
-        stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
-        names=layout.names,
-        position=position,
-        velocity=velocity,
-        effort=effort,
-    )
 
 
 def decode(type_name: str, schema: str, data: bytes) -> Any:
@@ -274,22 +285,27 @@ def decode(type_name: str, schema: str, data: bytes) -> Any:
     """
     try:
         return decoder_of(type_name, schema)(data)
-    except Exception as error:  # whatever damaged bytes lead the library to
+    except Exception as error:  # damaged bytes may cause any error in the library
         raise MessageError(f'not a message {type_name}: {error}') from error
 
 
 @lru_cache(maxsize=256)
 def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
     """
-    Make what reads messages of a type, which takes the library milliseconds.
+    Return a function that decodes messages of a type; making the function takes milliseconds.
 
     Raises
     ------
     MessageError
-        If the definition is none.
+        If the definition is invalid or too long, or contains a type without fields: a few bytes
+        of a message could stand for any number of values of such a type.
 
     """
-    from mcap.records import Schema  # not needed by who only writes
+    if len(schema) > MAX_SCHEMA:
+        raise MessageError(f'the definition of {type_name} has more than {MAX_SCHEMA} characters')
+    if not all(map(_SIZED_FIELD.search, schema.split('=' * 80)[1:])):
+        raise MessageError(f'the definition of {type_name} has a part without a field')
+    from mcap.records import Schema  # not needed for writing
     from mcap.well_known import MessageEncoding, SchemaEncoding
     from mcap_ros2.decoder import DecoderFactory
 
@@ -297,7 +313,7 @@ def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
     try:
         with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # it would print
             decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
-    except Exception as error:  # whatever a damaged definition leads the library to
+    except Exception as error:  # damage may cause any error
         raise MessageError(f'no definition of {type_name}: {error!r:.100}') from error
     if decoder is None:
         raise MessageError(f'no definition of {type_name}: {schema[:60]!r}')
@@ -306,9 +322,9 @@ def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
 
 class _Cursor:
     """
-    Goes through a message; alignment counts from behind the header, as CDR has it.
+    A reader of messages, field by field; alignment counts from the end of the header (CDR).
 
-    `mask` has ones for what was read as a number or a text, and zeros for arrays and padding.
+    `mask` has ones for bytes of numbers and texts, and zeros for arrays and padding.
     """
 
     def __init__(self, data: bytes) -> None:

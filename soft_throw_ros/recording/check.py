@@ -12,405 +12,568 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Whether a bag is what its own journal gives when it is repeated.
+Comparison of a bag with the session that its own journal repeats.
 
-The journal tells what the twin was asked, and checksums and results of what it gave. The session
-is repeated, and what the journal tells of it is compared with what the repeated one writes. Where
-the bag has all the states of a checksum, they are compared, too.
-
-Other versions compute other last bits, which checksums do not forgive. Numbers are compared then,
-up to the first landing: from bounce to bounce a difference grows, often tenfold.
+The journal has the inputs of a twin, and checksums and results of its steps. The session is
+repeated from the inputs. Every recorded state, every number of `~/throw/*`, every checksum and
+every result is compared with the repeated one, to the last bit. The recorder must have counted
+the messages that are missing. Sessions of other versions are not compared, because these compute
+other last bits.
 """
 
 from __future__ import annotations
 
-from array import array
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-import contextlib
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Mapping, MutableSequence
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple
-from zlib import crc32
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from soft_throw_ros.configuration.interface import (
+    JOINT_STATE,
+    TEXT,
+    THROW_TOPICS,
+    Topic,
+    TWIN_TOPICS,
+)
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import decode, JointStateReader, MessageError
+from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.recorded_outputs import (
+    count_missing,
+    count_skipped,
+    RecordedNumbers,
+    RecordedStates,
+    Step,
+)
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
-from soft_throw_ros.twin.results import Floats, Outputs, State
+from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-TOLERANCE = 1e-12
-"""What another installation may have otherwise, in SI units, or relative if larger than one."""
+MAX_STEPS_BETWEEN_LINES = 20_000
+"""Largest number of steps from one line of a journal to the next [-]: checksums come every second,
+which has 5000 steps at the highest rate."""
 
-JOINTS = ('plate', 'projectile')
+MAX_STEPS = 1_000_000
+"""Largest number of steps of a journal [-], besides ten times the number of recorded states."""
 
-_JOURNAL, _STATES = 'journal', 'joint_states'
-_TEXT, _JOINT_STATE = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState'
+MAX_LINE = 4 * 2**20
+"""Largest size of a line of a journal [bytes]; the motion of a file takes 100 kB."""
+
+_MAX_EARLY_LINES = 16
+"""Largest number of lines that wait for the first line of a journal. [-]
+
+A recorder that joins late may receive new lines before the older, latched ones.
+"""
+
+JOURNAL_END = 3.0
+"""Largest time from the last line of the journal to the last state [s]: lines come every second,
+or later if the twin is busy."""
+
+END_TIME = 0.1
+"""Largest time from the last state to the end of the journal [s]: topics are drained in turn."""
+
+LOSSES = 'losses'
+"""Metadata record of a recorder with the numbers of lost messages, by topic."""
+
+LATE = 'published before recording'
+"""Metadata record of a recorder with the numbers of messages before it joined, by topic."""
+
 _COMPARED = ('throw', 'result', 'checksum')
-_SAME_OR_LOST = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
-_LONGEST = 3_600_000  # steps from one entry to the next: an hour at the default rate
-_SHOWN = 5  # of what may be many
+_INPUTS = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
+_CHECKSUMS = ('first', 'states', 'fields')
+_SHOWN = 5  # differences that are described one by one
+_PROGRESS = 100_000  # steps between two reports
+_BATCH = 5_000  # steps whose states are compared at once
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
+_NUMBERS: Mapping[str, Topic] = {
+    number.name: topic for number, topic in THROW_TOPICS if number.is_repeatable
+}
+_STAGES = {number.name: number.stage for number, _ in THROW_TOPICS}
 
 
 class CheckError(BagError):
-    """There is nothing in a bag that could be checked."""
+    """A bag has nothing that could be checked."""
 
 
 @dataclass(kw_only=True)
 class Count:
-    """How many were the same, different, and not compared."""
+    """Numbers of outputs of one kind, by the outcome of the comparison [-]."""
 
     same: int = 0
     different: int = 0
-    unchecked: int = 0
+    missing: int = 0  # and not counted as lost by the recorder
+    lost: int = 0  # missing, and counted by the recorder, or from before it or after it
+    unchecked: int = 0  # recorded, and not repeated
 
-    def describe(self, what: str, unchecked: str) -> str:
-        """Say it for people to read."""
-        text = f'{self.same} {what} are the same, {self.different} are different'
-        return f'{text}, {self.unchecked} {unchecked}' if self.unchecked else text
+    def describe(self, name: str) -> str:
+        """Return a sentence for people to read."""
+        text = f'{self.same} {name} are the same, {self.different} are different'
+        for count, outcome in (
+            (self.missing, 'missing'),
+            (self.lost, 'not recorded'),
+            (self.unchecked, 'not compared'),
+        ):
+            text += f', {count} {outcome}' if count else ''
+        return text
 
 
 @dataclass(kw_only=True)
 class CheckResult:
-    """What was found out about a twin in a bag."""
+    """Outcome of the comparison for a twin in a bag."""
 
-    twin: str  # Name of the node
-    # Of the journal
-    checksums: Count = field(default_factory=Count)
-    results: Count = field(default_factory=Count)
-    # Seconds, or parts of one before and after a throw starts, whose states are in the bag
+    twin: str  # name of the node
     states: Count = field(default_factory=Count)
-    differences: list[str] = field(default_factory=list)  # What is not the same
-    gaps: list[str] = field(default_factory=list)  # What is missing in the journal
-    # What was another there, and here
-    versions: dict[str, tuple[str, str]] = field(default_factory=dict)
-    reason: str = ''  # Why it cannot be checked, empty if it can
+    numbers: Count = field(default_factory=Count)  # messages of `~/throw/*`
+    results: Count = field(default_factory=Count)  # in the journal, as the next two
+    checksums: Count = field(default_factory=Count)
+    lines: Count = field(default_factory=Count)  # the same if they are in order
+    differences: list[str] = field(default_factory=list)
+    gaps: list[str] = field(default_factory=list)  # of the journal
+    reason: str = ''  # why nothing was compared, if so
 
     @property
     def exit_code(self) -> int:
-        """0 if all is the same, 1 if something is not, 2 if nothing could be checked."""
+        """0 if all is the same, 1 if something is not, 2 if nothing was compared."""
         if self.differences:
             return 1
         return 0 if self.checksums.same or self.results.same else 2
 
     def describe(self) -> str:
-        """Say it for people to read, in lines."""
-        return '\n'.join(self._lines())
-
-    def _lines(self) -> Iterator[str]:
-        if self.reason:
-            yield self.reason
-            return
-        for name, (there, here) in self.versions.items():
-            yield f'recorded with {name} {there}, repeated with {here}'
-        exact, near = 'to the last bit', f'to {TOLERANCE:g} up to the first landing'
-        yield f'compared {near if self.versions else exact}'
-        yield self.checksums.describe('checksums', 'say nothing about another installation')
-        yield self.results.describe('results of throws', 'are not compared')
-        yield self.states.describe('seconds of recorded states', 'are not complete in the bag')
+        """Return lines for people to read."""
+        lines = [self.reason] if self.reason else []
+        if self.differences or not self.reason:
+            lines += [
+                'compared to the last bit',
+                self.states.describe('states'),
+                self.numbers.describe('numbers of ~/throw/*'),
+                self.results.describe('results of throws'),
+                self.checksums.describe('checksums'),
+                self.lines.describe('lines of the journal in order'),
+            ]
         for kind, sentences in (('missing', self.gaps), ('different', self.differences)):
-            yield from (f'{kind}: {sentence}' for sentence in sentences[:_SHOWN])
+            lines += [f'{kind}: {sentence}' for sentence in sentences[:_SHOWN]]
             if len(sentences) > _SHOWN:
-                yield f'{kind}: and {len(sentences) - _SHOWN} more'
+                lines.append(f'{kind}: and {len(sentences) - _SHOWN} more')
+        return '\n'.join(lines)
+
+    def count(self, count: Count, where: str, difference: str) -> None:
+        """Count a comparison, with a description of the difference if there is one."""
+        if difference:
+            count.different += 1
+            self.differences.append(f'{where}: {difference}')
+        else:
+            count.same += 1
 
 
-def check_bag(reader: BagReader) -> list[CheckResult]:
+def check_bag(
+    reader: BagReader, on_progress: Callable[[str, int], None] = lambda _twin, _steps: None
+) -> list[CheckResult]:
     """
     Check every twin in a bag.
 
     Parameters
     ----------
     reader : BagReader
-        Of the bag, which is read once for every twin.
+        The bag, which is read twice for every twin.
+    on_progress : callable
+        Called with the name of a twin and the number of its repeated steps, now and then.
 
     Returns
     -------
     list of CheckResult
-        One for each.
+        One for each twin.
 
     Raises
     ------
     CheckError
-        If there is no twin in it.
+        If the bag contains no twin.
     BagError
-        If the bag cannot be read.
+        If the bag cannot be read, or is too large.
 
     """
     types = {channel.topic: channel.type for channel in reader.channels}
+    ending = TWIN_TOPICS.journal.at('').name
     nodes = [
-        topic.removesuffix(f'/{_JOURNAL}')
-        for topic, kind in types.items()
-        if topic.endswith(f'/{_JOURNAL}') and kind == _TEXT
+        topic.removesuffix(ending)
+        for topic, type_name in types.items()
+        if topic.endswith(ending) and type_name == TEXT
     ]
-    nodes = [node for node in nodes if types.get(f'{node}/{_STATES}') == _JOINT_STATE]
+    nodes = [
+        node for node in nodes if types.get(TWIN_TOPICS.joint_states.at(node).name) == JOINT_STATE
+    ]
     if not nodes:
         raise CheckError(
-            f'{reader.path}: the bag needs the topics {_JOURNAL} and {_STATES} of a twin, '
-            f'and has {", ".join(types) or "none"}'
+            f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.relative_name} and '
+            f'{TWIN_TOPICS.joint_states.relative_name} of a twin, and has '
+            f'{", ".join(types) or "none"}'
         )
-    return [_check_twin(reader, node) for node in nodes]
+    return [_Check(reader, node, on_progress).run() for node in nodes]
 
 
-def _check_twin(reader: BagReader, node: str) -> CheckResult:
-    """Check one twin, in one pass over its journal and one over its states."""
-    result = CheckResult(twin=node)
-    repetition = _Repetition(result, _RecordedStates.read(reader, f'{node}/{_STATES}'))
-    for message in reader.messages(f'{node}/{_JOURNAL}', by_log_time=False):
-        entry = _entry(message)
-        if 'line' not in entry:
-            version = entry.get('versions', {}).get('soft_throw_ros', 'an earlier version')
-            result.reason = (
-                'cannot be checked: its journal has no checksums, since it was written by '
-                f'soft_throw_ros {version}, before there were any'
-            )
-            return result
-        repetition.take(entry)
-    repetition.finish()
-    if not repetition.has_begun:
-        result.reason = 'cannot be checked: its journal has no start of a throw'
-    return result
-
-
-def _entry(message: Message) -> journal.Entry:
-    """Read a line; what is none has no number."""
-    try:
-        text = str(decode(message.channel.type, message.channel.schema, message.data).data)
-        return journal.decode(text)
-    except (MessageError, AttributeError, journal.JournalError) as error:
-        return {'kind': 'unreadable', 'line': -1, 'reason': str(error)}
-
-
-class _RecordedStates(NamedTuple):
-    """The states in a bag, by their stamps."""
-
-    stamps: NDArray[np.int64]  # (n,) ascending [ns]
-    values: Floats  # (n, 6) as in a `State`
-
-    @classmethod
-    def read(cls, reader: BagReader, topic: str) -> _RecordedStates:
-        """Read a topic; what is no message of plate and projectile is left out, and so missing."""
-        stamps, values, read = array('q'), array('d'), JointStateReader().read
-        for message in reader.messages(topic, by_log_time=False):
-            with contextlib.suppress(MessageError):
-                stamp, names, *series = read(message.data)
-                if names == JOINTS and all(len(each) == len(JOINTS) for each in series):
-                    stamps.append(stamp)
-                    for each in series:
-                        values.extend(each)
-        order = np.argsort(np.asarray(stamps), kind='stable')
-        return cls(np.asarray(stamps)[order], np.reshape(values, (-1, len(State._fields)))[order])
-
-    def at(self, stamps: list[int]) -> Floats | None:
-        """Return the states of stamps, None unless all are there."""
-        if not (len(self.stamps) and stamps):
-            return None
-        found = np.searchsorted(self.stamps, stamps).clip(max=len(self.stamps) - 1)
-        return self.values[found] if (self.stamps[found] == stamps).all() else None
-
-
-class _Step(NamedTuple):
-    """What a repeated step gave, when it was due, and whether nothing had landed before."""
-
-    due_ns: int
-    number: int
-    state: State
-    is_before_landing: bool
-
-
-class _Repetition:
+class _Check:
     """
-    Repeats a session from its journal, entry by entry, and compares what both tell.
+    The check of one twin: its session is repeated line by line of the journal.
 
-    Parameters
-    ----------
-    result : CheckResult
-        Where it is counted.
-    recorded_states : _RecordedStates
-        Of the bag.
-
+    A run is a part of the journal without missing lines. It begins with the start of a session or
+    of a throw, because these lines have all that is needed to go on.
     """
 
-    def __init__(self, result: CheckResult, recorded_states: _RecordedStates) -> None:
-        self.has_begun = False
-        self._result = result
-        self._recorded_states = recorded_states
-        self._session: Session | None = None
-        self._line = -1  # the last that was taken
+    def __init__(
+        self, reader: BagReader, node: str, on_progress: Callable[[str, int], None]
+    ) -> None:
+        self._reader = reader
+        self._node = node
+        self._on_progress = on_progress
+        self._result = CheckResult(twin=node)
+        self._states = RecordedStates(reader, TWIN_TOPICS.joint_states.at(node).name)
+        recorded = {channel.topic for channel in reader.channels}
+        self._numbers = {
+            name: RecordedNumbers()
+            for name, topic in _NUMBERS.items()
+            if topic.at(node).name in recorded
+        }
+        # messages that are missing at the ends of runs and within runs, by topic
+        self._missing: defaultdict[str, np.ndarray[Any, Any]] = defaultdict(
+            lambda: np.zeros(2, np.int64)
+        )
+        # numbers that publishers gave to messages, by topic
+        self._sequences: defaultdict[str, MutableSequence[int]] = defaultdict(list)
+        self._line = -1  # the last one that was read
+        self._early: dict[int, tuple[journal.Entry, int]] = {}  # lines and log times, by number
         self._throw = 0
-        self._recorded: deque[journal.Entry] = deque()  # by the journal, not compared yet
-        self._repeated: deque[journal.Entry] = deque()  # by the repeated session
-        self._steps: list[_Step] = []  # since the last checksum
-        self._repeated_throw = 0
-        self._has_landed = False
-        self._versions: dict[str, tuple[str, str]] = {}
+        self._step_count = 0
+        self._last_due_ns = 0  # of the last repeated step [ns]
+        self._last_rate = 0.0  # of the last run [Hz]
+        self._is_complete = True  # whether the last run came to its end
+        self._has_begun = False  # whether a session was repeated
+        self._session: Session | None = None
+        self._begin_run(None)
 
-    def take(self, entry: journal.Entry) -> None:
-        """Go on to an entry, or begin with it."""
-        is_start = entry['kind'] == 'start'
-        is_next = entry['line'] == self._line + 1
-        if self._session is not None and not (is_start or is_next):
-            missing = entry.get('reason') or f'lines before line {entry["line"]}'
-            self._result.gaps.append(f'{missing} (after throw {self._throw})')
+    def run(self) -> CheckResult:
+        """Repeat the journal in one pass, and return the result."""
+        journal_topic = TWIN_TOPICS.journal.at(self._node).name
+        names = {_NUMBERS[name].at(self._node).name: name for name in self._numbers}
+        for message in self._reader.messages((journal_topic, *names), by_log_time=False):
+            topic = message.channel.topic
+            self._sequences[topic].append(message.sequence)
+            if topic == journal_topic:
+                self._receive(_entry(message), message.log_time)
+            else:
+                self._numbers[names[topic]].add(message, is_in_run=self._session is not None)
+        self._read_early_lines(math.inf)
+        self._end_run()
+        self._conclude()
+        return self._result
+
+    # the journal
+
+    def _receive(self, entry: journal.Entry, log_time: int) -> None:
+        """Read a line of the journal, and early lines once their turn comes."""
+        number = entry['line']
+        if self._line < 0 < number and len(self._early) < _MAX_EARLY_LINES:
+            self._early[number] = entry, log_time
+            return
+        self._read_early_lines(number)
+        self._read_line(entry, log_time)
+        while self._line + 1 in self._early:
+            self._read_line(*self._early.pop(self._line + 1))
+
+    def _read_early_lines(self, end: float) -> None:
+        """Read the early lines before a line, in their order."""
+        for number in sorted(number for number in self._early if number < end):
+            self._read_line(*self._early.pop(number))
+
+    def _read_line(self, entry: journal.Entry, log_time: int) -> None:
+        """Advance to a line of the journal; a start line begins a run."""
+        kind, number = entry['kind'], entry['line']
+        is_start = kind == 'start'
+        is_next = number == self._line + 1
+        self._count_line(entry)
         if is_start or not is_next:
-            self.finish()
-        self._line = entry['line']
+            self._end_run()
+            self._is_complete = is_start
+        self._line = number
         self._throw = entry.get('throw', 0 if is_start else self._throw)
+        if kind == 'unreadable':
+            return
         try:
             if self._session is not None:
-                if entry['step'] - self._session.step > _LONGEST:
-                    raise journal.JournalError(f'step {entry["step"]} is too far')
-                self._go_on(follow(self._session, entry))
-            elif entry['kind'] in ('start', 'throw'):
-                self._begin(entry)
-            else:
-                return
-            if entry['kind'] in _COMPARED:
+                self._go_on(entry, self._session)
+            elif kind in ('start', 'throw') and self._is_of_these_versions(entry):
+                self._begin_run(Session.from_entry(entry, on_entry=self._on_entry))
+            if self._session is not None and kind in _COMPARED:
                 self._recorded.append(entry)
-            self._compare()
+                stage = entry.get('result', {}).get('stage', '')
+                times = self._result_times[stage]
+                times.append(max([log_time, *times[-1:]]))
+            self._compare_lines()
         except _UNREPEATABLE as error:
-            self._give_up(f'what follows throw {self._throw} cannot be repeated: {error}')
+            self._give_up(f'throw {self._throw} cannot be repeated from here: {error!s:.300}')
 
-    def finish(self) -> None:
-        """Let the session end; what is recorded last may be of one more step, or of its end."""
-        try:
-            while self._session is not None and self._recorded:
-                entry = self._recorded[0]
-                is_last_checksum = entry['kind'] == 'checksum'
-                if is_last_checksum:
-                    self._session.close()
-                elif self._session.step <= entry['step']:
-                    self._go_on([self._session.advance()])
-                self._compare()
-                is_past = is_last_checksum or self._session.step > entry['step']
-                if is_past and self._recorded and self._recorded[0] is entry:
-                    self._give_up(f'{entry["kind"]} of step {entry["step"]} does not come again')
-        except _UNREPEATABLE as error:
-            self._give_up(f'the end of throw {self._throw} cannot be repeated: {error}')
-        self._session = None
+    def _count_line(self, entry: journal.Entry) -> None:
+        """Count a line of the journal, and those that are missing before it."""
+        lines, number = self._result.lines, entry['line']
+        missing = self._missing[TWIN_TOPICS.journal.at(self._node).name]
+        if entry['kind'] == 'unreadable':
+            where = f'a line after line {self._line} cannot be read'
+            if self._session is not None:
+                self._result.count(lines, where, entry['reason'])
+        elif entry['kind'] == 'start' or self._line < 0:
+            lines.same += 1
+            missing[0] += max(number, 0)
+        elif number > self._line:
+            lines.same += 1
+            missing[1] += number - self._line - 1
+            if number > self._line + 1:
+                self._result.gaps.append(
+                    f'{number - self._line - 1} lines before line {number} '
+                    f'(after throw {self._throw})'
+                )
+        else:
+            self._result.count(lines, f'line {number}', f'it comes after line {self._line}')
 
-    def _begin(self, entry: journal.Entry) -> None:
-        self.has_begun = True
-        self._recorded.clear()
-        self._repeated.clear()
-        self._steps.clear()
-        self._has_landed = False
-        there = entry.get('versions', {})
-        self._versions = {
-            name: (str(there.get(name)), str(journal.VERSIONS.get(name)))
-            for name in {**journal.VERSIONS, **there}
-            if there.get(name) != journal.VERSIONS.get(name)
-        }
-        self._result.versions.update(self._versions)
-        self._session = Session.from_entry(entry, on_entry=self._on_entry)
+    def _is_of_these_versions(self, entry: journal.Entry) -> bool:
+        """Return whether a run can be compared here; note the reason if not."""
+        recorded = entry.get('versions', {})
+        others = [
+            f'{name} {recorded.get(name)!s:.40}, and this is {journal.VERSIONS.get(name)}'
+            for name in {**journal.VERSIONS, **recorded}
+            if recorded.get(name) != journal.VERSIONS.get(name)
+        ]
+        if others:
+            self._result.reason = (
+                'not compared, because other versions compute other last bits: recorded with '
+                + '; '.join(others)
+            )
+        return not others
+
+    # a run
+
+    def _begin_run(self, session: Session | None) -> None:
+        """Forget the outputs of the run before."""
+        self._session = session
+        self._is_complete |= session is not None
+        self._has_begun |= session is not None
+        self._recorded: deque[journal.Entry] = deque()  # lines to be compared
+        self._repeated: deque[journal.Entry] = deque()  # the same, by the repeated session
+        # log times of lines about results, by the stage of the result [ns]
+        self._result_times: defaultdict[str, list[int]] = defaultdict(list)
+        self._steps: list[Step] = []  # steps whose states are to be compared
+        self._is_recorded: list[np.ndarray[Any, Any]] = []  # of earlier steps, in parts
 
     def _on_entry(self, line: str) -> None:
         entry = journal.decode(line)
         if entry['kind'] in _COMPARED:
             self._repeated.append(entry)
 
-    def _go_on(self, steps: Iterable[Outputs]) -> None:
-        """Keep what steps give, and compare what they tell."""
-        for outputs in steps:
-            assert self._session is not None
-            if outputs.throw != self._repeated_throw:  # which has forgotten the one before
-                self._repeated_throw, self._has_landed = outputs.throw, False
-            self._has_landed |= any(event.kind == 'landing' for event in outputs.events)
-            due_ns = self._session.due_ns(outputs.step)
-            self._steps.append(_Step(due_ns, outputs.step, outputs.state, not self._has_landed))
-            self._compare()
+    def _go_on(self, entry: journal.Entry, session: Session) -> None:
+        """Repeat the steps up to a line, and the input that it has."""
+        distance = entry['step'] - session.step
+        if distance > MAX_STEPS_BETWEEN_LINES:
+            raise journal.JournalError(
+                f'line {entry["line"]} is {distance} steps after the one before, which is more '
+                f'than {MAX_STEPS_BETWEEN_LINES}'
+            )
+        self._keep(follow(session, entry), session)
 
-    def _compare(self) -> None:
-        """Compare the entries of both, in order."""
+    def _keep(self, steps: Iterable[Outputs], session: Session) -> None:
+        """Store the outputs of steps for the comparison."""
+        for outputs in steps:
+            self._last_due_ns = session.due_ns(outputs.step)
+            self._steps.append(Step(self._last_due_ns, outputs.step, outputs.state))
+            for result in outputs.results:
+                values = result.values() if result.is_valid else {}
+                for name, numbers in self._numbers.items():
+                    if _STAGES[name] == result.stage and name in values:
+                        numbers.expect(float(values[name]), outputs.step)
+            if len(self._steps) >= _BATCH:
+                self._compare_states()
+            self._step_count += 1
+            if self._step_count > MAX_STEPS + 10 * len(self._states):
+                raise journal.JournalError(
+                    f'the journal has more than {self._step_count - 1} steps, and the bag '
+                    f'{len(self._states)} states'
+                )
+            if self._step_count % _PROGRESS == 0:
+                self._on_progress(self._node, self._step_count)
+            self._compare_lines()
+
+    def _finish(self, session: Session) -> None:
+        """Compare the last lines with one more step, or with the end of the session."""
+        while self._recorded:
+            entry = self._recorded[0]
+            is_end = entry['kind'] == 'checksum'
+            if is_end:
+                session.close()
+            elif session.step <= entry['step']:
+                self._keep([session.advance()], session)
+            self._compare_lines()
+            is_past = is_end or session.step > entry['step']
+            if is_past and self._recorded and self._recorded[0] is entry:
+                raise journal.JournalError(
+                    f'{entry["kind"]} of step {entry["step"]} is not repeated'
+                )
+
+    def _end_run(self) -> None:
+        """Compare the outputs that wait, and forget the session."""
+        session = self._session
+        if session is None:
+            return
+        try:
+            self._finish(session)
+        except _UNREPEATABLE as error:
+            self._give_up(f'the end of throw {self._throw} cannot be repeated: {error!s:.300}')
+            return
+        self._close_run(session)
+
+    def _give_up(self, difference: str) -> None:
+        """Note that the session cannot be repeated, up to the next throw."""
+        self._result.differences.append(difference)
+        if self._session is not None:
+            self._close_run(self._session)
+        self._is_complete = False
+
+    def _close_run(self, session: Session) -> None:
+        self._compare_states()
+        self._last_rate = session.rate
+        end = math.ceil(END_TIME * session.rate)
+        topic = TWIN_TOPICS.joint_states.at(self._node).name
+        self._missing[topic] += count_missing(np.concatenate(self._is_recorded), end)
+        for name, numbers in self._numbers.items():
+            is_recorded, different, unchecked = numbers.end_run(
+                self._result_times[_STAGES[name]]
+            )
+            count = self._result.numbers
+            count.same += int(is_recorded.sum())
+            count.unchecked += unchecked
+            for value in different:
+                self._result.count(count, name, f'{value!r} in the bag has another value here')
+            # The recorder may have ended between a line and its number
+            end = int(numbers.last_step + END_TIME * session.rate >= session.step)
+            topic = _NUMBERS[name].at(self._node).name
+            self._missing[topic] += count_missing(is_recorded, end)
+        self._begin_run(None)
+
+    # comparisons
+
+    def _compare_lines(self) -> None:
+        """Compare the lines of the journal and of the repeated session, in order."""
         while self._recorded and self._repeated:
             recorded, repeated = self._recorded.popleft(), self._repeated.popleft()
-            for name in _SAME_OR_LOST:
-                there, here = recorded.get(name), repeated.get(name)
-                if there != here:
-                    raise journal.JournalError(
-                        f'{recorded["kind"]} of step {recorded["step"]} has {name} {there!r} in '
-                        f'the journal, and {here!r} when repeated'
-                    )
-            if recorded['kind'] == 'checksum':
-                self._compare_checksum(recorded, repeated)
-            elif recorded['kind'] == 'result':
-                self._compare_result(recorded, repeated)
+            kind, step = recorded['kind'], recorded['step']
+            difference = _first_difference(_values(recorded, _INPUTS), _values(repeated, _INPUTS))
+            if difference:
+                raise journal.JournalError(f'{kind} of step {step}: {difference}')
+            difference = _first_difference(
+                recorded.get('result', {}), repeated.get('result', {})
+            ) or _first_difference(_values(recorded, _CHECKSUMS), _values(repeated, _CHECKSUMS))
+            if kind == 'checksum':
+                where = f'steps {repeated["first"]} to {step - 1}'
+                self._result.count(self._result.checksums, where, difference)
+            elif kind == 'result':
+                result = repeated['result']
+                where = f'throw {result["throw"]}, {result["stage"]}'
+                self._result.count(self._result.results, where, difference)
 
-    def _compare_result(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
-        """Compare the numbers of a result, and the checksums of its throw."""
-        there, here = recorded.get('result', {}), repeated['result']
-        reason = _first_difference(there, here, is_exact=not self._versions)
-        if not (reason or self._versions):
-            reason = _first_difference(*(_checksums(e) for e in (recorded, repeated)))
-        self._count(self._result.results, f'throw {here["throw"]}, {here["stage"]}', reason)
+    def _compare_states(self) -> None:
+        """Compare the recorded states of the steps that wait."""
+        is_recorded, different = self._states.compare(self._steps)
+        self._is_recorded.append(is_recorded)
+        self._result.states.same += int(is_recorded.sum()) - len(different)
+        for step, state in different:
+            difference = _first_difference(state._asdict(), step.state._asdict())
+            where = f'states: step {step.number}'
+            self._result.count(self._result.states, where, difference or 'other bits of a value')
+        self._steps.clear()
 
-    def _compare_checksum(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
-        """Compare the checksums of some steps, and their states in the bag if all are there."""
-        steps = [step for step in self._steps if step.number < repeated['step']]
-        del self._steps[: len(steps)]
-        if self._versions:
-            self._result.checksums.unchecked += 1
-        else:
-            reason = _first_difference(*(_checksums(e) for e in (recorded, repeated)))
-            where = f'steps {repeated["first"]} to {repeated["step"] - 1}'
-            self._count(self._result.checksums, where, reason)
-        values = self._recorded_states.at([step.due_ns for step in steps])
-        if values is None:
-            self._result.states.unchecked += 1
-            return
-        reason = ''
-        if self._versions or crc32(values.tobytes()) != repeated['states']:
-            for step, row in zip(steps, values.tolist(), strict=True):
-                if not reason and (step.is_before_landing or not self._versions):
-                    states = State(*row)._asdict(), step.state._asdict()
-                    reason = _first_difference(*states, is_exact=not self._versions)
-                    reason = f'step {step.number}: {reason}' if reason else ''
-        self._count(self._result.states, 'states', reason)
+    def _conclude(self) -> None:
+        """Judge all outputs that have no counterpart, once the journal is at its end."""
+        result, states = self._result, self._states
+        if not self._has_begun:
+            result.reason = result.reason or 'not compared: the journal has no start of a throw'
+        for name, numbers in self._numbers.items():
+            if numbers.unreadable:
+                result.numbers.different += numbers.unreadable
+                result.differences.append(f'{numbers.unreadable} messages of {name} are no number')
+        if self._has_begun:
+            between, elsewhere = states.unmatched()
+            result.states.different += len(between) + states.unreadable
+            result.states.unchecked += len(elsewhere)
+            if len(between):
+                result.differences.append(
+                    f'{len(between)} states are doubled, or of no step of the session, such as '
+                    f'that at {between[0]} ns'
+                )
+            if states.unreadable:
+                result.differences.append(
+                    f'{states.unreadable} messages are no state of plate and projectile'
+                )
+            after = int((elsewhere > self._last_due_ns).sum())
+            if self._is_complete and after > JOURNAL_END * self._last_rate:
+                result.differences.append(
+                    f'{after} states come after the last line of the journal'
+                )
+        self._sequences[TWIN_TOPICS.joint_states.at(self._node).name] = states.sequences
+        for name in self._numbers:
+            self._judge_missing(result.numbers, _NUMBERS[name])
+        self._judge_missing(result.states, TWIN_TOPICS.joint_states)
+        self._judge_missing(result.lines, TWIN_TOPICS.journal)
 
-    def _count(self, count: Count, what: str, reason: str) -> None:
-        """Count what was compared, and say why it is different if it is."""
-        if reason:
-            count.different += 1
-            self._result.differences.append(f'{what}: {reason}')
-        else:
-            count.same += 1
+    def _judge_missing(self, count: Count, topic: Topic) -> None:
+        """Compare the number of missing messages with the losses that the recorder counted."""
+        name = topic.at(self._node).name
+        notes = {record.name: record.metadata for record in self._reader.metadata}
+        lost = _number(notes.get(LOSSES, {}).get(name, ''))
+        known = lost + _number(notes.get(LATE, {}).get(name, ''))
+        at_ends, within = (int(number) for number in self._missing[name])
+        sequences = self._sequences[name]
+        uncounted = max(within - lost, 0)
+        if not len(sequences):  # nothing tells when the recorder joined
+            uncounted = max(at_ends + within - known, 0)
+        elif LOSSES in notes:  # not after a kill, and not of other recorders
+            skipped = count_skipped(sequences, is_from_first=self._reader.path.is_dir())
+            uncounted = max(uncounted, skipped - known)
+        count.missing += uncounted
+        count.lost += max(at_ends + within - uncounted, 0)
+        if uncounted:
+            counted = f'the recorder counted {known}' if LOSSES in notes else 'nobody counted them'
+            self._result.differences.append(
+                f'{uncounted} messages of {name} are missing, and {counted} as lost'
+            )
 
-    def _give_up(self, sentence: str) -> None:
-        """Note that the session cannot be repeated, up to the next throw."""
-        # what is not the same after a landing may come of another installation
-        is_bouncing = self._versions and self._has_landed
-        (self._result.gaps if is_bouncing else self._result.differences).append(sentence)
-        self._recorded.clear()
-        self._session = None
+
+def _entry(message: Message) -> journal.Entry:
+    """Read a line of a journal; one that cannot be read has the number -1."""
+    size = len(message.data)
+    reason = f'it has {size} bytes, and may have {MAX_LINE}' if size > MAX_LINE else ''
+    try:
+        if not reason:
+            text = str(decode(message.channel.type, message.channel.schema, message.data).data)
+            entry = journal.decode(text)
+            if 'line' in entry:
+                return entry
+            reason = 'it has no number'
+    except (MessageError, AttributeError, journal.JournalError) as error:
+        reason = f'{error!s:.200}'
+    return {'kind': 'unreadable', 'line': -1, 'reason': reason}
 
 
-def _checksums(entry: journal.Entry) -> dict[str, object]:
-    return {name: entry.get(name) for name in ('first', 'states', 'fields')}
+def _number(text: str) -> int:
+    """Return a count that the recorder wrote; 0 if it is none."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 20 else 0
 
 
-def _first_difference(
-    recorded: Mapping[str, object], repeated: Mapping[str, object], *, is_exact: bool = True
-) -> str:
-    """Say which value is the first that is not the same, if one is not."""
+def _values(entry: journal.Entry, names: Iterable[str]) -> dict[str, object]:
+    return {name: entry.get(name) for name in names}
+
+
+def _first_difference(recorded: Mapping[str, object], repeated: Mapping[str, object]) -> str:
+    """Return a description of the first value that is not the same; empty if all are."""
     for name in {**repeated, **recorded}:
         there, here = recorded.get(name), repeated.get(name)
-        if is_exact:
-            is_same = repr(there) == repr(here)  # which tells zeros by their signs
-        else:  # counts and ends may come of bounces
-            is_same = not isinstance(here, float) or _is_near(there, here)
-        if not is_same:
-            return f'{name} is {there!r} in the bag, and {here!r} when repeated'
+        if repr(there) != repr(here):  # which tells zeros by their signs
+            return f'{name:.80} is {there!r:.80} in the bag, and {here!r:.80} when repeated'
     return ''
-
-
-def _is_near(there: object, here: float) -> bool:
-    """Tell whether numbers are the same but for last bits."""
-    if not isinstance(there, (int, float)):
-        return False
-    return there == here or (
-        math.isfinite(there) and abs(there - here) <= TOLERANCE * max(1.0, abs(here))
-    )

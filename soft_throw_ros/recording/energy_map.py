@@ -35,10 +35,10 @@ _TIME_BUDGET = 1.0
 """The finest map is taken that needs no longer: too heavy a projectile takes minutes. [s]"""
 
 _SMALLEST, _LARGEST = 1e-6, 1e6
-"""Of a thickness and a wave speed that may be recommended, in SI units."""
+"""Limits of plausible recommended thicknesses and wave speeds, in SI units."""
 
 _SAME = 0.01
-"""Layers that differ by no more than this part are one mark."""
+"""Largest relative difference of two layers that share a mark. [-]"""
 
 
 class EnergyMap(NamedTuple):
@@ -77,10 +77,10 @@ def compute_energy_map(
     rig : Rig
         The rig, with the layer that is there now.
     settings : mapping of str to value
-        Of the twin: which layers are considered.
+        Settings of the twin, whose limits select the layers.
     recommendation : mapping of str to float or str
-        Values of `~/recommendation` for this rig; what it says of a layer is not computed again,
-        so that marks and table agree. Empty if there is none.
+        Values of `~/recommendation` for this rig, or empty. The marks use the values of
+        recommended layers, so that they agree with the table.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def compute_energy_map(
             for column, name in enumerate(('thickness', 'wave_speed'))
         )
         values = energy_transfer(rig, thickness[:, None], wave_speed)
-        if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # what the next one takes
+        if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
             break
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     return EnergyMap(thickness, wave_speed, values, tuple(marks), title)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is recorded: messages, and the channels they come through."""
+"""Recorded messages and their channels."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ LATEST = 2**63 - 1
 
 class BagError(ValueError):
     """
-    A bag cannot be read or written; the message names its path, and what would be right.
+    A bag cannot be read or written; the message names its path and the remedy.
 
-    It is one line, whatever is quoted of the bag.
+    The message is one line, even if it quotes several lines of the bag.
     """
 
     def __init__(self, message: str) -> None:
@@ -37,26 +37,39 @@ class BagError(ValueError):
 class Channel:
     """A topic in a bag; two channels are the same if they are one object."""
 
-    topic: str  # Its full name
-    type: str  # As `sensor_msgs/msg/JointState`  # noqa: A003
-    schema: str  # Definition of the type and of all that it depends on, from `schemas.find_schema`
+    topic: str  # Full name
+    type: str  # Such as `sensor_msgs/msg/JointState`  # noqa: A003
+    schema: str  # Definition of the type and its dependencies, from `schemas.find_schema`
     type_hash: str = ''  # `RIHS01_...`, or empty
-    # What its publishers offer: a list of profiles in YAML, as rosbag2 writes it, or empty
+    # Profiles of the publishers: a list in YAML, in the form of rosbag2, or empty
     qos: str = ''
-    # How the schema is written; those of others may be in `ros2idl`
+    # Format of the schema; other recorders may write `ros2idl`
     schema_encoding: str = 'ros2msg'
 
     @property
     def is_latched(self) -> bool:
-        """Whether a publisher keeps messages for those who subscribe later."""
+        """Whether a publisher keeps messages for later subscriptions."""
         return 'durability: transient_local' in self.qos
 
 
 class Message(NamedTuple):
-    """A message, as it came."""
+    """A serialised message with its times."""
 
-    channel: Channel  # What it came through
+    channel: Channel
     data: bytes  # Serialised as CDR
-    log_time: int  # When it was received. [ns]
-    publish_time: int  # When it was published. [ns]
-    sequence: int = 0  # Its number at the publisher; a bag keeps the lower 32 bits
+    log_time: int  # Time of receiving. [ns]
+    publish_time: int  # Time of publishing. [ns]
+    sequence: int = 0  # Sequence number of the publisher; a bag keeps the lower 32 bits
+
+    @property
+    def has_valid_times(self) -> bool:
+        """Whether MCAP and ROS can hold both times."""
+        return 0 <= (self.log_time | self.publish_time) <= LATEST
+
+    def require_valid_times(self) -> None:
+        """Raise ValueError if MCAP or ROS cannot hold one of the times."""
+        if not self.has_valid_times:
+            raise ValueError(
+                f'{self.channel.topic}: times must be at least 0 and below 2**63 ns, '
+                f'got {self.log_time} and {self.publish_time}'
+            )

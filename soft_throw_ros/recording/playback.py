@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-When the messages of a recording are due; nothing here reads a clock or sleeps.
+The schedule of a playback, without a clock or a sleep.
 
-Whoever plays a recording asks with the time of a clock of its own, in nanoseconds, which must not
-go back. Deadlines are absolute: being late once makes nothing late later.
+The caller passes the time of its own clock in nanoseconds, which must not go back. Deadlines are
+absolute, so a delay does not postpone later messages.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ import math
 from typing import Generic, TypeVar
 
 MAX_CATCH_UP = 100_000_000
-"""What is later than this, after a stall, has the rest wait and not come all at once. [ns]"""
+"""Largest delay that is caught up; after a longer stall the remaining items are postponed. [ns]"""
 
 SHORTEST_LOOP = 1_000_000
-"""A recording is not repeated more often than this, however short it is. [ns]"""
+"""Shortest period of repetition, for very short recordings. [ns]"""
 
 Item = TypeVar('Item')
 
 
 class PlaybackSchedule(Generic[Item]):
     """
-    Have the items of a recording come in its own time, or faster, or again and again.
+    Deadlines of the items of a recording, at a selectable rate, optionally repeated.
 
     Parameters
     ----------
@@ -45,15 +45,15 @@ class PlaybackSchedule(Generic[Item]):
     time_of : callable
         Returns the time of an item, by the clock of the recording. [ns]
     begin_ns, end_ns : int
-        The recording goes from one to the other. [ns]
+        First and last time of the recording. [ns]
     rate : float
         Time of the recording over time of the caller. [-]
     is_looping : bool
-        Whether the end is followed by the beginning.
+        Whether to repeat the recording.
     is_paused : bool
-        Whether it is to be resumed before anything comes.
+        Whether the playback starts paused.
     now : int
-        When to begin. [ns]
+        Start of the playback, in time of the caller. [ns]
 
     Raises
     ------
@@ -88,24 +88,24 @@ class PlaybackSchedule(Generic[Item]):
         self.is_paused = is_paused
         self._begin = begin_ns
         self._loop_length = end_ns - begin_ns
-        if is_looping:  # the beginning comes after the end, not with it
+        if is_looping:  # the beginning must come later than the end
             self._loop_length = max(self._loop_length + 1, SHORTEST_LOOP)
         self._is_looping = is_looping
-        # Times of the recording count from its beginning, and go on counting in further loops:
-        # when the caller's clock showed `_now`, so much of it had `_passed`
+        # Times of the recording count from its beginning, and continue through repetitions.
+        # At the caller's time `_now`, the time of the recording was `_passed`.
         self._now = now
         self._passed = 0
-        self._stepped_to = -math.inf  # what is not later comes while paused
+        self._stepped_to = -math.inf  # items up to this time are due while paused
         self._coming = self._repeat(items, time_of)
         self._next_time, self._next = next(self._coming, (0, None))
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing comes any more."""
+        """Whether all items have been returned."""
         return self._next is None
 
     def time(self, now: int) -> int:
-        """Return the time of the recording: at most that of what comes next [ns]."""
+        """Return the time of the recording, at most the time of the next item [ns]."""
         passed = self._passed_by(now)
         if self.is_over:
             passed = min(passed, self._loop_length)
@@ -120,7 +120,7 @@ class PlaybackSchedule(Generic[Item]):
         return self._now + round((self._next_time - self._passed) / self.rate)
 
     def next_due(self, now: int) -> Item | None:
-        """Return the next item, and have done with it, if it is due."""
+        """Remove and return the next item if it is due."""
         deadline = self.deadline()
         if deadline is None or deadline > now:
             return None
@@ -131,21 +131,21 @@ class PlaybackSchedule(Generic[Item]):
         return item
 
     def pause(self, now: int) -> None:
-        """Let nothing come from now on."""
+        """Pause playback."""
         if not self.is_paused:
             self._now, self._passed = now, self._passed_by(now)
             self._stepped_to = -math.inf
             self.is_paused = True
 
     def resume(self, now: int) -> None:
-        """Go on where it was paused."""
+        """Resume playback."""
         if self.is_paused:
             self._now = now
             self.is_paused = False
 
     def step(self, now: int) -> bool:
         """
-        Have the next item come while paused, with all others of the same time.
+        Make the next item due while paused, with all items of the same time.
 
         Returns
         -------

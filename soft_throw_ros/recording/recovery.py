@@ -11,55 +11,61 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Make a whole bag of what can be read of one that is cut off or damaged."""
+"""Recovery of a bag that is cut off or damaged: a new bag of all that can be read."""
 
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import closing, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
-from soft_throw_ros.recording.bag_reader import BagReader, Gap
+from soft_throw_ros.recording.bag_reader import (
+    BagFolder,
+    unrepeated_attachments,
+    unrepeated_metadata,
+)
 from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
-from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.recording.mcap_records import Memory
+from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
+from soft_throw_ros.recording.message import BagError, Channel
 
-_BUFFER_SIZE = 2**20  # what waits is written when it has grown beyond this [bytes]
+_BUFFER_SIZE = 2**20
+"""Size of the unsaved messages above which they are saved. [bytes]"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """What was recovered."""
+    """The result of a recovery."""
 
-    target: Path  # The new bag
-    saved: dict[str, int]  # How many messages are in it, by topic
-    gaps: tuple[Gap, ...]  # What of the old bag is not
-    doubts: tuple[str, ...]  # What of its definitions is not, since it cannot be trusted
+    target: Path  # the new bag
+    saved: dict[str, int]  # numbers of recovered messages by topic
+    defects: tuple[str, ...]  # files that are missing, empty or not readable
+    unreadable: tuple[UnreadableRange, ...]  # parts of files that are not in the new bag
 
     @property
     def message_count(self) -> int:
-        """How many messages were saved."""
+        """Number of all messages that were saved."""
         return sum(self.saved.values())
 
     @property
-    def skipped(self) -> tuple[Gap, ...]:
-        """Return the gaps that something was in, not only an end that is missing."""
-        return tuple(gap for gap in self.gaps if gap.size or gap.messages)
+    def skipped(self) -> tuple[UnreadableRange, ...]:
+        """Return the unreadable parts that have content, without a missing end of a file."""
+        return tuple(part for part in self.unreadable if part.size or part.messages)
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """
-    Write what can be read of a bag into a new one, which every reader opens.
+    Write all that can be read of a bag into a new one, which every reader opens.
 
-    Every chunk is taken that is whole, by its checksum if it has one. The messages keep their
-    order, times and numbers; metadata and attachments come first; several files become one. Of
-    definitions without a checksum, type hash and quality of service are left out; those that
-    cannot be read are left out with their messages.
+    Every chunk that is whole is read, by its checksum if it has one. The messages keep their
+    order, times and numbers; metadata and attachments come first; several files become one.
 
     Parameters
     ----------
     source : path_like
-        A bag, whatever state it is in; it is not changed.
+        A bag in any state; it is not changed.
     target : path_like
         The new bag. It must not exist.
 
@@ -75,22 +81,21 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         raise BagError(f'{source} is being written; stop the recorder before')
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
-    with BagReader(source, by_scan=True) as reader:
-        if not reader.message_count:
-            raise BagError(f'{reader.damage or source}; there is no message to recover')
-        writer = BagWriter(target, distribution=reader.distribution)
+    folder = BagFolder(source)
+    known: dict[tuple[object, ...], Channel] = {}
+    memory = Memory()
+    with ExitStack() as stack:
+        files = [
+            stack.enter_context(closing(ScannedFile(path, known, memory)))
+            for path in folder.files
+        ]
+        if not any(file.channels for file in files):
+            damage = [*(part for file in files for part in file.unreadable), *folder.defects]
+            raise BagError(f'{damage[0] if damage else source}; there is no message to recover')
+        writer = BagWriter(target, distribution=folder.distribution)
         try:
             with writer:
-                for channel in reader.channels:
-                    writer.add_channel(channel)
-                for metadata in reader.metadata:
-                    writer.add_metadata(metadata.name, metadata.metadata)
-                for item in reader.attachments():
-                    writer.attach(item.name, item.data, item.media_type, time=item.log_time)
-                for message in reader.messages(by_log_time=False):
-                    writer.write(message)
-                    if writer.unsaved > _BUFFER_SIZE:
-                        writer.flush()
+                _copy(files, writer)
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise
@@ -98,5 +103,24 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         for channel, count in writer.counts.items():
             saved[channel.topic] += count
         return Recovery(
-            target=target, saved=dict(saved), gaps=tuple(reader.gaps), doubts=tuple(reader.doubts)
+            target=target,
+            saved=dict(saved),
+            defects=tuple(folder.defects),
+            unreadable=tuple(part for file in files for part in file.unreadable),
         )
+
+
+def _copy(files: list[ScannedFile], writer: BagWriter) -> None:
+    """Write definitions, texts, attachments and messages of files into a bag."""
+    for channel in dict.fromkeys(channel for file in files for channel in file.channels):
+        writer.add_channel(channel)
+    for text in unrepeated_metadata(file.metadata for file in files):
+        writer.add_metadata(text.name, text.metadata)
+    for item in unrepeated_attachments(file.attachments() for file in files):
+        writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+        writer.flush()
+    for file in files:
+        for message in file.messages():
+            writer.write(message)
+            if writer.unsaved > _BUFFER_SIZE:
+                writer.flush()

@@ -11,26 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is shown of a twin in Rerun, and where: lines of plots, panels of the window, as data."""
+"""The layout of a twin in Rerun as data: lines of plots and panels of the window."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
 
 LOG = '/log'
-"""Where lines of the log are, of all nodes."""
-
-STRAIN_HEIGHT = 58.0
-"""Of the chart of strain, whose width is `WIDTH`."""
+"""Entity with the log of all nodes."""
 
 PHASES = {
     'rest': (0x60, 0x60, 0x60),
@@ -46,7 +42,7 @@ class Lines(NamedTuple):
 
     names: tuple[str, ...]
     colours: tuple[Colour, ...]
-    factor: float = 1.0  # from SI units to those of the plot
+    factor: float = 1.0  # from SI units to the units of the plot
     width: float = 1.5
 
 
@@ -66,14 +62,14 @@ LINES = {
     'position/predicted': Lines(('projectile, predicted',), (GREEN,), 1e3, 1.0),
     'residual': Lines(BODIES, (GREY, BLUE), 1e6, 1.0),
 }
-"""By the entity below that of the twin; its first part is the plot."""
+"""Lines by entity below that of the twin; the first part of its name is the plot."""
 
 POSITIONS = {
     TWIN_TOPICS.measured_joint_states: 'position/measured',
     TWIN_TOPICS.predicted_joint_states: 'position/predicted',
     TWIN_TOPICS.residual: 'residual',
 }
-"""Where positions besides those of the states are drawn."""
+"""Entities of positions that are not those of the states."""
 
 
 class Panel(NamedTuple):
@@ -83,7 +79,7 @@ class Panel(NamedTuple):
     kind: str  # of view
     title: str
     share: float  # of the height of its column
-    is_optional: bool = False  # whether it is there only if there is something to show
+    is_optional: bool = False  # whether it is left out while it would be empty
 
 
 COLUMNS = (
@@ -109,26 +105,16 @@ COLUMNS = (
 )
 """The window of a twin: columns from left to right with their share of the width, top down."""
 
-_PLOTS_SIZE = 616.0, 650.0
-"""Width and height of all plots together in a picture of the default size. [points]"""
-
-_LABEL_SPACE, _LABEL_DISTANCE = 9.0, 20.0
-"""What Rerun leaves beside the labels of an axis, and between them at least. [points]"""
-
-_CHARACTERS = {'-': 6.0, '.': 3.5}
-_DIGIT = 7.5
-"""How wide characters of labels are. [points]"""
-
 BEFORE, AFTER = 0.7, 1.8
-"""What plots show before and after the cursor, in periods of the plate."""
+"""Time that plots show before and after the cursor. [periods of the plate]"""
 
 _LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0
-"""What they show up to now: in periods of the plate, and at least in seconds."""
+"""Time that live plots show: [periods of the plate], and at least [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwinLayout:
-    """What the layout of a twin depends on; with another one it has to be sent anew."""
+    """Properties of a twin that determine its layout; a change requires a new layout."""
 
     root: str  # of its entities
     title: str
@@ -136,20 +122,20 @@ class TwinLayout:
     side: tuple[float, float, float]  # half the width of the side view, and its heights [mm]
     residual_limit: float  # of the residual's plot [um]
     present: frozenset[str]  # optional panels that are there
-    # Lowest and highest value of each plot, by which only the width of its labels changes
-    extents: Mapping[str, tuple[float, float]] = field(compare=False)
 
 
-def settled(now: float, before: float, least: float = 1.0 / 1.15, most: float = 1.15) -> float:
+def with_hysteresis(
+    now: float, before: float, least: float = 1.0 / 1.15, most: float = 1.15
+) -> float:
     """
-    Return a size as it was before if now it is much the same, over it from `least` to `most`.
+    Return the former size if the present one is between `least` and `most` times as large.
 
-    A layout that is sent anew takes back what somebody has arranged by hand, and Rerun's server
-    keeps every one: a megabyte each time that a calibrator corrects a rig a little.
+    A new layout discards the changes that a user made by hand, and costs Rerun's server a
+    megabyte of memory, so small corrections of a rig must not cause one.
 
     Examples
     --------
-    >>> settled(1.1, 1.0), settled(1.2, 1.0)
+    >>> with_hysteresis(1.1, 1.0), with_hysteresis(1.2, 1.0)
     (1.0, 1.2)
 
     """
@@ -157,7 +143,7 @@ def settled(now: float, before: float, least: float = 1.0 / 1.15, most: float = 
 
 
 def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
-    """Arrange all there is of a twin."""
+    """Return the container of all panels of a twin."""
     before, after = BEFORE * twin.period, AFTER * twin.period
     if is_live:
         before, after = max(_LIVE_BEFORE * twin.period, _LEAST_LIVE), 0.0
@@ -168,14 +154,14 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     shares, columns = [], []
     for share, panels in COLUMNS:
         shown = [each for each in panels if not each.is_optional or each.name in twin.present]
-        views = _aligned(shown, [_view(panel, twin, window) for panel in shown], twin)
+        views = [_view(panel, twin, window) for panel in shown]
         shares.append(share)
         columns.append(rrb.Vertical(*views, row_shares=[panel.share for panel in shown]))
     return rrb.Horizontal(*columns, column_shares=shares, name=twin.title)
 
 
 def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
-    """Make the view of a panel; plots and phases show a window of time around the cursor."""
+    """Return the view of a panel; plots and phases show a time window around the cursor."""
     origin = panel.name if panel.name.startswith('/') else f'{twin.root}/{panel.name}'
     match panel.kind:
         case 'rig':
@@ -183,8 +169,8 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'strain' | 'map':
-            height = STRAIN_HEIGHT if panel.kind == 'strain' else drawing.MAP_HEIGHT
-            return drawing.chart_view(origin, panel.title, height)
+            size = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
+            return drawing.chart_view(origin, panel.title, size)
         case 'phase':
             return rrb.StateTimelineView(origin=origin, name=panel.title, time_view=window)
         case 'plot':
@@ -207,37 +193,3 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             return rrb.TextLogView(origin=origin, name=panel.title, columns=columns)
         case _:
             return rrb.TextDocumentView(origin=origin, name=panel.title)
-
-
-def _aligned(
-    panels: Sequence[Panel], views: Sequence[rrb.View], twin: TwinLayout
-) -> list[rrb.View | rrb.Container]:
-    """Leave room to the left of views, so that all begin where the widest labels end."""
-    if not any(panel.kind == 'plot' for panel in panels):
-        return list(views)
-    extents = {**twin.extents, 'residual': (-twin.residual_limit, twin.residual_limit)}
-    height = _PLOTS_SIZE[1] / sum(panel.kind == 'plot' for panel in panels)
-    widths = [
-        _axis_width(*extents.get(panel.name, (0.0, 10.0)), height) if panel.kind == 'plot' else 0.0
-        for panel in panels
-    ]
-    aligned: list[rrb.View | rrb.Container] = []
-    for view, width in zip(views, widths, strict=True):
-        room = max(widths) - width
-        if room < 1.0:
-            aligned.append(view)
-            continue
-        margin = rrb.TextDocumentView(origin=f'{twin.root}/margin', name=' ', titlebar=False)
-        shares = [room, _PLOTS_SIZE[0] - room]
-        aligned.append(rrb.Horizontal(margin, view, column_shares=shares))
-    return aligned
-
-
-def _axis_width(low: float, high: float, height: float) -> float:
-    """Return how much Rerun needs for the labels beside a plot, at powers of ten [points]."""
-    extent = max(high - low, 1e-9)
-    step = 10.0 ** math.ceil(math.log10(_LABEL_DISTANCE * extent / height))
-    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
-    labels = [f'{step * number:g}' for number in numbers]
-    widths = [sum(_CHARACTERS.get(each, _DIGIT) for each in label) for label in labels]
-    return _LABEL_SPACE + max(widths, default=_DIGIT)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is said in words and tables (Markdown) of a throw, of a layer, and of what is measured."""
+"""Texts and tables (Markdown) about a throw, the recommended layer and the measured track."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
 from soft_throw_ros.recording.timeseries import Values
 
-UNKNOWN_BEST = 'The rig has changed; what is recommended for it has not come yet.'
+UNKNOWN_BEST = 'The rig has changed; there is no recommendation for it yet.'
 
 
 class _Row(NamedTuple):
@@ -61,33 +62,36 @@ _LAYER_ROWS = (
 )
 
 TRACK_TASKS = ('measurement', 'model', 'identification')
-"""What of /diagnostics is of a measured track, in the order in which it is shown."""
+"""Tasks in /diagnostics about a measured track, in the order of display."""
 
 _MODELS = {
     'travelling_wave': 'wave',
-    'finite_difference': 'grid',
-    'finite_difference_elastic': 'elastic',
-    'finite_difference_glued': 'glued on',
+    'cells': 'grid',
+    'cells_elastic': 'elastic',
+    'cells_glued': 'glued on',
     'spring_mass': 'spring',
 }
-"""What other models are called where there is little room."""
+"""Short names of the other models."""
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
 _BASES = {'engine': ', which moves as the engine should', 'plate': ' alone'}
-"""What the errors of a throw rest on."""
+"""Basis of the errors of a throw."""
 
-_VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed', 'both': 'both'}
+_VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed'}
+"""Titles of the layers that vary one quantity."""
 
 
 def throw_text(values: Values) -> str:
-    """Write what a throw gave, how well that is known, and what other models say."""
+    """Return the results of a throw with their errors, and those of other models."""
     models = [
         key.removesuffix('.ejection_time') for key in values if key.endswith('.ejection_time')
     ]
     if not values.get('recontacts'):
         values = {key: value for key, value in values.items() if not key.startswith('last_')}
-    columns = {'twin': '', **{_MODELS.get(model, model): f'{model}.' for model in models}}
+    former = TWIN.by_name['model'].deprecated  # as in older bags
+    labels = {model: _MODELS.get(former.get(model, model), model) for model in models}
+    columns = {'twin': '', **{labels[model]: f'{model}.' for model in models}}
     number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
     text = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**, '
     text += _STAGES.get(str(values.get('stage')), 'up to the release')
@@ -103,30 +107,30 @@ def throw_text(values: Values) -> str:
 
 
 def recommendation_text(message: str, values: Values) -> str:
-    """Write what layer is recommended, beside that which is there."""
+    """Return a table of the present and the recommended layers."""
     if 'now.thickness' not in values:
         return f'{message}\n'
     vary = values.get('vary')
     columns = {'now': 'now.'}
     for key, head in _VARIED.items():
         columns[f'**{head}**' if key == vary else head] = f'by_{key}.'
-    if vary == 'library':
-        columns[f'**{values.get("layer")}**'] = ''
+    if vary not in _VARIED:
+        columns[f'**{values.get("layer") if vary == "library" else vary}**'] = ''
     return _table(values, _LAYER_ROWS, columns)
 
 
 def track_text(task: str, status: Any, values: Values) -> str:  # a DiagnosticStatus
-    """Write in a line what a status says of the measured track, with doubts about it."""
+    """Return a line with the status of the measured track and its warnings."""
     text = f'**{task.capitalize()}**: {status.message}'.replace('+-', '±')
-    left_out = values.get('samples_jumped') or values.get('outliers')
-    if left_out:
-        text += f'; {left_out:g} samples left out'
-    doubts = [str(value) for key, value in values.items() if key.startswith('warning')]
-    return '; '.join([text, *doubts])
+    outliers = values.get('samples_jumped') or values.get('outliers')
+    if outliers:
+        text += f'; {outliers:g} samples left out'
+    warnings = [str(value) for key, value in values.items() if key.startswith('warning')]
+    return '; '.join([text, *warnings])
 
 
 def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> str:
-    """Write a table, of rows that there is something of; columns have prefixes."""
+    """Return a table of the rows that are not empty; columns are prefixes of keys."""
     lines = ['| | ' + ' | '.join(columns) + ' |', '|:--|' + '--:|' * len(columns)]
     for row in rows:
         cells = [
@@ -139,7 +143,7 @@ def _table(values: Values, rows: Sequence[_Row], columns: Mapping[str, str]) -> 
 
 
 def _cell(value: float | str | None, factor: float = 1.0, error: float | str | None = None) -> str:
-    """Write a number, with its error if that is known."""
+    """Return a number as text, with its error if that is known."""
     if not isinstance(value, float):
         return value or ''
     if not isinstance(error, float) or not 0.0 < error < math.inf:

@@ -25,14 +25,16 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.configuration.interface import FORMER_TOPICS, JOINT_STATE, Topic, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import JOINT_STATE, Topic, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.rerun_canvas import Text
 from soft_throw_ros.recording.rig_picture import RigPicture
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, SECOND, Stamps, ThrowStart
 
@@ -41,16 +43,16 @@ _MILLI, _MICRO = 1e3, 1e6
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 
 _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEBUG'))
-"""Levels of rcl_interfaces/Log, and what Rerun calls them."""
+"""Levels of rcl_interfaces/Log and their names in Rerun."""
 
 _MOMENT = 0.7
-"""When in a contact there is most to see, as part of the ejection time."""
+"""Time of the cursor in a contact, as a fraction of the ejection time."""
 
 _DENSE = 10.0
-"""Rows of the layer per period of the plate from which on a line through them is true."""
+"""Number of layer messages per period of the plate that suffices for lines."""
 
 _RESIDUAL_QUANTILE = 0.9
-"""Part of the residuals in a contact that is surely within their plot, unlike spikes."""
+"""Fraction of the residuals in a contact that the plot includes; spikes are beyond."""
 
 _LEAST_RESIDUAL, _DEFAULT_RESIDUAL = 10.0, 100.0  # um
 
@@ -61,25 +63,25 @@ Groups = Mapping[Topic, Sequence[Message]]
 
 class Scene:
     """
-    What is known of the twins, and how it is drawn.
+    The drawing of all twins.
 
     Parameters
     ----------
     name : str
-        Of the recording, for the viewer.
+        Name of the recording in the viewer.
     is_live : bool
-        Whether the latest is shown, or a throw.
+        Whether the latest messages are shown instead of a throw.
     is_picture : bool
-        Whether what is for the mouse is left out.
+        Whether panels for the mouse are left out.
     throw : ThrowStart, optional
-        The throw that is shown, from whose start times are counted.
+        The throw that is shown; times count from its start.
 
     Attributes
     ----------
     damaged : int
         Messages that could not be read.
     damage : str
-        Why the first of them could not.
+        The error of the first unreadable message.
 
     """
 
@@ -109,7 +111,7 @@ class Scene:
 
     @property
     def moment(self) -> float | None:
-        """When in the throw that is shown there is most to see, in time of the rig [s]."""
+        """Most interesting time of the shown throw, in time of the rig [s]."""
         times = [twin.ejection_time for twin in self._twins.values() if twin.ejection_time]
         if self._canvas.throw is None:
             return None
@@ -126,7 +128,7 @@ class Scene:
         return begin, end
 
     def connect(self, stream: rr.RecordingStream | None) -> None:
-        """Draw into a recording from now on, with what is there already; or into none."""
+        """Draw into a recording from now on, with all that still holds; or into none."""
         if stream is not None:
             stream.send_recording_name(self._name)
         self._canvas.connect(stream)
@@ -135,13 +137,13 @@ class Scene:
             self._arrange()
 
     def show(self, messages: Iterable[Message]) -> None:
-        """Draw messages, those of each topic at once, in an order in which each has its needs."""
+        """Draw messages topic by topic, in an order that respects their dependencies."""
         waiting: dict[str, dict[Topic, list[Message]]] = {}
         for message in messages:
             node, topic = _identify(message.channel.topic, message.channel.type)
             if topic is None:
                 continue
-            if topic == TWIN_TOPICS.journal:  # what came before it is of the rig as it was
+            if topic == TWIN_TOPICS.journal:  # earlier messages belong to the former rig
                 self._read(node, waiting.pop(node, {}))
             waiting.setdefault(node, {}).setdefault(topic, []).append(message)
         for node, groups in waiting.items():
@@ -152,13 +154,13 @@ class Scene:
             self._arrange()
 
     def finish(self, *, is_waiting: bool) -> None:
-        """Draw what is still being computed, if it is waited for, and arrange everything."""
+        """Draw the remaining maps, waiting for them if requested, and arrange all panels."""
         for twin in self._twins.values():
             twin.draw_maps(is_waiting=is_waiting)
         self._arrange()
 
     def _read(self, node: str, groups: Groups) -> None:
-        """Draw messages of one node, or of all."""
+        """Draw messages of one node, or messages that belong to no node."""
         readers: Mapping[Topic, Callable[..., None]] = {
             _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
         }
@@ -174,7 +176,7 @@ class Scene:
                 self._attempt(read, data)
 
     def _attempt(self, read: Callable[..., None], data: Message | Sequence[Message]) -> None:
-        """Read a message, or several, one by one if one is damaged, or unlike the others."""
+        """Read messages at once, or individually if one is damaged or different."""
         try:
             read(data)
         except series.DECODING_ERRORS as error:
@@ -187,7 +189,7 @@ class Scene:
             self.damage = self.damage or f'{message.channel.topic}: {error}'
 
     def _draw_line(self, message: Message) -> None:
-        """Show a line of the log, which is stamped by another clock where time is simulated."""
+        """Show a line of the log at the time of the twin, whose clock may be another one."""
         line = series.read_message(message)
         twins = self._twins.values()
         known = (twin.stamp_of(message) for twin in twins if twin.span is not None)
@@ -195,10 +197,10 @@ class Scene:
         level = next(name for bound, name in _LEVELS if line.level >= bound)
         self._has_log = True
         columns = rr.TextLog.columns(text=[f'{line.name}: {line.msg}'], level=[level])
-        self._canvas.send(layout.LOG, np.array([stamp]), columns)
+        self._canvas.log_columns(layout.LOG, np.array([stamp]), columns)
 
     def _draw_diagnostics(self, message: Message) -> None:
-        """Show what is of a measured track: of a twin itself, or of one beside its calibrator."""
+        """Show diagnostics of a measured track, from a twin or from its calibrator."""
         for stamp, status, values in series.read_statuses(message):
             node, _, task = str(status.name).rpartition(': ')
             for name, twin in self._twins.items():
@@ -207,7 +209,7 @@ class Scene:
                     twin.draw_track(stamp, task, status, values)
 
     def _arrange(self) -> None:
-        """Send the layout if there is none yet, or it has to be another."""
+        """Send the layout if it has changed."""
         drawn = [twin for twin in self._twins.values() if twin.is_drawn]
         twins = [twin.layout_state(has_log=self._has_log) for twin in drawn]
         if not twins or twins == self._arranged:
@@ -232,16 +234,16 @@ class Scene:
 
 class _TwinView:
     """
-    One of the twins: reads its messages and draws what they say.
+    The drawing of one twin from its messages.
 
     Attributes
     ----------
     ejection_time : float or None
-        In the throw that is shown. [s]
+        Ejection time of the displayed throw. [s]
     span : tuple of int or None
         Stamps of the first and the last state. [ns]
     is_drawn : bool
-        Whether there is anything of it; topics of its names may be of another machine.
+        Whether anything was drawn; topics with matching names may belong to another machine.
 
     """
 
@@ -256,24 +258,19 @@ class _TwinView:
         self._reader = series.TwinReader()
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
         self._side = RigPicture(canvas, self._path('side'))
-        self._recommendation: tuple[Rig | None, series.Values] = (
-            None,
-            {},
-        )  # and for which rig it is
-        self._is_former = False  # whether the energy of its layer is not recorded
-        self._track: dict[str, str] = {}  # what is said of it, by the task of the node
-        self._residuals: Floats | None = None  # in the last contacts, or in that which is shown
+        self._recommendation: tuple[Rig | None, series.Values] = (None, {})
+        self._track: dict[str, str] = {}  # texts by the task of the node
+        self._residuals: Floats | None = None  # in the last contacts, or in the shown one
         self._period = self._residual_limit = 0.0  # of the layout [s], [um]
-        self._extents: dict[str, tuple[float, float]] = {}  # of plots, in the throw that is shown
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
+        self._has_phase_changes = False
         phases = rr.StateConfiguration(
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
         smooth = rr.Image.from_fields(magnification_filter='linear')
-        canvas.style(self._path('phase'), phases)
-        canvas.style(self._path('strain/picture'), smooth)
-        canvas.style(self._path('margin'), rr.TextDocument(' '))
+        canvas.log_style(self._path('phase'), phases)
+        canvas.log_style(self._path('strain/picture'), smooth)
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
@@ -281,16 +278,16 @@ class _TwinView:
     def _write(self, name: str, stamp: int, text: str) -> None:
         self.is_drawn = True
         document = rr.TextDocument(text, media_type='text/markdown')
-        self._canvas.put(self._path(name), stamp, document)
+        self._canvas.log_latched(self._path(name), stamp, document)
 
     def stamp_of(self, message: Message) -> int:
-        """Return the time of the step with which something was published [ns]."""
+        """Return the time of the step that a message belongs to [ns]."""
         return self._reader.stamp_of(message)
 
     # the rig
 
     def read_journal(self, message: Message) -> None:
-        """Take over a throw or a rig, and draw the latter."""
+        """Apply a throw or a rig, and draw the rig."""
         reader = self._reader
         rig, throw = reader.rig, reader.throw
         reader.read_journal(message)
@@ -301,7 +298,7 @@ class _TwinView:
         stamp = reader.throw.stamp if reader.throw and is_throw else self.stamp_of(message)
         self._period_of_stamps = 1.0 / (reader.rig.engine.frequency * reader.time_scale)
         self._side.change_rig(stamp, reader.rig)
-        if self._map_rig != reader.rig:  # the map of what is recommended for it is there
+        if self._map_rig != reader.rig:  # the map for its recommendation exists
             self._request_map(stamp, reader.rig, reader.settings)
 
     # plots
@@ -311,17 +308,9 @@ class _TwinView:
         self.is_drawn = True
         names, colours, factor, width = layout.LINES[name]
         style = rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
-        self._canvas.style(self._path(name), style)
-        self._canvas.send(self._path(name), stamps, rr.Scalars.columns(scalars=factor * values))
-        throw = self._canvas.throw
-        if throw is not None:
-            periods = (stamps - throw.stamp) / (SECOND * self._period_of_stamps)
-            shown = (periods > 0.3 - layout.BEFORE) & (periods < 0.3 + layout.AFTER)
-            known, plot = factor * values[shown], name.partition('/')[0]
-            known = known[np.isfinite(known)]
-            if known.size:
-                low, high = self._extents.get(plot, (math.inf, -math.inf))
-                self._extents[plot] = min(low, float(known.min())), max(high, float(known.max()))
+        self._canvas.log_style(self._path(name), style)
+        columns = rr.Scalars.columns(scalars=factor * values)
+        self._canvas.log_columns(self._path(name), stamps, columns)
 
     def draw_states(self, messages: Sequence[Message]) -> None:
         states = self._reader.read_states(messages)
@@ -347,7 +336,7 @@ class _TwinView:
             self._keep_residuals(stamps, np.abs(position))
 
     def _keep_residuals(self, stamps: Stamps, values: Floats) -> None:
-        """Keep those of a contact; in flight and after a landing they have no bounds."""
+        """Store residuals of a contact; in flight and after a landing they are unbounded."""
         before = np.zeros(0) if self._residuals is None else self._residuals
         self._residuals = before
         shown, throw = self._canvas.throw, self._reader.throw
@@ -366,16 +355,10 @@ class _TwinView:
             if self._is_dense():
                 self._draw_layer_energy(layer)
 
-    def draw_former_layer(self, message: Message) -> None:
-        layer = self._reader.read_former_strain(message)
-        self._is_former = True
-        if layer is not None:
-            self._side.draw_layer(layer)
-
     def _is_dense(self) -> bool:
-        """Tell whether the layer comes so often that a line through its energies is true."""
+        """Return whether layer messages are frequent enough for lines of its energies."""
         rows = self._reader.settings['rate.field'] * self._period_of_stamps
-        return bool(rows >= _DENSE and not self._is_former)
+        return bool(rows >= _DENSE)
 
     def _draw_layer_energy(self, layer: LayerStates) -> None:
         for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
@@ -392,29 +375,29 @@ class _TwinView:
         contact = field.strain[field.times <= (time or field.times[-1])]
         limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
-        chart = drawing.Chart(
-            canvas=self._canvas,
-            path=self._path('strain'),
-            stamp=start,
-            height=layout.STRAIN_HEIGHT,
-            x=drawing.Axis(0.0, _MILLI * float(field.times[-1])),
-            y=drawing.Axis(0.0, _MILLI * field.thickness),
-        )
-        pixels = drawing.colours_of(field.strain.T[::-1], -limit, limit, drawing.SIGNED)
-        chart.draw(pixels, titles=('t (ms)', 'y (mm)'))
-        chart.draw_bar(drawing.Axis(-100.0 * limit, 100.0 * limit), drawing.SIGNED, title='ε (%)')
-        at = None if time is None else _MILLI * time
-        chart.draw_line('ejection', at, '' if at is None else f'tₑ {at:.2f} ms')
+        duration, thickness = _MILLI * float(field.times[-1]), _MILLI * field.thickness
+        left, top, width, height = charts.FRAME_BOX
+        frame = drawing.encoded_image(charts.strain_frame(duration, thickness, 100.0 * limit))
+        pixels = charts.signed_colours(field.strain.T[::-1], limit)
+        picture = drawing.picture(pixels, x=left, y=top, w=width, h=height)
+        self._canvas.log_latched(self._path('strain/frame'), start, frame)
+        self._canvas.log_latched(self._path('strain/picture'), start, *picture)
+        places = left + width * field.times / field.times[-1]
+        x = [] if time is None else [float(np.interp(time, field.times, places))]
+        line = drawing.lines([[(at, top), (at, top + height)] for at in x], drawing.BLACK)
+        titles = [Text(at, top - 37.0, f'tₑ {_MILLI * (time or 0.0):.2f} ms') for at in x]
+        self._canvas.log_latched(self._path('strain/ejection'), start, line)
+        self._canvas.log_latched(self._path('strain/ejection/text'), start, drawing.texts(titles))
         strips = np.zeros((stamps.size, 2, 2), np.float32)
-        strips[:, :, 0] = np.linspace(0.0, drawing.WIDTH, stamps.size)[:, None]
-        strips[:, 1, 1] = layout.STRAIN_HEIGHT
+        strips[:, :, 0] = places[:, None]
+        strips[:, :, 1] = top, top + height
         gone = np.append(stamps, 2 * stamps[-1] - stamps[-2])
         columns = rr.LineStrips2D.columns(
             strips=strips,
             colors=[drawing.RED] * stamps.size,
             radii=rr.Radius.ui_points([1.0] * stamps.size),
         ).partition([1] * stamps.size + [0])
-        self._canvas.send(self._path('strain/now'), gone, columns)
+        self._canvas.log_columns(self._path('strain/now'), gone, columns)
         throw = self._reader.see_throw(field)
         if throw is not None:
             position, layer = throw
@@ -424,13 +407,23 @@ class _TwinView:
 
     # words
 
+    def draw_phase_changes(self, messages: Sequence[Message]) -> None:
+        """Draw phases at the times of their starts."""
+        for stamp, phase in self._reader.read_phase_changes(messages):
+            self._has_phase_changes = True
+            self._draw_phase(stamp, phase)
+
     def draw_phase(self, message: Message) -> None:
+        """Draw a phase at the step of its message, if its start is not recorded."""
+        if not self._has_phase_changes:
+            self._draw_phase(self.stamp_of(message), series.read_text(message))
+
+    def _draw_phase(self, stamp: int, phase: str) -> None:
         self.is_drawn = True
-        state = rr.StateChange(state=series.read_text(message))
-        self._canvas.put(self._path('phase'), self.stamp_of(message), state)
+        self._canvas.log_latched(self._path('phase'), stamp, rr.StateChange(state=phase))
 
     def draw_result(self, message: Message) -> None:
-        """Write what a throw gave; up to the release at its start, as the field has it."""
+        """Write the results of a throw; early results have the stamp of its start."""
         throw, shown = self._reader.throw, self._canvas.throw
         for stamp, _, values in series.read_statuses(message):
             number, time = values.get('throw'), values.get('ejection_time')
@@ -443,11 +436,11 @@ class _TwinView:
                 self.ejection_time = time
 
     def draw_track(self, stamp: int, task: str, status: Any, values: series.Values) -> None:
-        """Write what diagnostics say of the measured track, that of each task with its stamp."""
+        """Write the diagnostics of the measured track, one line for each task."""
         if task in words.TRACK_TASKS:
             self._track[task] = words.track_text(task, status, values)
-            parts = [self._track[each] for each in words.TRACK_TASKS if each in self._track]
-            self._write('track', stamp, '  \n'.join(parts))
+            lines = [self._track[name] for name in words.TRACK_TASKS if name in self._track]
+            self._write('track', stamp, '  \n'.join(lines))
 
     # the best layer
 
@@ -462,7 +455,7 @@ class _TwinView:
                 self._request_map(stamp, rig, reader.wanted)
 
     def _request_map(self, stamp: int, rig: Rig, settings: Settings) -> None:
-        """Have a map computed; what was asked for last is shown last."""
+        """Compute a map in the background; the last requested one is shown last."""
         recommended_for, values = self._recommendation
         if recommended_for not in (None, rig):
             values = {}
@@ -472,22 +465,26 @@ class _TwinView:
         self._maps.append((stamp, self._pool.submit(compute_energy_map, rig, settings, values)))
 
     def draw_maps(self, *, is_waiting: bool = False) -> None:
-        """Draw the maps that are there by now, or, waiting for them, all."""
+        """Draw the maps that are complete; with `is_waiting` wait for all."""
         while self._maps and (is_waiting or self._maps[0][1].done()):
             stamp, future = self._maps.pop(0)
-            found = future.result()
-            axes = (
-                drawing.MapAxis('Lₛ (mm)', _MILLI * found.thickness),
-                drawing.MapAxis('cₛ (m/s)', found.wave_speed),
+            energy_map = future.result()
+            figure = charts.energy_figure(
+                (
+                    charts.MapAxis('Lₛ (mm)', _MILLI * energy_map.thickness),
+                    charts.MapAxis('cₛ (m/s)', energy_map.wave_speed),
+                ),
+                energy_map.energy_transfer,
+                label=energy_map.title,
+                marks=[(text, _MILLI * length, speed) for length, speed, text in energy_map.marks],
             )
-            marks = [(_MILLI * length, speed, text) for length, speed, text in found.marks]
-            panel = drawing.MapPanel('landscape', '', found.title, found.energy_transfer)
-            drawing.draw_map(self._canvas, stamp, axes, panel, marks, root=self._root)
+            image = drawing.encoded_image(charts.to_png(figure))
+            self._canvas.log_latched(self._path('landscape'), stamp, image)
 
     # layout
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
-        """Return what the layout depends on; what is much as it was stays as it was."""
+        """Return the state of the layout; sizes that have hardly changed stay the same."""
         throw, residuals = self._canvas.throw, self._residuals
         limit = 0.0
         if residuals is not None:
@@ -495,10 +492,11 @@ class _TwinView:
             if residuals.size:
                 most = 1.5 * _MICRO * float(np.quantile(residuals, _RESIDUAL_QUANTILE))
             limit = drawing.round_up(max(most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
-            limit = self._residual_limit = layout.settled(limit, self._residual_limit, 0.3, 1.0)
+            former = self._residual_limit
+            limit = self._residual_limit = layout.with_hysteresis(limit, former, 0.3, 1.0)
         present = {'residual': residuals is not None, 'track': self._track, layout.LOG: has_log}
         period = self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
-        self._period = layout.settled(period, self._period)
+        self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
             root=self._root,
             title=self._node or '/',
@@ -506,7 +504,6 @@ class _TwinView:
             side=self._side.bounds,
             residual_limit=limit,
             present=frozenset(name for name, is_there in present.items() if is_there),
-            extents=self._extents,
         )
 
 
@@ -515,22 +512,27 @@ _READERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.joint_states: _TwinView.draw_states,
     **{topic: partial(_TwinView.draw_positions, topic=topic) for topic in layout.POSITIONS},
     TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
-    FORMER_TOPICS.strain: _TwinView.draw_former_layer,
+    TWIN_TOPICS.phase_change: _TwinView.draw_phase_changes,
     TWIN_TOPICS.phase: _TwinView.draw_phase,
     TWIN_TOPICS.throw_result: _TwinView.draw_result,
     TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
 }
-"""What draws the messages of a topic, in an order in which one needs those before it."""
+"""Methods that draw the messages of each topic; later methods need the data of earlier ones."""
 
 
 def is_shown(topic: str, type_name: str) -> bool:
-    """Tell whether such a topic is one of a twin that is drawn."""
+    """Return whether a topic is one of a twin that is drawn."""
     return _identify(topic, type_name)[1] in _READERS
 
 
+def is_drawn(topic: str, type_name: str) -> bool:
+    """Return whether anything of such a topic is drawn, be it of a twin or of the whole system."""
+    return _identify(topic, type_name)[1] is not None
+
+
 def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
-    """Find of which node a topic is, empty if of several, and which; None if it is not drawn."""
+    """Return node and topic of a name: no node if of all, no topic if it is not drawn."""
     if type_name == _LOG.type:
         return '', _LOG
     node, topic = series.identify(name, type_name)

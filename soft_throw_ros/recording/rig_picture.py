@@ -15,12 +15,14 @@
 
 from __future__ import annotations
 
+from matplotlib.ticker import MaxNLocator
 import numpy as np
 import rerun as rr
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import Text
-from soft_throw_ros.recording.rerun_layout import settled
+from soft_throw_ros.recording.rerun_layout import with_hysteresis
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps
 
 _MILLI = 1e3
@@ -32,10 +34,10 @@ _PLATE_WIDTH = 1.5
 """Width of the plate, over the diameter of the layer."""
 
 _TOP = 0.93
-"""Part of the height of the view at which the text of what is above it stands."""
+"""Height of the text of a projectile above the view, as a fraction of the view."""
 
 _DEFAULT_STRAIN = 0.2
-"""Where the colours of strain end before a throw has been seen."""
+"""Upper end of the colours of strain before the first throw. [-]"""
 
 
 class RigPicture:
@@ -59,7 +61,7 @@ class RigPicture:
             width=1, height=_CELLS, color_model='RGB', channel_datatype='U8'
         )
         style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        canvas.style(f'{path}/layer', style)
+        canvas.log_style(f'{path}/layer', style)
 
     @property
     def bounds(self) -> tuple[float, float, float]:
@@ -69,34 +71,35 @@ class RigPicture:
         return 1.25 * self._diameter, -0.4 * self._diameter, self._high
 
     def change_rig(self, stamp: int, rig: Rig) -> None:
-        """Draw the bodies of a rig, and heights to the left of them."""
+        """Draw the bodies of a rig, and a scale of heights on the left."""
         self._rig = rig
         diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
         high = 1.35 * (_MILLI * rig.layer.thickness + length) + 0.8 * diameter
-        self._diameter = settled(diameter, self._diameter)
-        self._high = settled(high, self._high)
+        self._diameter = with_hysteresis(diameter, self._diameter)
+        self._high = with_hysteresis(high, self._high)
         for name, colour, w, y, h in (
             ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
             ('projectile', drawing.BLUE, diameter, -length, length),
         ):
             body = drawing.picture(np.array([[colour]], np.uint8), x=-0.5 * w, y=y, w=w, h=h)
-            self._canvas.put(f'{self._path}/{name}/body', stamp, *body)
+            self._canvas.log_latched(f'{self._path}/{name}/body', stamp, *body)
         for name, text, y in (
             ('plate/text', 'plate', 0.0),
             ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
             ('projectile_text', 'projectile', -0.5 * length),
         ):
             label = drawing.texts([Text(0.95 * diameter, y, text, drawing.WHITE)])
-            self._canvas.put(f'{self._path}/{name}', stamp, label)
+            self._canvas.log_latched(f'{self._path}/{name}', stamp, label)
         width, low, high = self.bounds
-        ticks = drawing.Axis(0.0, high).ticks(8)
+        locator = MaxNLocator(8, steps=[1, 2, 5, 10])
+        ticks = [tick for tick in locator.tick_values(0.0, high) if 0.0 <= tick <= high]
         x = -0.5 * _PLATE_WIDTH * diameter - 0.03 * width
         strips = [[(x, 0.0), (x, -ticks[-1])]]
         strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
-        self._canvas.put(f'{self._path}/ruler', stamp, drawing.lines(strips, drawing.GREY))
+        self._canvas.log_latched(f'{self._path}/ruler', stamp, drawing.lines(strips, drawing.GREY))
         lift = 0.009 * (high - low)  # texts stand below their places
         rows = [Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
-        self._canvas.put(f'{self._path}/ruler/texts', stamp, drawing.texts(rows))
+        self._canvas.log_latched(f'{self._path}/ruler/texts', stamp, drawing.texts(rows))
 
     def draw_positions(self, stamps: Stamps, position: Floats) -> None:
         """Move plate and projectile."""
@@ -104,11 +107,11 @@ class RigPicture:
         for name, height in zip(('plate', 'projectile'), position.T, strict=True):
             translation[:, 1] = -_MILLI * height
             columns = rr.Transform3D.columns(translation=translation)
-            self._canvas.send(f'{self._path}/{name}', stamps, columns)
-        # what is above the view can be told by its text
+            self._canvas.log_columns(f'{self._path}/{name}', stamps, columns)
+        # the text of a projectile above the view stays at the upper edge
         translation[:, 1] = translation[:, 1].clip(min=-_TOP * self.bounds[2])
         columns = rr.Transform3D.columns(translation=translation)
-        self._canvas.send(f'{self._path}/projectile_text', stamps, columns)
+        self._canvas.log_columns(f'{self._path}/projectile_text', stamps, columns)
 
     def draw_layer(self, layer: LayerStates) -> None:
         """Colour cells that are even in height, wherever their matter is."""
@@ -121,7 +124,7 @@ class RigPicture:
             [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
         )
         limit = self.largest_strain
-        pixels = drawing.colours_of(strain, -limit, limit, drawing.SIGNED)
+        pixels = charts.signed_colours(strain, limit)
         diameter = _MILLI * self._rig.layer.diameter
         nothing, one = np.zeros_like(top), np.ones_like(top)
         corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
@@ -130,4 +133,4 @@ class RigPicture:
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
             *rr.Transform3D.columns(translation=corner, scale=scale),
         ]
-        self._canvas.send(f'{self._path}/layer', layer.stamps, columns)
+        self._canvas.log_columns(f'{self._path}/layer', layer.stamps, columns)

@@ -38,35 +38,35 @@ _SEPARATOR = '=' * 80
 
 
 class SchemaError(ValueError):
-    """A message type has no definition where it was looked for; the message says where."""
+    """A message type has no definition in the searched folders, which the message names."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Schema:
-    """What a message type is."""
+    """Definition of a message type."""
 
-    # Its `.msg` file, and after separators those of the types it consists of, as MCAP's encoding
-    # `ros2msg` wants them
+    # The `.msg` file and, after separators, the files of its component types, in MCAP's encoding
+    # `ros2msg`
     text: str
     type_hash: str  # `RIHS01_...`; empty where there is none, as in ROS 2 Humble
 
 
 def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     """
-    Find the definition of a type among what is installed.
+    Return the definition of an installed message type.
 
     Parameters
     ----------
     type_name : str
-        As `sensor_msgs/msg/JointState`.
+        Name of a type, such as `sensor_msgs/msg/JointState`.
     prefixes : iterable of path_like
-        Where ROS packages are installed, as in `AMENT_PREFIX_PATH`; the first that has a type
-        wins.
+        Folders of installed ROS packages, as in `AMENT_PREFIX_PATH`; the first folder with the
+        type wins.
 
     Raises
     ------
     SchemaError
-        Naming the type that is not there, and where it was looked for.
+        If no folder contains the type; the message names the type and the folders.
 
     """
     folders = [Path(prefix) / 'share' for prefix in prefixes]

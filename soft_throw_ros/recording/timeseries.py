@@ -12,14 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What the messages of a twin say, as numbers over time: from a bag, or as they come.
+Time series from the messages of a twin, recorded or live.
 
-All times are those of stamps. A message without a stamp (a phase, a line of the journal, a field)
-was published right after the state message of its step, and gets its time from that one.
+All times are stamps. A message without a stamp (a phase, a line of the journal, a field) was
+published right after the state message of its step, and gets the stamp of this state message.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
@@ -31,12 +32,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline
-from soft_throw_ros.configuration import rig_of, Settings, TWIN
+from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import find_topic, JOINTS, Topic, TWIN_TOPICS
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.cdr import decode, decode_joint_states, MessageError
+from soft_throw_ros.recording.cdr import decode, JointStateReader, JointStates, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Floats = NDArray[np.float64]
@@ -48,24 +51,27 @@ SECOND = 1_000_000_000  # [ns]
 DECODING_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
 )
-"""What comes of reading damaged bytes, or what somebody else means by the same name."""
+"""Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
 
 _KEPT_STATES = 100_000
-"""State messages that are kept of a throw, for the times of its field, which comes after it."""
+"""Number of state messages kept for the times of a throw's field, which comes after the throw."""
 
 _FIELD_SPAN = 1.5
-"""The field of a throw goes to so many ejection times."""
+"""Time span of the field of a throw. [ejection times]"""
 
 _LARGEST = 1e6
-"""Largest number in SI units, and of points, that is believed; damaged bytes give others."""
+"""Largest plausible number in SI units, and of points; damaged bytes exceed it."""
 
 _LAST_TIME = 2**62  # [ns]
 
 _DEFAULT_TICK = 1_000_000
-"""Time between state messages, before there are two of them. [ns]"""
+"""Assumed time between state messages before two have arrived. [ns]"""
 
 _SAME_CLOCK = 3600 * SECOND
-"""Times by the journal that are farther from a message than this are of another clock. [ns]"""
+"""Time between journal and message beyond which the journal used another clock. [ns]"""
+
+_PHASES = {float(number): phase.value for number, phase in enumerate(Phase)}
+"""Names of phases by their numbers in `~/phase_change`."""
 
 _STATE = np.dtype(
     [('stamps', np.int64), ('published', np.int64)]
@@ -74,43 +80,43 @@ _STATE = np.dtype(
 )
 
 
-class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type for
-    """Plate and projectile, a record for each stamp, in ascending order."""
+class RigStates(np.recarray[Any, Any]):  # numpy has no static type for records
+    """States of plate and projectile, one record per stamp, in ascending order."""
 
-    stamps: Stamps  # (n,) When they were so. [ns]
-    published: Stamps  # (n,) When that was said. [ns]
-    # (n, 2) Of plate and projectile; the force is that of the layer on each, up. [m], [m/s], [N]
+    stamps: Stamps  # (n,) [ns]
+    published: Stamps  # (n,) Times of publishing. [ns]
+    # (n, 2) Plate and projectile, with the upward force of the layer on them. [m], [m/s], [N]
     position: Floats
     velocity: Floats
     force: Floats
-    # (n,) Of the plate since it was last at rest; NaN while the rig is put back. [J]
+    # (n,) Work of the plate since its last rest; NaN while the rig returns to rest. [J]
     plate_work: Floats
-    # (n,) Kinetic and potential, relative to rest; NaN as before, or if the rig is not known. [J]
+    # (n,) Kinetic and potential energy, relative to rest; also NaN for an unknown rig. [J]
     projectile_energy: Floats
 
     @classmethod
     def join(cls, *parts: NDArray[np.void]) -> RigStates:
-        """Put parts together, in the order of their stamps, of which each is there once."""
+        """Concatenate parts, sort the records by stamp, and drop repeated stamps."""
         joined = np.concatenate(parts)
         _, order = np.unique(joined['stamps'], return_index=True)
         return joined[order].view(cls)
 
     @property
     def tick(self) -> int:
-        """Time from one to the next [ns]."""
+        """Time between two states [ns]."""
         recent = self.stamps[-100:]
         return int(np.median(np.diff(recent))) if recent.size > 1 else _DEFAULT_TICK
 
     def stamp_of(self, published: int) -> int:
-        """Return the stamp of the step with which something was published [ns]."""
-        # the twin may follow another clock than messages are published by
+        """Return the stamp of the step for a time of publishing [ns]."""
+        # The clock of the stamps may differ from the clock of publishing
         row = max(int(np.searchsorted(self.published, published, side='right')) - 1, 0)
         stamp = published + int(self.stamps[row] - self.published[row])
         nearest = int(self.stamps[np.abs(self.stamps - stamp).argmin()])
         return nearest if abs(nearest - stamp) <= self.tick // 2 else stamp
 
     def are_complete(self, begin: int, end: int) -> bool:
-        """Tell whether they go from before a time to after another, and none is missing."""
+        """Return whether the states cover a time span without a gap."""
         first, last = np.searchsorted(self.stamps, [begin + 1, end])
         if first == 0 or last == self.stamps.size:
             return False
@@ -118,14 +124,14 @@ class RigStates(np.recarray[Any, Any]):  # of records, which numpy has no type f
 
 
 class LayerStates(NamedTuple):
-    """The layer at some times."""
+    """States of the layer over time."""
 
     stamps: Stamps  # (n,) [ns]
-    height: Floats  # (n, points) Of points from plate to top, evenly spaced at rest. [m]
-    strain: Floats  # (n, points) There. [-]
-    # (n,) Elastic and kinetic, relative to rest; NaN while the rig is put back. [J]
+    height: Floats  # (n, points) Heights of points from plate to top, evenly spaced at rest. [m]
+    strain: Floats  # (n, points) Strain at these points. [-]
+    # (n,) Elastic and kinetic energy, relative to rest; NaN while the rig is put back. [J]
     energy: Floats
-    # (n,) With that of the projectile; without loss it is the work of the plate. [J]
+    # (n,) Energy of layer and projectile; without loss equal to the work of the plate. [J]
     total_energy: Floats
 
 
@@ -133,29 +139,29 @@ class LayerStates(NamedTuple):
 class StrainField:
     """Strain of the layer over time and height, in one throw."""
 
-    times: Floats  # (n,) Since the start, in time of the rig. [s]
-    stamps: Stamps  # (n,) The same by the clock of the stamps. [ns]
-    strain: Floats  # (n, points) A row for each time, from plate to top. [-]
-    thickness: float  # Of the layer at rest. [m]
-    ejection_time: float | None  # When the projectile left; None if it did not. [s]
+    times: Floats  # (n,) Time of the rig since the start. [s]
+    stamps: Stamps  # (n,) The same times as stamps. [ns]
+    strain: Floats  # (n, points) Strain from plate to top. [-]
+    thickness: float  # Thickness of the layer at rest. [m]
+    ejection_time: float | None  # Time of the release, None without a release. [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowStart:
-    """A throw begins; `time_scale` is time of the rig over time of the stamps [ns], [-]."""
+    """Start of a throw [ns]; `time_scale` is time of the rig over time of the stamps [-]."""
 
     stamp: int
     number: int
     time_scale: float
     has_field: bool = False  # as far as is known
 
-    def seconds_to(self, stamps: Any) -> Any:  # of one, or of an array of them
-        """Return the time of the rig from its start to some stamps [s]."""
+    def seconds_to(self, stamps: Any) -> Any:
+        """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
         return (stamps - self.stamp) * (self.time_scale / SECOND)
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
-    """Return the throws of each twin; of messages those with `tells_throws` are enough."""
+    """Return the throws of each twin; only messages with `tells_throws` are needed."""
     throws: dict[str, list[ThrowStart]] = {}
     readers: dict[str, TwinReader] = {}
     for message in messages:
@@ -168,40 +174,40 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
             try:
                 reader.read_journal(message)
             except DECODING_ERRORS:
-                continue  # it is counted when it is to be shown
+                continue  # the view counts it as unreadable
             if reader.throw is not None and reader.throw is not before:
                 throws.setdefault(node, []).append(reader.throw)
     return throws
 
 
 def tells_throws(topic: str, type_name: str) -> bool:
-    """Tell whether messages of such a topic tell when throws are, and whether they are whole."""
+    """Return whether a topic contains the starts of throws, or shows that they are complete."""
     return identify(topic, type_name)[1] in (TWIN_TOPICS.journal, TWIN_TOPICS.throw_field)
 
 
 @functools.cache
 def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
-    """Find of which node a topic is, and which; None if it is none of ours."""
+    """Return the node and the entry of a topic; the entry is None for topics of other packages."""
     found = find_topic(name, type_name)
     return found or ('', None)
 
 
 class TwinReader:
     """
-    Reads the messages of one twin, each with what those before have said.
+    A reader of the messages of one twin that remembers settings and states.
 
     Attributes
     ----------
     rig : Rig or None
-        That of the throw under way; None while it is not known.
+        Rig of the present throw; None while unknown.
     settings, wanted : mapping of str to value
-        Its settings, and those with what waits for the next throw.
+        Settings of the present throw, and of the next one, with all pending changes.
     throw : ThrowStart or None
         The last throw; None before the first.
     ejection_time : float or None
-        When the projectile leaves in it; None if that is not known. [s]
+        Time of the release in this throw; None if unknown. [s]
     states : RigStates or None
-        Plate and projectile since it began, and one before.
+        Plate and projectile from one state before this throw on.
 
     """
 
@@ -212,31 +218,34 @@ class TwinReader:
         self.throw: ThrowStart | None = None
         self.ejection_time: float | None = None
         self.states: RigStates | None = None
+        self._decoders: defaultdict[str, JointStateReader] = defaultdict(JointStateReader)
         self._schedule: TickSchedule | None = None
+        self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest: tuple[float, float] | None = None  # heights measured before the throw
 
     @property
     def time_scale(self) -> float:
-        """Time of the rig over that of the stamps [-]."""
+        """Time of the rig over time of the stamps [-]."""
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
 
     def wanted_rig(self) -> Rig | None:
-        """Return the rig with what waits for the next throw; None if nothing is known of it."""
-        return rig_of(self.wanted) if self.wanted else None
+        """Return the rig of the next throw, with all pending changes; None if unknown."""
+        return rig_of(self.wanted, self._motion_of) if self.wanted else None
 
     def stamp_of(self, message: Message) -> int:
-        """Find the stamp of the step that a message without one was published with [ns]."""
+        """Return the stamp of the step of a message without a stamp [ns]."""
         published = _published(message)
         return published if self.states is None else self.states.stamp_of(published)
 
     # the journal
 
     def read_journal(self, message: Message) -> None:
-        """Take over what a line says: a throw, a rig, or what is to come."""
+        """Apply a line of the journal: a throw, a rig, or pending changes."""
         entry = journal.decode(read_text(message))
+        self._motions |= entry.get('motions', {})
         match entry['kind']:
-            case 'pace' | 'tick_schedule':  # the former is that of version 0.1
+            case 'tick_schedule':
                 self._schedule = journal.decode_schedule(entry)
             case 'input' if entry.get('input') == 'parameters':
                 self.wanted = {**self.wanted, **_known(entry['values'])}
@@ -250,25 +259,29 @@ class TwinReader:
                 self.note_result(entry['result'])
 
     def note_result(self, values: Mapping[str, object]) -> None:
-        """Keep when the projectile leaves in the throw under way."""
+        """Store the ejection time of the present throw."""
         time = values.get('ejection_time')
         if self.throw is None or values.get('throw') == self.throw.number:
             self.ejection_time = time if isinstance(time, float) and time > 0.0 else None
 
     def _set_rig(self, settings: Settings) -> None:
-        """Take over settings, with nothing that waits."""
+        """Apply settings, and clear pending changes."""
         if self.rig is None or settings != self.settings:
-            self.rig = rig_of(settings)
+            self.rig = rig_of(settings, self._motion_of)
         self.settings = self.wanted = settings
 
+    def _motion_of(self, path: str) -> SampledMotion:
+        """Return the motion of a file from the journal; the file itself is not opened."""
+        return _decode_motion(self._motions[path])
+
     def _start_throw(self, entry: journal.Entry, stamp: int) -> None:
-        """Take over what is said at the start of a throw, and find out when that was."""
+        """Apply the line of the start of a throw, and determine the stamp of the start."""
         settings, step = _complete(entry), operator.index(entry['step'])
         number = operator.index(entry.get('throw', 0))
         if entry.get('schedule'):
             self._schedule = journal.decode_schedule(entry['schedule'])
         due = stamp if self._schedule is None else self._schedule.deadline(step)
-        onset = entry.get('onset', entry.get('departure'))  # the latter is that of version 0.1
+        onset = entry.get('onset')
         self._rest = None
         if onset is not None:
             due = operator.index(onset['onset_ns'])
@@ -284,9 +297,13 @@ class TwinReader:
 
     # plate and projectile
 
+    def _decode(self, messages: Sequence[Message]) -> JointStates:
+        decoder = self._decoders[messages[0].channel.topic]
+        return decoder.read_all([message.data for message in messages])
+
     def read_states(self, messages: Sequence[Message]) -> RigStates | None:
-        """Read messages of plate and projectile; None if they are of another machine."""
-        read = decode_joint_states([message.data for message in messages])
+        """Read messages of plate and projectile; return None for those of another machine."""
+        read = self._decode(messages)
         if not set(JOINTS) <= set(read.names):
             return None
         records = np.zeros(len(messages), _STATE)
@@ -302,13 +319,13 @@ class TwinReader:
         return states
 
     def _with_energies(self, states: RigStates) -> RigStates:
-        """Integrate what the plate does, from where it was last at rest."""
+        """Integrate the work of the plate since its last rest."""
         before = states if self.states is None else self.states
         height = np.concatenate([before.position[-1:, 0], states.position[:, 0]])
         force = np.concatenate([before.force[-1:, 0], states.force[:, 0]])
         work = cumulative_trapezoid(-force, height)
         work += -work[0] if before is states else np.nan_to_num(before.plate_work[-1])
-        # a measured plate is never quite at rest; what moves with it has not been thrown
+        # A measured plate is never quite at rest; a projectile with its velocity is still carried
         is_carried = states.velocity[:, 0] == states.velocity[:, 1]
         is_still = is_carried | (states.velocity[:, 0] == 0.0)
         last_rest = np.maximum.accumulate(np.where(is_still, np.arange(work.size), -1))
@@ -316,8 +333,8 @@ class TwinReader:
         energy = np.full(work.size, math.nan)
         if self.rig is not None:
             energy = _projectile_energy(self.rig, states.position[:, 1], states.velocity[:, 1])
-            energy[is_carried] = 0.0  # at rest, with whatever layer
-        # without any force the layer is left out, and nothing is thrown: the rig is put back
+            energy[is_carried] = 0.0  # at rest
+        # Without any force, the layer is omitted and no throw runs: the rig is put back
         is_put_back = (states.force == 0.0).all(axis=1)
         work[is_put_back] = energy[is_put_back] = math.nan
         states.plate_work[:], states.projectile_energy[:] = work, energy
@@ -327,12 +344,12 @@ class TwinReader:
         self, topic: Topic, messages: Sequence[Message]
     ) -> tuple[Stamps, Floats] | None:
         """
-        Read positions besides those of the states: measured, predicted, or what is left over.
+        Read measured positions, predicted positions or residuals.
 
-        They are relative to rest if measured, and NaN for a joint that is not; None of another
-        machine, or while rest is not known.
+        Measured positions are relative to rest, and NaN for a joint without measurement. Return
+        None for another machine, or while the rest is unknown.
         """
-        read = decode_joint_states([message.data for message in messages])
+        read = self._decode(messages)
         if topic.joints[0] not in read.names or read.position.shape[1] != len(read.names):
             return None
         position = np.full((len(messages), len(topic.joints)), math.nan)
@@ -342,31 +359,30 @@ class TwinReader:
         if topic == TWIN_TOPICS.measured_joint_states:
             if self._rest is None or self.rig is None:
                 return None
-            position -= [self._rest[0], self._rest[1] - _rest_height(self.rig)]
+            position -= [self._rest[0], self._rest[1] - self.rig.rest_height]
         is_number = (np.abs(position) <= _LARGEST).any(axis=1)
         return read.stamps[is_number], position[is_number]
+
+    def read_phase_changes(self, messages: Sequence[Message]) -> list[tuple[int, str]]:
+        """Read stamps [ns] and names of phases; those of another machine are left out."""
+        read = self._decode(messages)
+        if read.names != TWIN_TOPICS.phase_change.joints or read.position.shape[1] != 1:
+            return []
+        pairs = zip(read.stamps.tolist(), read.position[:, 0].tolist(), strict=True)
+        return [(stamp, _PHASES[number]) for stamp, number in pairs if number in _PHASES]
 
     # the layer
 
     def read_layer(self, messages: Sequence[Message]) -> LayerStates | None:
         """Read messages of the layer; None while rig or plate are not known."""
-        read = decode_joint_states([message.data for message in messages])
+        read = self._decode(messages)
         if len(read.names) < 2 or read.position.shape != read.velocity.shape:
             raise MessageError(f'a layer of {len(read.names)} joints')
         _check_numbers(read.position, read.velocity)
         return self._layer_at(read.stamps, read.position, read.velocity)
 
-    def read_former_strain(self, message: Message) -> LayerStates | None:
-        """Read the strain of a layer, as bags of version 0.1 have it, whose speed is apart."""
-        strain, stamps = _read_field(message, dimensions=1), np.array([self.stamp_of(message)])
-        if self.rig is None or self.states is None:
-            return None
-        plate = self.states.position[self._rows(stamps), 0]
-        height = _heights(strain[None], plate, self.rig.layer.thickness)
-        return self._layer_at(stamps, height, np.full_like(height, math.nan))
-
     def _rows(self, stamps: Stamps) -> NDArray[np.intp]:
-        """Return which states are of some stamps, or next to them."""
+        """Return the indices of the states at or after some stamps."""
         assert self.states is not None
         return np.searchsorted(self.states.stamps, stamps).clip(0, self.states.size - 1)
 
@@ -381,7 +397,7 @@ class TwinReader:
 
     def read_field(self, message: Message) -> StrainField | None:
         """Read the field of the throw under way; None while the rig is not known."""
-        strain, stamp = _read_field(message, dimensions=2), self.stamp_of(message)
+        strain, stamp = _read_field(message), self.stamp_of(message)
         if self.rig is None:
             return None
         throw = self.throw or ThrowStart(stamp=stamp, number=0, time_scale=self.time_scale)
@@ -413,7 +429,7 @@ class TwinReader:
             throw.seconds_to(states.stamps), states.position, states.velocity
         )
         position, speed = path(field.times), path(field.times, 1)
-        # the field has no velocity, but a strain that changes moves what is above it
+        # The field has no velocity; it follows from the strain rate below each point
         rate = np.gradient(field.strain, field.times, axis=0, edge_order=2)
         velocity = _integral(rate, field.thickness) + speed[:, :1]
         height = _heights(field.strain, position[:, 0], field.thickness)
@@ -425,14 +441,9 @@ class TwinReader:
 # energies and heights
 
 
-def _rest_height(rig: Rig) -> float:
-    """Return where the projectile rests [m]."""
-    return rig.layer.thickness - rig.static_sag
-
-
 def _projectile_energy(rig: Rig, height: Floats, speed: Floats) -> Floats:
     """Return kinetic and potential energy of the projectile relative to rest [J]."""
-    rise = height - _rest_height(rig)
+    rise = height - rig.rest_height
     return np.asarray(rig.projectile.mass * (0.5 * speed**2 + rig.gravity * rise))
 
 
@@ -448,13 +459,14 @@ def _layer_energy(rig: Rig, height: Floats, velocity: Floats) -> Floats:
     sheet_of_cell = np.searchsorted(tops, middles).clip(max=len(sheets) - 1)
     modulus = np.array([sheet.youngs_modulus for sheet in sheets])[sheet_of_cell]
     density = np.array([sheet.density for sheet in sheets])[sheet_of_cell]
-    rest = rig.projectile.mass * rig.gravity / (modulus * layer.section)
+    weight = rig.projectile.mass * rig.gravity
+    rest = np.array([sheet.static_strain(weight) for sheet in sheets])[sheet_of_cell]
     per_volume = 0.5 * (modulus * (strain**2 - rest**2) + density * speed_squared)
     return np.asarray(layer.section * step * per_volume.sum(axis=1))
 
 
 def _heights(strain: Floats, plate_position: Floats, thickness: float) -> Floats:
-    """Return where points of a strained layer are, shape (n, points) [m]."""
+    """Return the heights of points of a strained layer, shape (n, points) [m]."""
     return plate_position[:, None] + _integral(1.0 + strain, thickness)
 
 
@@ -467,8 +479,8 @@ def _integral(values: Floats, thickness: float) -> Floats:
 # single messages
 
 
-def read_message(message: Message) -> Any:  # of any type
-    """Decode a message, into fields as its definition names them."""
+def read_message(message: Message) -> Any:
+    """Decode a message of any type, with the fields of its definition."""
     return decode(message.channel.type, message.channel.schema, message.data)
 
 
@@ -505,12 +517,12 @@ def _published(message: Message) -> int:
     return published
 
 
-def _read_field(message: Message, *, dimensions: int) -> Floats:
+def _read_field(message: Message) -> Floats:
     """Read an array with a point at either end of the layer at least."""
     array = read_message(message)
     values = np.reshape(array.data, [each.size for each in array.layout.dim])
-    if values.ndim != dimensions or min(values.shape) < 2 or values.size > _LARGEST:
-        raise MessageError(f'an array of {dimensions} dimensions, not {values.shape}')
+    if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
+        raise MessageError(f'an array of 2 dimensions, not {values.shape}')
     _check_numbers(values)
     return values
 
@@ -522,14 +534,20 @@ def _check_numbers(*arrays: Floats) -> None:
 
 
 def _complete(entry: journal.Entry) -> Settings:
-    """Return the settings of an entry, and defaults for what it does not have."""
+    """Return the settings of an entry, with defaults for missing ones."""
     return {**TWIN.defaults(), **_known(entry['settings'])}
 
 
+@functools.lru_cache(maxsize=4)
+def _decode_motion(text: str) -> SampledMotion:
+    """Decode a motion; the same text gives the same object, so that rigs are equal."""
+    return motions.decode(text)
+
+
 def _known(settings: Settings) -> Settings:
-    """Return those settings that this twin has; raise ValueError for values that it refuses."""
+    """Return the known settings by their present names; raise ValueError for a bad value."""
     return {
         name: TWIN.check_value(name, value)
-        for name, value in settings.items()
+        for name, value in TWIN.without_deprecated(settings).items()
         if name in TWIN.by_name
     }

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Write a bag in a thread of its own, so that no disk holds up those who have messages."""
+"""A bag written in a thread of its own, so that a slow disk does not block the caller."""
 
 from __future__ import annotations
 
@@ -24,11 +24,19 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import BagError, Channel, Message
 
 FLUSH_PERIOD = 0.5
-"""How often what is written is made to last; also how often a bad disk is tried again. [s]"""
+"""Period of flushes, and of retries after an error of the disk. [s]"""
 
-_WRITE_PERIOD = 0.1  # how long messages wait to be written [s]
+STALL_TIMEOUT = 15.0
+"""Longest time without progress of the disk before closing gives up. [s]"""
 
-_OVERHEAD = 500  # what a message takes in memory besides its data [bytes]
+STALL_NOTICE = 2.0
+"""Time without progress after which closing reports the reason. [s]"""
+
+_JOIN_PERIOD = 0.1  # period in which closing checks the progress of the disk [s]
+
+_WRITE_PERIOD = 0.1  # period of writing waiting messages [s]
+
+_OVERHEAD = 500  # memory of a message besides its data [bytes]
 
 
 class WriterThread:
@@ -38,16 +46,16 @@ class WriterThread:
     Parameters
     ----------
     open_bag : callable
-        Makes the bag, or raises BagError; then it is called again every `FLUSH_PERIOD`.
+        Creates the bag; called again every `FLUSH_PERIOD` as long as it raises BagError.
     capacity : int
-        How much may wait for the disk, or for room on it. What comes beyond is dropped. [bytes]
+        Largest amount of data that may wait for the disk; further messages are dropped. [bytes]
 
     Attributes
     ----------
     bag : BagWriter or None
-        None while it could not be made.
+        The bag; None until its creation succeeds.
     error : str
-        Why nothing is written at present; empty if all is well.
+        Present error of writing; empty without an error.
 
     """
 
@@ -62,7 +70,8 @@ class WriterThread:
         # Two sums, each of one thread, and no lock
         self._put_size = 0  # [bytes]
         self._written_size = 0  # [bytes]
-        self._is_closing = threading.Event()
+        self._is_closing = False
+        self._wake = threading.Event()  # set if somebody asks for a flush
         self._flush()
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
@@ -74,12 +83,12 @@ class WriterThread:
 
     @property
     def waiting(self) -> int:
-        """How many messages wait for the disk."""
+        """Number of messages that wait for the disk."""
         kept = sum(self.bag.counts.values()) if self.bag is not None else 0
         return max(self._count - kept - sum(self.lost().values()), 0)
 
     def put(self, messages: Iterable[Message]) -> None:
-        """Have messages written, or dropped if too much waits already."""
+        """Queue messages for writing; drop them if too much data waits already."""
         room = self._capacity - self._put_size + self._written_size
         room -= self.bag.unsaved if self.bag is not None else 0
         for message in messages:
@@ -93,30 +102,71 @@ class WriterThread:
                 self._waiting.append(message)
 
     def call(self, act: Callable[[BagWriter], None]) -> None:
-        """Have something else done with the bag, after the messages so far."""
+        """Queue a function that acts on the bag after the messages so far."""
         self._waiting.append(act)
 
     def lost(self) -> Counter[Channel]:
-        """Return how many messages are not in the bag, and will not be, by their channels."""
+        """Return the numbers of finally lost messages by channel."""
         bag = self.bag
         return self._dropped.copy() + (bag.lost if bag is not None else Counter())
 
-    def close(self) -> None:
-        """Write what waits, and finish the bag; if its end could not be written, see `error`."""
-        self._is_closing.set()
-        self._thread.join()
+    def flush(self) -> None:
+        """Begin to save all messages so far, without waiting for the next period."""
+        self._wake.set()
+
+    def close(self, on_stall: Callable[[str], None] = lambda _text: None) -> None:
+        """
+        Write all messages that wait, and finish the bag; if that fails, set `error`.
+
+        Parameters
+        ----------
+        on_stall : callable
+            Called with a sentence if the disk takes nothing for `STALL_NOTICE`. After
+            `STALL_TIMEOUT` the thread is left alone, and all messages not saved are lost.
+
+        """
+        self._is_closing = True
+        self._wake.set()
+        progress, since, is_told = self._progress(), time.monotonic(), False
+        while self._thread.is_alive():
+            self._thread.join(_JOIN_PERIOD)
+            if progress != self._progress():
+                progress, since, is_told = self._progress(), time.monotonic(), False
+            stalled = time.monotonic() - since
+            if stalled > STALL_NOTICE and not is_told:
+                is_told = True
+                on_stall(
+                    f'the disk takes nothing; {self.waiting} messages wait, '
+                    f'for at most {STALL_TIMEOUT:g} s'
+                )
+            if stalled > STALL_TIMEOUT:
+                self._abandon()
+                return
+
+    def _abandon(self) -> None:
+        """Count all messages that are not saved as lost."""
+        self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
+        self._drop_waiting()
+        if self.bag is not None:
+            self.bag.is_abandoned = True
+
+    def _progress(self) -> tuple[int, int, int]:
+        unsaved = self.bag.unsaved if self.bag is not None else 0
+        return len(self._waiting), self._written_size, unsaved
 
     def _run(self) -> None:
         next_flush = time.monotonic() + FLUSH_PERIOD
-        while not self._is_closing.wait(_WRITE_PERIOD):
+        while not self._is_closing:
+            is_asked = self._wake.wait(_WRITE_PERIOD)
+            self._wake.clear()
             self._write()
-            if time.monotonic() >= next_flush:
+            if is_asked or time.monotonic() >= next_flush:
                 next_flush = time.monotonic() + FLUSH_PERIOD
                 self._flush()
         if self.bag is None:
             self._flush()
         self._write()
-        self._dropped.update(item.channel for item in self._waiting if isinstance(item, Message))
+        self._drop_waiting()
         if self.bag is not None:
             try:
                 self.bag.close()
@@ -125,8 +175,12 @@ class WriterThread:
             else:
                 self.error = ''
 
+    def _drop_waiting(self) -> None:
+        waiting = self._waiting.copy()  # the thread may go on meanwhile
+        self._dropped.update(item.channel for item in waiting if isinstance(item, Message))
+
     def _write(self) -> None:
-        """Write what waits."""
+        """Write the queued messages, and call the queued functions."""
         while self._waiting and self.bag is not None:
             item = self._waiting.popleft()
             if not isinstance(item, Message):
@@ -139,7 +193,7 @@ class WriterThread:
             self._written_size += len(item.data) + _OVERHEAD
 
     def _flush(self) -> None:
-        """Have all that is written kept, or, if that could not be done, try again."""
+        """Flush the bag; after an error, create it or retry."""
         try:
             if self.bag is None:
                 self.bag = self._open_bag()

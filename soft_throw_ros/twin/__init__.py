@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The twin without ROS: what happens at which step, and all that is needed to repeat it."""
+"""The twin without ROS: a sequence of steps, and a journal that repeats them exactly."""

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a throw gives if the engine goes on as it should, and how well that is known."""
+"""Forecast of a release by the fitted motion of the engine, with its errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
@@ -24,16 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine
-from soft_throw_ros.core.stepper import Event, Stepper
+from soft_throw_ros.core.stepper import Stepper, TIME
 from soft_throw_ros.twin.engine_fit import AMPLITUDE, DAMPING, EngineEstimate, FREQUENCY, START
 
 Floats = NDArray[np.float64]
 Throw = Callable[[Engine], tuple[float, float] | None]
 
-TWO_SIDED = 1.96  # standard errors to either side in a 95 % interval
-_STEPS = {AMPLITUDE: 0.01, FREQUENCY: 2e-3, DAMPING: 5e-3}  # of differences, see `engine_fit`
-_PIECES = 64  # states of the plate, joined by quintics, in a plate period
-_LONGER = 1.3  # how long a throw is followed, in ejection times of the engine as it should be
+TWO_SIDED = 1.96
+"""Half of a 95 % interval in standard errors. [-]"""
+
+_STEPS = {AMPLITUDE: 0.01, FREQUENCY: 2e-3, DAMPING: 5e-3}
+"""Steps of difference quotients by the unknowns of `engine_fit`. [-]"""
+
+_PIECES = 64
+"""States of the plate in a period; quintics between them are exact to rounding. [-]"""
+
+_LONGER = 1.3
+"""Duration of a forecast over the ejection time with the nominal engine. [-]"""
 
 
 class ReleaseErrors(NamedTuple):
@@ -44,39 +51,39 @@ class ReleaseErrors(NamedTuple):
     energy_transfer: float
 
 
-@dataclass(frozen=True)
 class EngineForecaster:
     """
-    Predicts the release by what is known of the engine's motion.
+    A forecast of the release by the fitted motion of the engine.
 
-    Attributes
+    Parameters
     ----------
     ejection_time : float
-        Of the engine as it should be. [s]
+        Ejection time with the nominal engine. [s]
     gradient : ndarray, shape (3, 5)
-        Of the time of the release [s], and the logarithms of speed and energy transfer, by the
-        unknowns of `engine_fit`.
+        Derivatives of the time of the release [s], and of the logarithms of speed and energy
+        transfer, by the unknowns of `engine_fit`.
     stepper : Stepper
-        By which throws are followed ahead of time.
+        Simulates throws ahead of time.
 
     """
 
-    ejection_time: float
-    gradient: Floats
-    stepper: Stepper
+    def __init__(self, ejection_time: float, gradient: Floats, stepper: Stepper) -> None:
+        self.ejection_time = ejection_time
+        self.gradient = gradient
+        self.stepper = stepper
 
     @classmethod
     def of(cls, engine: Engine, throw: Throw, stepper: Stepper) -> EngineForecaster | None:
-        """Make it by `throw`, which gives time and speed of a release; None if there is none."""
+        """Return a forecaster by `throw`, which computes time and speed of a release, if any."""
         gradient = np.zeros((3, 5))
         gradient[0, START] = 1.0
         for unknown, step in _STEPS.items():
             down = min(step, engine.damping_ratio) if unknown == DAMPING else step
             ends = [_changed(engine, unknown, step), _changed(engine, unknown, -down)]
-            found = [throw(end) for end in ends]
-            if found[0] is None or found[1] is None:
+            releases = [throw(end) for end in ends]
+            if releases[0] is None or releases[1] is None:
                 return None
-            (later, faster), (earlier, slower) = found[0], found[1]
+            (later, faster), (earlier, slower) = releases[0], releases[1]
             peaks = [Underdamped.of(end).peak_velocity for end in ends]
             speed = math.log(faster / slower)
             change = (later - earlier, speed, 2.0 * (speed - math.log(peaks[0] / peaks[1])))
@@ -85,27 +92,46 @@ class EngineForecaster:
         return None if release is None else cls(release[0], gradient, stepper)
 
     def errors(self, estimate: EngineEstimate) -> ReleaseErrors:
-        """Return how well the release is known."""
+        """
+        Return the standard errors of a release.
+
+        Scattered stamps may all be late by about their scatter, which the samples do not show.
+        """
         variances = (self.gradient @ estimate.covariance * self.gradient).sum(axis=1)
+        variances[0] += estimate.stamp_error**2
         return ReleaseErrors(*np.sqrt(variances).tolist())
 
-    def release(self, estimate: EngineEstimate) -> Event | None:
-        """Go ahead to the first release; None if there is none where it should be."""
-        length = _LONGER * self.ejection_time
-        times = np.linspace(0.0, length, math.ceil(_PIECES * length * estimate.plate.frequency))
-        self.stepper.reset()
-        self.stepper.append_plate_states(times, estimate.states(times))
-        count = self.stepper.advance_to(min(length, self.stepper.horizon))
-        return self.stepper.events()[0] if count else None
+    def change(self, one: EngineEstimate, other: EngineEstimate) -> ReleaseErrors:
+        """Return the changes of a release from one estimate to another, to first order."""
+        return ReleaseErrors(*(self.gradient @ (other.unknowns - one.unknowns)).tolist())
 
-    def states(self, estimate: EngineEstimate, until: float) -> tuple[Floats, Floats]:
-        """Return times and states of the plate from its start to a time."""
-        times = np.linspace(0.0, until, 2 + math.ceil(_PIECES * until * estimate.plate.frequency))
+    def begin(self, estimate: EngineEstimate) -> None:
+        """Put the stepper at the start of the throw of an estimate."""
+        length = _LONGER * self.ejection_time
+        self.stepper.reset()
+        self.stepper.append_plate_states(*self.states(estimate, 0.0, length))
+
+    def advance(self, duration: float) -> bool:
+        """Advance that throw; return whether it has come to the first release or to its end."""
+        stepper = self.stepper
+        goal = min(float(stepper.state[TIME]) + duration, stepper.horizon)
+        return stepper.advance_to(goal) > 0 or goal >= stepper.horizon
+
+    def states(
+        self, estimate: EngineEstimate, after: float, until: float
+    ) -> tuple[Floats, Floats]:
+        """
+        Return times since the start, and states of the plate, from one time to another.
+
+        The first time is the start if `after` is 0, else it is later than `after`.
+        """
+        count = max(math.ceil(_PIECES * (until - after) * estimate.plate.frequency), 1)
+        times = np.linspace(after, until, count + 1)[after > 0.0:]
         return times, estimate.states(times)
 
 
 def _changed(engine: Engine, unknown: int, step: float) -> Engine:
-    """Change what an unknown is of by so much."""
+    """Return an engine with one unknown changed by a step."""
     if unknown == AMPLITUDE:
         return replace(engine, amplitude=engine.amplitude * (1.0 + step))
     if unknown == FREQUENCY:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What must be known to repeat a run, and what it gave, as lines of JSON.
+The journal of a run as lines of JSON: its inputs, so that it can be repeated, and its results.
 
 An entry is a mapping with `kind`, `line` (its number in the session) and `step`, the step before
 which it happened:
@@ -28,8 +28,8 @@ input         `input`: 'throw', 'reset', or 'parameters' with their `values` and
 tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
 result        `result`: the values of a `ThrowResult`, where None is infinite; and in the end of
               a throw `states` and `fields` as below, of the steps before from its start on
-checksum      `first`, `states`, `fields`: CRC-32 of what the steps from `first` to before `step`
-              gave, about a second of them
+checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
+              `step`, for about a second
 ============= ================================================================================
 
 All but the last two repeat a run; those tell if it is the same. Numbers are written with all their
@@ -55,9 +55,11 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
-from soft_throw_ros.twin.onset import Onset, Rest
-from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.configuration.table import number_of, quote
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Entry = Mapping[str, Any]  # of JSON, whose values are of many types
@@ -70,24 +72,35 @@ VERSIONS: Mapping[str, str] = {
     'machine': platform.machine(),
     'libc': ' '.join(platform.libc_ver()),
 }
-"""What the digits of a run depend on."""
+"""Versions of the software that determine the last digits of a run."""
 
-BATCH_TIME = 0.1  # for which samples are put together in an entry, by the clock [s]
-CHECKSUM_TIME = 1.0  # from one checksum to the next, by the clock [s]
+BATCH_TIME = 0.1
+"""Time of the clock whose samples are written in one entry. [s]"""
+
+CHECKSUM_TIME = 1.0
+"""Time of the clock from one checksum to the next. [s]"""
+
 STATE = struct.Struct(f'<{len(State._fields)}d')
-"""A state as the checksums take it: its numbers in order, 8 bytes each, little endian."""
+"""Binary form of a state for checksums: its numbers in order, 8 bytes each, little endian."""
 
 _TYPES = {'step': int, 'line': int, 'throw': int, 'versions': dict, 'result': dict}
-_LONGEST_DATA = 1 << 28  # of an entry, unpacked [byte]
-_FARTHEST = 2**62  # of a step, or of a time [ns]
-_MOST_AT_ONCE = 4096  # of states that are added to a checksum [byte]
+
+_LONGEST_DATA = 1 << 24
+"""Size of the unpacked samples of an entry, 26 s at 10 kHz. [byte]"""
+
+_FARTHEST = 2**62
+"""Largest magnitude of a step [-], and of a time [ns]."""
+
+_MOST_AT_ONCE = 4096
+"""Size of the states that are added to a checksum at once, to bound the time. [byte]"""
+
 _SAMPLE = np.dtype(
     [('step', '<i8'), ('stamp_ns', '<i8'), *((name, '<f8') for name in Sample._fields[1:])]
 )
 
 
 class JournalError(ValueError):
-    """A line is no entry of a journal, or an entry does not fit the session."""
+    """An invalid line of a journal, or an entry that does not fit the session."""
 
 
 def encode(entry: Entry) -> str:
@@ -97,12 +110,12 @@ def encode(entry: Entry) -> str:
 
 def decode(line: str) -> Entry:
     """
-    Read one line.
+    Parse one line.
 
     Raises
     ------
     JournalError
-        Quoting the line, if it is no entry.
+        If the line is no entry; the message quotes the line.
 
     Examples
     --------
@@ -113,18 +126,14 @@ def decode(line: str) -> Entry:
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise JournalError(f'not a line of a journal, {error}: {line!r}') from error
+        raise JournalError(f'not a line of a journal, {error}: {quote(line)}') from error
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
-        raise JournalError(f'an entry of a journal has kind and step, got {line!r}')
+        raise JournalError(f'an entry of a journal has kind and step, got {quote(line)}')
     for name, kind in _TYPES.items():
         if name in entry and type(entry[name]) is not kind:
-            raise JournalError(f'{name} of an entry is of another type, got {entry[name]!r}')
+            raise JournalError(f'{name} of an entry is of another type, got {quote(entry[name])}')
     if abs(entry['step']) > _FARTHEST:
-        raise JournalError(f'a step is at most {_FARTHEST}, got {entry["step"]!r}')
-    try:
-        motions.remember(entry.get('motions', {}))
-    except (AttributeError, ValueError) as error:
-        raise JournalError(f'an entry of a journal, {error}: {line!r}') from error
+        raise JournalError(f'a step is at most {_FARTHEST}, got {quote(entry["step"])}')
     for part in ('settings', 'pending', 'values'):
         if isinstance(entry.get(part), dict):  # JSON knows no tuples
             entry[part] = {
@@ -135,39 +144,57 @@ def decode(line: str) -> Entry:
 
 
 def checked_settings(entry: Entry, part: str) -> Settings:
-    """Return settings of an entry; JournalError if they are missing, or no such values exist."""
+    """Return settings of an entry by present names; JournalError if missing or refused."""
     settings = entry.get(part)
     if not isinstance(settings, Mapping):
-        raise JournalError(f'an entry lacks {part}: {dict(entry)!r}')
+        raise JournalError(f'an entry lacks {part}: {quote(dict(entry))}')
     try:
+        settings = TWIN.without_deprecated(settings)
         for name, value in settings.items():
             TWIN.check_value(name, value)
     except ParameterError as error:
         raise JournalError(str(error)) from error
+    stack = str(settings.get('layer.stack', ''))
+    words = stack.replace(',', ' ').split()
+    if settings.get('layer.library') and any(number_of(word) is None for word in words):
+        raise JournalError(f'layer.stack {quote(stack)} has names of materials, and not numbers')
     return settings
 
 
-def _motions(*settings: Settings) -> dict[str, dict[str, str]]:
-    """Write down the motions of files that settings name; nothing if there are none."""
-    found = {path: text for each in settings for path, text in motions.encode(each).items()}
-    return {'motions': found} if found else {}
+def motion_source(entry: Entry) -> motions.MotionSource:
+    """
+    Return a source of the motions that an entry contains, by the paths of their files.
+
+    No file is opened: the source raises JournalError for every other path.
+    """
+    texts = entry.get('motions', {})
+
+    def motion_of(path: str) -> SampledMotion:
+        try:
+            return motions.decode(texts[path])
+        except (KeyError, TypeError, ValueError) as error:
+            raise JournalError(
+                f'{entry["kind"]} of step {entry["step"]} has no motion of {quote(path)}: {error}'
+            ) from error
+
+    return motion_of
 
 
 def decode_schedule(values: Entry) -> TickSchedule:
-    """Read what `encode_schedule` wrote, alone or among others."""
+    """Decode a schedule from the values of an entry."""
     try:
         step, time_ns = index(values['anchor_step']), index(values['anchor_time_ns'])
         rate = values['rate']
         is_schedule = max(abs(step), abs(time_ns)) <= _FARTHEST and 1e-3 <= rate <= 1e9
     except (KeyError, TypeError) as error:
-        raise JournalError(f'not a schedule of ticks, {error!r}: {values!r}') from error
+        raise JournalError(f'not a schedule of ticks, {error!r}: {quote(values)}') from error
     if not is_schedule:
-        raise JournalError(f'a schedule has times and a rate, got {values!r}')
+        raise JournalError(f'a schedule has times and a rate, got {quote(values)}')
     return TickSchedule(step=step, time_ns=time_ns, rate=rate)
 
 
 def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
-    """Write a schedule down for an entry."""
+    """Encode a schedule for an entry."""
     return {
         'anchor_step': schedule.step,
         'anchor_time_ns': schedule.time_ns,
@@ -177,10 +204,10 @@ def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
 
 def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> Entry:
     """
-    Write samples that were taken down for an entry, each batch before a step.
+    Encode batches of samples for an entry, each with the step that followed it.
 
-    `data` is, one sample after another, the step, the stamp and the rest of `Sample`, 8 bytes
-    each, little endian; deflated, in base 64, which keeps every bit.
+    `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
+    each, little endian, compressed by zlib, in base 64.
 
     Examples
     --------
@@ -196,13 +223,13 @@ def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> Entry:
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
-    """Return the samples that an entry tells, in batches, each before a step."""
+    """Decode the samples of an entry, in batches with the step that followed each."""
     try:
         data = base64.b64decode(entry['data'], validate=True)
         content = zlib.decompressobj().decompress(data, _LONGEST_DATA)
-        rows = np.frombuffer(content, _SAMPLE, entry['count'])  # refuses what is too short
+        rows = np.frombuffer(content, _SAMPLE, entry['count'])  # ValueError if too short
     except (KeyError, TypeError, ValueError, zlib.error) as error:
-        raise JournalError(f'no samples can be read, {error}: {dict(entry)!r}') from error
+        raise JournalError(f'no samples can be read, {error}: {quote(dict(entry))}') from error
     steps = [*rows['step'].tolist(), entry['step']]
     if any(later < earlier for earlier, later in pairwise(steps)):
         raise JournalError(f'samples are before {entry["step"]}, in order, got steps {steps}')
@@ -213,7 +240,7 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
 
 
 def encode_onset(onset: Onset) -> Entry:
-    """Write an onset down for an entry."""
+    """Encode an onset for an entry."""
     rest = onset.rest
     return {
         'onset_ns': onset.onset_ns,
@@ -222,17 +249,19 @@ def encode_onset(onset: Onset) -> Entry:
         'noise': rest.noise,
         'rest_error': rest.error,
         'trusts_engine': onset.trusts_engine,
+        'stamp_scatter': onset.stamp_scatter,
+        'stamp_error': onset.stamp_error,
         **encode_samples([(0, onset.samples)]),
     }
 
 
 def decode_onset(values: Entry) -> Onset:
-    """Read what `encode_onset` wrote."""
+    """Decode an onset."""
     try:
         projectile = values['projectile_rest']
         return Onset(
             onset_ns=index(values['onset_ns']),
-            rest=Rest(
+            rest=RestBaseline(
                 plate=float(values['plate_rest']),
                 projectile=math.nan if projectile is None else float(projectile),
                 noise=float(values['noise']),
@@ -242,16 +271,18 @@ def decode_onset(values: Entry) -> Onset:
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
             trusts_engine=bool(values['trusts_engine']),
+            stamp_scatter=float(values.get('stamp_scatter', 0.0)),
+            stamp_error=float(values.get('stamp_error', 0.0)),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise JournalError(
-            f'a throw of a measured plate has its onset, {error!r}: {values!r}'
+            f'invalid onset of a throw of a measured plate, {error!r}: {quote(values)}'
         ) from error
 
 
 @dataclass
 class _Checksum:
-    """CRC-32 of the states of steps from the `first` on, and of what they tell of the layer."""
+    """CRC-32 of the states, and of the fields of the layer, since the step `first`."""
 
     first: int
     states: int = 0
@@ -263,17 +294,16 @@ class _Checksum:
 
 class JournalWriter:
     """
-    Writes the journal of a session: numbers entries, puts samples together, adds up checksums.
+    A writer of the journal of a session: numbered entries, batches of samples, and checksums.
 
-    Checksums begin anew with every throw, so that whoever has the journal from there on can check
-    it.
+    A checksum begins with every throw, so that a journal can be checked from any throw on.
 
     Parameters
     ----------
     on_line : callable
-        Called with every line, in order. It must not call back.
+        Called with every line, in order; it must not call the writer.
     step : int
-        The first step.
+        Number of the first step.
 
     """
 
@@ -282,7 +312,7 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, list[Sample]]] = []
         self._last_flush_step = step
-        self._states = bytearray()  # that the checksums lack: to add up many at once is quicker
+        self._states = bytearray()  # not in the checksums yet; adding many at once is faster
         self._second = _Checksum(step)
         self._throw: _Checksum | None = None
 
@@ -293,27 +323,31 @@ class JournalWriter:
         self._on_line(encode({'kind': kind, 'line': self._line, 'step': step, **values}))
         self._line += 1
 
-    def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
-        """Write that a session or a throw starts, and begin checksums anew."""
+    def begin(
+        self, kind: str, step: int, settings: Settings, motions: Mapping[str, str], **values: Any
+    ) -> None:
+        """Write the start of a session or a throw with encoded motions; begin a checksum."""
         self._write_checksum(step)
         if kind == 'throw':
             self._throw = _Checksum(step)
-        wanted = {**settings, **values.get('pending', {})}
         self.write(
             kind, step, settings=dict(settings), versions=dict(VERSIONS), **values,
-            **_motions(settings, wanted),
+            **({'motions': dict(motions)} if motions else {}),
         )
 
-    def write_change(self, step: int, values: Settings) -> None:
-        """Write that parameters are changed."""
-        self.write('input', step, input='parameters', values=dict(values), **_motions(values))
+    def write_change(self, step: int, values: Settings, motions: Mapping[str, str]) -> None:
+        """Write a change of parameters with the encoded motions that it needs."""
+        self.write(
+            'input', step, input='parameters', values=dict(values),
+            **({'motions': dict(motions)} if motions else {}),
+        )
 
     def keep_samples(self, step: int, samples: list[Sample]) -> None:
-        """Keep samples that were taken, for an entry to come."""
+        """Store accepted samples for a later entry."""
         self._batches.append((step, samples))
 
     def write_result(self, step: int, result: ThrowResult) -> None:
-        """Write what a throw gave."""
+        """Write the result of a throw."""
         checksums: dict[str, int] = {}
         if result.stage == 'final' and self._throw is not None:
             self._add_states()
@@ -325,7 +359,7 @@ class JournalWriter:
         self.write('result', step, result=values, **checksums)
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
-        """Add what a step gave to the checksums, and write what is due after it."""
+        """Add the outputs of a step to the checksums, and write the entries that are due."""
         self._states += STATE.pack(*outputs.state)
         if len(self._states) > _MOST_AT_ONCE:
             self._add_states()
@@ -335,37 +369,37 @@ class JournalWriter:
             self._add_fields([outputs.throw_field.checksum.to_bytes(4, 'little')])
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
-            self._flush(following)  # even if there are none, which is worth knowing
+            self._flush(following)  # also without samples, as a sign of life
         if following - self._second.first >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
-        """Write what has not been written yet, since there are no more steps."""
+        """Write the remaining entries after the last step."""
         if self._batches:
             self._flush(step)
         self._write_checksum(step)
 
     def _add_states(self) -> None:
-        """Go on by the states since the last time."""
+        """Add the stored states to the checksums."""
         for checksum in filter(None, (self._second, self._throw)):
             checksum.states = crc32(self._states, checksum.states)
         self._states.clear()
 
     def _add_fields(self, parts: Sequence[memoryview | bytes]) -> None:
-        """Go on by what was told of the layer."""
+        """Add the outputs of the layer to the checksums."""
         for checksum in filter(None, (self._second, self._throw)):
             for part in parts:
                 checksum.fields = crc32(part, checksum.fields)
 
     def _write_checksum(self, step: int) -> None:
-        """Write the checksum of the steps before `step`, if there are any, and begin the next."""
+        """Write the checksum of the steps before `step`, if any, and begin the next."""
         self._add_states()
         if step > self._second.first:
             self.write('checksum', step, first=self._second.first, **self._second.values())
         self._second = _Checksum(step)
 
     def _flush(self, step: int) -> None:
-        """Write down what has been measured since the last time."""
+        """Write the stored samples."""
         batches, self._batches = self._batches, []
         self._last_flush_step = step
         self.write('samples', step, **encode_samples(batches))

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Compile kernels once, in parts, and first those that somebody waits for.
+Compile the kernels once, in parts, beginning with the parts that a node needs first.
 
-numba keeps on disk what it has compiled. Processes that start together would all compile the same
-nevertheless, so each part has a lock: one process compiles it, and the others load it.
+numba caches compiled kernels on disk. Processes that start together would still compile the same
+kernels, so each part has a lock: one process compiles the part, and the others load it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.requests import answer
-from soft_throw_ros.twin import engine_fit, imperfect_rig, jump_filter
+from soft_throw_ros.simulated_rig import imperfect_rig
+from soft_throw_ros.twin import engine_fit, outlier_filter
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
@@ -44,20 +45,20 @@ Say = Callable[[str], object]
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
-    *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, jump_filter)),
+    *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, outlier_filter)),
 )
 
 
 def _prepare(stepper: ModuleType, model: str) -> None:
-    """Do once what is done by a model, with a plate that moves as the engine says, or measured."""
+    """Run the kernels of a model once, with a plate driven by the engine and a measured one."""
     settings: Settings = {**TWIN.defaults(), 'model': model}
     PreparedRig.from_config(TwinConfig.from_settings(settings))
     stepper.warm_up()
 
 
 def _measure() -> None:
-    """Do once what is done with the samples of a plate."""
-    for module in (smoothing, jump_filter, engine_fit):
+    """Run the kernels that process samples of a plate once."""
+    for module in (smoothing, outlier_filter, engine_fit):
         module.warm_up()
 
 
@@ -65,37 +66,37 @@ PARTS: dict[str, Callable[[], object]] = {
     'travelling_wave': lambda: _prepare(wave_stepper, 'travelling_wave'),
     'design': lambda: answer(TWIN.defaults()),
     'measured': _measure,
-    'cells': lambda: _prepare(cell_stepper, 'finite_difference'),
+    'cells': lambda: _prepare(cell_stepper, 'cells'),
     'other_models': lambda: predict_by_other_models(Rig(), ''),
     'imperfect_rig': imperfect_rig.warm_up,
 }
-"""What there is to compile, in order, and what is done once so that it is."""
+"""Parts to compile, in order, each with a function that runs its kernels once."""
 
 
 def needed_parts(settings: Settings) -> list[str]:
-    """Name the parts without which a rig with these settings cannot be followed."""
+    """Return the names of the parts that a rig with these settings needs."""
     config = TwinConfig.from_settings(settings)
     model = 'travelling_wave' if config.model == 'travelling_wave' else 'cells'
     return [model, 'measured'] if config.is_measured else [model]
 
 
 def missing_parts() -> list[str]:
-    """Name the parts that have not been compiled, or not since the sources have changed."""
+    """Return the names of the parts that are not compiled since the last change of the sources."""
     newest = max(path.stat().st_mtime for path in _SOURCES)
     return [part for part in PARTS if not _is_newer(_mark(part), newest)]
 
 
 def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text: None) -> None:
     """
-    Load the kernels of parts, and compile them before if nobody has.
+    Load the kernels of parts; compile them if the cache does not contain them.
 
     Parameters
     ----------
     parts : iterable of str
-        Among `PARTS`.
+        Names of kernel groups, keys of `PARTS`.
     say : callable
-        Is told what is being compiled, now and then; nothing if all are loaded. It may be called
-        in another thread.
+        Called with the name of the kernel being compiled, every other second; not called if all
+        kernels are cached. The caller may be another thread.
 
     """
     missing = missing_parts()
@@ -109,16 +110,16 @@ def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text
 
 
 class _Progress(event.Listener):
-    """Says every other second which kernel numba compiles, while it does."""
+    """Report of the kernel that numba compiles, every other second."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
         self._count = 0
-        self._compiled: list[str] = []  # each needs those that follow
+        self._compiled: list[str] = []  # stack: a kernel needs the next one
         self._is_over = threading.Event()
 
     def on_start(self, event: event.Event) -> None:
-        """Take note of a kernel that is compiled."""
+        """Store the name of the kernel that numba begins to compile."""
         kernel = event.data['dispatcher'].py_func
         module = kernel.__module__
         name = f'{module.rpartition(".")[2]}.{kernel.__name__}'
@@ -127,7 +128,7 @@ class _Progress(event.Listener):
         self._compiled.append(name if is_ours else self._compiled[-1])
 
     def on_end(self, _event: event.Event) -> None:
-        """Go on with the one that needed it."""
+        """Return to the kernel that needed the compiled one."""
         self._compiled.pop()
 
     def __enter__(self) -> None:
@@ -143,26 +144,29 @@ class _Progress(event.Listener):
         while not self._is_over.wait(_INTERVAL):
             for kernel in self._compiled[-1:]:
                 passed = time.monotonic() - begin
-                self._say(f'compiling, once: {kernel}, kernel {self._count}, {passed:.0f} s')
+                self._say(
+                    f'compiling {kernel} (kernel {self._count}, {passed:.0f} s elapsed; cached '
+                    'for later runs)'
+                )
 
 
 @contextlib.contextmanager
 def _locked(part: str, say: Say) -> Iterator[None]:
-    """Let no other process compile a part meanwhile."""
+    """Lock a part, so that no other process compiles it within the context."""
     with _mark(part).with_suffix('.lock').open('w') as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say(f'another process compiles {part}: waiting for it')
+            say(f'waiting for another process that compiles {part}')
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def _mark(part: str) -> Path:
     """
-    Return the file that tells that a part has been compiled, beside what numba has on disk.
+    Return the path of the file that marks a compiled part, in the directory of numba's cache.
 
-    It ends as numba's files do, so that whoever deletes those deletes it, too.
+    It has the suffix of numba's index files, so that clearing the cache deletes it as well.
     """
     folder = Path(str(smoothing.fit_cubics.stats.cache_path))
     folder.mkdir(parents=True, exist_ok=True)

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A throw of a measured plate: what the model says of it, ahead of the rig.
+A throw of a measured plate, with states and predictions of the model ahead of the rig.
 
-A wave needs a crossing time to get from the plate to the projectile. So what the projectile does
-is known that much longer than what the plate does, by a fork of the stepper that goes ahead while
-the plate, for all that it matters, goes on as it was (see `Stepper.sync_from`).
+A wave needs a crossing time from the plate to the projectile. Therefore the motion of the
+projectile is known for a crossing time longer than the motion of the plate: a fork of the stepper
+advances with any continuation of the plate's motion (see `Stepper.sync_from`).
 """
 
 from __future__ import annotations
@@ -37,26 +37,23 @@ from soft_throw_ros.core.stepper import (
     Stepper,
     TIME,
 )
-from soft_throw_ros.twin.engine_fit import EngineEstimate, EngineFit
+from soft_throw_ros.twin.engine_fit import EngineEstimate
 from soft_throw_ros.twin.engine_forecast import ReleaseErrors, TWO_SIDED
-from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
-from soft_throw_ros.twin.plate_estimator import (
-    Floats,
-    PAST,
-    PlateEstimator,
-    PlateStates,
-    state_spacing_ns,
-)
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
+from soft_throw_ros.twin.plate_source import FittedEngine, PlateSource, SmoothedSamples
 from soft_throw_ros.twin.prepared_rig import (
     FIELD_POINTS,
     PreparedRig,
     stepper_of,
     THROW_FIELD_LENGTH,
     THROW_FIELD_ROWS,
+    Track,
 )
 from soft_throw_ros.twin.results import (
     Accuracy,
     Comparison,
+    Disturbances,
     PredictedState,
     Residual,
     State,
@@ -66,23 +63,86 @@ from soft_throw_ros.twin.results import (
 from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-LOST = PAST  # after so long without samples, what comes then is too old, and the plate lost [ns]
-FEWEST_ALOFT = 8  # samples of the projectile in flight that tell its errors
-# relative errors of a release by that of the smoothed velocity, as trials have them [-]
-_TIME, _SPEED, _TRANSFER = 1.0, 0.4, 1.4
-_APART = 0.99  # least distance of states that are joined, of those smoothed [-]
-_FIRST_WINDOWS = 1.5  # after which it is found when a smoothed plate has started [-]
-REST_SPEED = 0.5  # what is slower than this part of the speed of a start is at rest [-]
+LOST = PAST
+"""Time without samples after which the plate is lost, because later ones are too old. [ns]"""
+
+FEWEST_IN_FLIGHT = 8
+"""Fewest samples of the projectile in flight that give the errors of the release. [-]"""
+
+REST_SPEED = 0.5
+"""Largest speed at rest, over the speed of a start. [-]"""
+
+_SIGNIFICANT_CHANGE = 0.1
+"""Change of a release that starts a new simulation of the throw, in standard errors. [-]"""
+
+_SKIPPED = 0.5
+"""Delay between two steps that shows that steps have been skipped, in steps. [-]"""
+
+
+class _Run:
+    """
+    A simulation of the throw up to the present, by one source of the plate's motion.
+
+    Attributes
+    ----------
+    track : Track
+        The stepper, which starts anew, and its forks.
+    source : PlateSource or None
+        Source of the following states of the plate; None while the plate is unknown.
+    start_ns : int
+        When the throw starts. [ns]
+    estimate : EngineEstimate or None
+        Fitted motion of the plate until the first release; None to use the smoothed plate.
+    times, states : list
+        The plate since the start, as the stepper knows it.
+
+    """
+
+    def __init__(self, track: Track, source: PlateSource | None, start_ns: int) -> None:
+        track.stepper.reset()
+        self.track = track
+        self.source = source
+        self.start_ns = start_ns
+        self.estimate = source.estimate if isinstance(source, FittedEngine) else None
+        self.times: list[float] = []
+        self.states: list[list[float]] = []
+        self._last = -1.0  # time of the last state [s]
+
+    @property
+    def time(self) -> float:
+        """Time of the stepper since the start [s]."""
+        return float(self.track.stepper.state[TIME])
+
+    @property
+    def known(self) -> float:
+        """Time since the start until which the plate is known [s]."""
+        return max(self.track.stepper.horizon, 0.0)
+
+    def extend(self, complete_ns: float) -> None:
+        """Append the states of the plate that have become known."""
+        if self.source is None:
+            return
+        times, states = self.source.states(self._last, complete_ns)
+        if not times.size:
+            return
+        self.track.stepper.append_plate_states(times, states)
+        self._last = float(times[-1])
+        if len(self.times) + times.size < MAX_PIECES_AHEAD:
+            self.times += times.tolist()
+            self.states += states.tolist()
 
 
 class MeasuredThrow(OngoingThrow):
     """
     A throw whose plate is measured, see `OngoingThrow`, by an estimator from the onset on.
 
-    Until the release is certain, the plate is taken to have moved as the engine moves it, with
-    what the samples tell of amplitude and start: the throw is followed once more from its start
-    whenever they tell more. From then on, and before as soon as the plate does not do as the
-    engine should, it moves as it is smoothed, which relies on nothing but samples.
+    Until the release is certain, the throw is simulated with the fitted motion of the engine, and
+    anew from its start when the fit has changed by more than `_SIGNIFICANT_CHANGE`. Afterwards, or
+    as soon as the engine model fails, it is simulated with the smoothed samples alone.
+
+    A new simulation advances by at most `PreparedRig.catch_up` in a step, beside the present one,
+    and replaces that when it has caught up. Therefore the cost of a step does not depend on the
+    length of the throw.
     """
 
     def __init__(
@@ -97,108 +157,162 @@ class MeasuredThrow(OngoingThrow):
         )
         self._onset = onset
         self._estimator = estimator
-        self._shown, self._far_fork = prepared.forks
-        self._smoothed = SmoothedPlate(onset, estimator)
-        self._fit: EngineFit | None = onset.rest.engine_fit(config, onset.onset_ns)
-        self._follows_engine = onset.trusts_engine and prepared.forecaster is not None
-        self._estimate: EngineEstimate | None = None  # by which the plate is followed
-        self._times: list[float] = []  # since the start: what the stepper knows of the plate
-        self._states: list[list[float]] = []
+        self._smoothed = SmoothedSamples(onset, estimator)
+        self._fit = onset.engine_fit(config)
+        self._is_fitted = False  # whether a period has passed, or the fit has failed
+        self._fitted_ns = onset.onset_ns - config.smoothing_window_ns  # samples before are fitted
+        self._estimate: EngineEstimate | None = None
+        self._relies_on_engine = onset.trusts_engine and prepared.forecaster is not None
+        track, self._spare = prepared.tracks
+        self._pursuit: _Run | None = None  # a new simulation that has not caught up
+        self._use(_Run(track, None, onset.onset_ns))
         self._residuals = _Residuals(
             longest=1.0 / prepared.rig.engine.frequency,
             threshold=config.residual_threshold,
             gravity=prepared.rig.gravity,
         )
         self._compared_ns = onset.onset_ns
+        self._forecast_by: EngineEstimate | None = None  # which the forecaster simulates
         self._is_certain = False  # whether the plate cannot change the release any more
         self._accuracy: Accuracy | None = None
         self._lead: float | None = None  # of the first prediction
-        self._left_out = 0
+        self._now_ns = 0  # time of the last step [ns]
+        self._time_skipped = 0.0  # of skipped steps [s]
+
+    @property
+    def stamp_error(self) -> float:
+        """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
+        return self._onset.stamp_error if self._fit.has_failed else self._fit.stamp_error
 
     def advance(
         self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
     ) -> ThrowStep:
-        """Go on as far as the plate is known, and look ahead from there."""
+        """Advance as far as the plate is known, and predict from there."""
         crossing = self._prepared.rig.crossing_time
         if motion.gap > crossing or now_ns - self._estimator.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
             self._smoothed.add(motion)
-            self._follow_engine()
-            if not self._follows_engine:
-                self._follow_smoothed()
-        known = max(self._stepper.horizon, 0.0)
+            self._update_fit()
+            self._choose_source()
+        self._count_skipped_time(now_ns)
+        had_left = bool(self.events)
+        known = self._run.known
         events, residual = self._follow_plate(known, config.max_events)
-        if self._follows_engine and self.events:
-            self._follows_engine = False  # it is certain, and changes no more
+        if self._relies_on_engine and self.events:
+            self._relies_on_engine = False  # the release is certain, and does not change
+            self._pursuit = None
+        if self.events and not had_left and self._is_lost_in_noise():
+            self.ended_by, self.events, events = 'noise', [], ()
         prediction, forecast = self._look_ahead(known, step, now_ns, config)
-        # what was extrapolated any longer would say nothing
+        # a longer extrapolation has no meaning
         farthest = known + crossing + self._estimator.config.smoothing_window
         now = (now_ns - self._start_ns) / SECOND
         self._send(self._shown, max(known, min(now, farthest)))
         state = State._make(self._shown.state.tolist()[1:])
         return ThrowStep(state, events, forecast, prediction, residual)
 
-    def _follow_engine(self) -> None:
-        """Fit the engine's motion to the samples, and follow it, unless it does not hold."""
-        fit, estimator, onset = self._fit, self._estimator, self._onset
-        if fit is None:
-            return
-        period_ns = round(SECOND / self._prepared.rig.engine.frequency)
-        end_ns = min(estimator.complete_ns, onset.onset_ns + period_ns)
-        begin_ns = onset.onset_ns - estimator.config.smoothing_window_ns
-        samples = estimator.samples(begin_ns, end_ns + 1)
-        estimate = fit.update(samples)
-        self._left_out = fit.left_out
-        self.engine_holds = not fit.has_failed
-        is_over = end_ns < estimator.complete_ns
-        if fit.has_failed or is_over:
-            self._fit = None  # what comes later is not the throw
-        if not self._follows_engine:
-            return
-        if fit.has_failed or is_over:
-            self._follows_engine = False
-            if fit.has_failed:
-                self._estimate = None
-                self._restart(onset.onset_ns)
-        elif estimate is not None:
-            assert self._prepared.forecaster is not None
-            self._estimate = estimate
-            start_ns = onset.onset_ns + round(estimate.start * SECOND)
-            until = max((end_ns - start_ns) / SECOND, 0.0)
-            self._restart(start_ns)
-            self._append(*self._prepared.forecaster.states(estimate, until))
+    def event_ns(self, event: Event, now_ns: int) -> int:  # noqa: ARG002
+        """Return the time of an event by the stamps of the samples [ns]."""
+        return self._start_ns + round(event.time * SECOND)
 
-    def _restart(self, start_ns: int) -> None:
-        """Follow the throw once more from its start, of which more is known."""
-        self._stepper.reset()
-        self._start_ns = start_ns
-        self._times, self._states = [], []
+    def _update_fit(self) -> None:
+        """Fit the engine's motion to the samples of a plate period."""
+        if self._is_fitted:
+            return
+        estimator, period = self._estimator, 1.0 / self._prepared.rig.engine.frequency
+        last_ns = self._onset.onset_ns + round(period * SECOND)
+        end_ns = min(estimator.complete_ns, last_ns)
+        rows = estimator.samples(self._fitted_ns, end_ns + 1)
+        if len(rows):
+            self._fitted_ns = int(rows['stamp_ns'][-1]) + 1
+            self._estimate = self._fit.update(rows) or self._estimate
+        self.engine_holds = not self._fit.has_failed
+        self._smoothed.stamp_error = self.stamp_error
+        # samples after the period are not of the throw
+        self._is_fitted = self._fit.has_failed or end_ns < estimator.complete_ns
+
+    def _choose_source(self) -> None:
+        """Simulate the throw on, or anew, by the fitted engine or by smoothed samples."""
+        run, smoothed = self._run, self._smoothed
+        if self._relies_on_engine:
+            if self._fit.has_failed:
+                self._relies_on_engine, self._pursuit = False, None
+            elif self._estimate is not None and self._is_outdated(run.estimate):
+                self._begin_pursuit(self._engine(self._estimate))
+            elif self._is_fitted:
+                self._relies_on_engine, self._pursuit = False, None
+        if not self._relies_on_engine and run.source is not smoothed:
+            is_known = run.source is not None and (self.events or not self._fit.has_failed)
+            if is_known and (self._is_fitted or not smoothed.is_noisy):
+                smoothed.start_ns, run.source = run.start_ns, smoothed
+            elif not is_known and not self._pursuit and smoothed.find_start():
+                self._begin_pursuit(smoothed)
+        complete_ns = self._estimator.complete_ns
+        run.extend(complete_ns)
+        if self._pursuit is not None:
+            self._pursuit.extend(complete_ns)
+            self._pursue(self._pursuit)
+
+    def _is_lost_in_noise(self) -> bool:
+        """Return whether noise of the smoothed plate may have released the projectile."""
+        return self._run.estimate is None and self._smoothed.is_noisy
+
+    def _count_skipped_time(self, now_ns: int) -> None:
+        """Count the time of skipped steps."""
+        late = (now_ns - self._now_ns) / SECOND - self._prepared.tick
+        if self._now_ns and late > _SKIPPED * self._prepared.tick:
+            self._time_skipped += late
+        self._now_ns = now_ns
+
+    def _engine(self, estimate: EngineEstimate) -> FittedEngine:
+        assert self._prepared.forecaster is not None
+        return FittedEngine(
+            estimate, self._prepared.forecaster, origin_ns=self._onset.onset_ns
+        )
+
+    def _is_outdated(self, estimate: EngineEstimate | None) -> bool:
+        """Return whether the release of the last estimate differs from that of another one."""
+        forecaster, last = self._prepared.forecaster, self._estimate
+        if self._pursuit is not None or last is estimate:
+            return False
+        if estimate is None:
+            return True
+        assert forecaster is not None
+        assert last is not None
+        changes, errors = forecaster.change(estimate, last), forecaster.errors(last)
+        pairs = zip(changes, errors, strict=True)
+        return any(abs(change) > _SIGNIFICANT_CHANGE * error for change, error in pairs)
+
+    def _begin_pursuit(self, source: PlateSource) -> None:
+        self._pursuit = _Run(self._spare, source, source.start_ns)
+
+    def _pursue(self, pursuit: _Run) -> None:
+        """Advance a new simulation, and use it when it has caught up with the present one."""
+        run = self._run
+        now = run.time + (run.start_ns - pursuit.start_ns) / SECOND
+        goal = min(max(now, 0.0), pursuit.known)
+        try:
+            pursuit.track.stepper.advance_to(
+                min(pursuit.time + self._prepared.catch_up, max(goal, pursuit.time))
+            )
+        except EventLimitError:
+            self.ended_by = 'max_events'
+        if pursuit.time >= goal or self.ended_by:
+            self._pursuit, self._spare = None, run.track
+            self._use(pursuit)
+
+    def _use(self, run: _Run) -> None:
+        """Switch to another simulation of the throw."""
+        self._run = run
+        self._start_ns = run.start_ns
+        self._stepper, self._shown, self._far_fork = run.track
         self.events = []
-
-    def _follow_smoothed(self) -> None:
-        """Go on with what the samples alone tell of the plate."""
-        if not self._times:
-            beginning = self._smoothed.begin()
-            if beginning is None:
-                return
-            self._start_ns, times, states = beginning
-            self._append(times, states)
-        self._append(*self._smoothed.take(self._times[-1], self._start_ns))
-
-    def _append(self, times: Floats, states: Floats) -> None:
-        """Have the model know of the plate, at times since the start."""
-        if not times.size:
-            return
-        self._stepper.append_plate_states(times, states)
-        if len(self._times) + times.size < MAX_PIECES_AHEAD:
-            self._times += times.tolist()
-            self._states += states.tolist()
 
     def _follow_plate(
         self, known: float, max_events: int
     ) -> tuple[tuple[Event, ...], Residual | None]:
-        """Go on as far as the plate is known, past the samples of the projectile."""
+        """Advance as far as the plate is known, and compare with samples of the projectile."""
         onset = self._onset
         until_ns = self._start_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
@@ -206,21 +320,21 @@ class MeasuredThrow(OngoingThrow):
         samples = self._estimator.samples(self._compared_ns + 1, until_ns + 1)
         if self._residuals.is_complete:
             samples = samples[-2:]  # the last one may be too late
-        for sample in samples:
-            time = (sample.stamp_ns - self._start_ns) / SECOND
+        for stamp_ns, plate, _, projectile in samples.tolist():
+            time = (stamp_ns - self._start_ns) / SECOND
             if time > known:
                 break
-            self._compared_ns = sample.stamp_ns
+            self._compared_ns = stamp_ns
             is_passed = time < self._stepper.state[TIME]  # it is late for the start
-            if is_passed or math.isnan(sample.projectile - onset.rest.projectile):
+            if is_passed or math.isnan(projectile - onset.rest.projectile):
                 continue
             state, events = self._go_to(time, max_events)
             happened += events
             rise = state.projectile_position - self._prepared.rest.projectile_position
             residual = Residual(
-                sample.stamp_ns,
-                state.plate_position - (sample.plate - onset.rest.plate),
-                rise - (sample.projectile - onset.rest.projectile),
+                stamp_ns,
+                state.plate_position - (plate - onset.rest.plate),
+                rise - (projectile - onset.rest.projectile),
             )
             self._residuals.add(time, residual.projectile, self.events)
         _, events = self._go_to(known, max_events)
@@ -229,11 +343,11 @@ class MeasuredThrow(OngoingThrow):
     def _look_ahead(
         self, known: float, step: int, now_ns: int, config: TwinConfig
     ) -> tuple[PredictedState, ThrowResult | None]:
-        """Find out what the projectile does as long as the plate cannot change it any more."""
-        prepared, fork, onset_ns = self._prepared, self._far_fork, self._start_ns
+        """Predict the projectile up to the time that the future plate cannot influence."""
+        prepared, fork = self._prepared, self._far_fork
         ahead = known + prepared.lookahead
         self._send(fork, ahead)
-        stamp_ns = onset_ns + round(ahead * SECOND)
+        stamp_ns = self._start_ns + round(ahead * SECOND)
         prediction = PredictedState(
             stamp_ns,
             float(fork.state[PROJECTILE_POSITION]),
@@ -246,83 +360,123 @@ class MeasuredThrow(OngoingThrow):
     def _forecast(
         self, known: float, step: int, now_ns: int, config: TwinConfig
     ) -> ThrowResult | None:
-        """Tell of the release when it is first known well enough, and when it is certain."""
+        """Return the release when it is first known well enough, and when it is certain."""
         prepared, fork = self._prepared, self._far_fork
-        if self._is_certain:
+        if self._is_certain or self._fit_is_lost():
             return None
         release = fork.events()[0] if fork.event_count else None
         if release is not None and release.time <= known + prepared.release_lookahead:
+            if self._is_lost_in_noise():
+                self.ended_by = 'noise'
+                return None
             self._is_certain = True
-            return self._predict(fork, release, step, now_ns, config)
-        if not self._follows_engine or self._estimate is None or self._lead is not None:
+            run = self._run
+            return self._predict(fork, release, run.start_ns, run.estimate, step, now_ns, config)
+        if not self._relies_on_engine or self._estimate is None or self._lead is not None:
             return None
         forecaster = prepared.forecaster
         assert forecaster is not None
-        error = TWO_SIDED * forecaster.errors(self._estimate).speed
-        if error > self._estimator.config.prediction_error:
+        if self._forecast_by is None:
+            error = TWO_SIDED * forecaster.errors(self._estimate).speed
+            if error > self._estimator.config.prediction_error:
+                return None
+            self._forecast_by = self._estimate
+            forecaster.begin(self._estimate)
+        if not forecaster.advance(prepared.catch_up):
             return None
-        release = forecaster.release(self._estimate)
-        if release is None:
-            return None
-        return self._predict(forecaster.stepper, release, step, now_ns, config)
-
-    def _predict(
-        self, stepper: Stepper, release: Event, step: int, now_ns: int, config: TwinConfig
-    ) -> ThrowResult:
-        """Sum up what there will have been at the release."""
-        lead = release.time - (now_ns - self._start_ns) / SECOND
-        self._lead = lead if self._lead is None else self._lead
-        self._measure_peak_speed()
-        self._accuracy = self._judge(release)
-        return self._sum_up(
-            'predicted', step, config, stepper, [release], lead=lead, accuracy=self._accuracy
+        estimate, self._forecast_by = self._forecast_by, None
+        if not forecaster.stepper.event_count:
+            return None  # the next estimate may have a release
+        release, start_ns = forecaster.stepper.events()[0], self._engine(estimate).start_ns
+        return self._predict(
+            forecaster.stepper, release, start_ns, estimate, step, now_ns, config
         )
 
-    def _judge(self, release: Event) -> Accuracy:
-        """Tell how well a release is known by the samples so far."""
+    def _fit_is_lost(self) -> bool:
+        """Return whether the present simulation is by an engine that does not hold."""
+        return self._run.estimate is not None and self._fit.has_failed and not self.events
+
+    def _predict(
+        self,
+        stepper: Stepper,
+        release: Event,
+        start_ns: int,
+        estimate: EngineEstimate | None,
+        step: int,
+        now_ns: int,
+        config: TwinConfig,
+    ) -> ThrowResult:
+        """Return the result at a release to come, by a stepper that stands there."""
+        lead = release.time - (now_ns - start_ns) / SECOND
+        self._lead = lead if self._lead is None else self._lead
+        self._measure_peak_speed(estimate)
+        self._accuracy = self._judge(release, start_ns, estimate)
+        return self._sum_up(
+            'predicted',
+            step,
+            config,
+            stepper,
+            [release],
+            lead=lead,
+            accuracy=self._accuracy,
+            disturbances=self._disturbances(),
+        )
+
+    def _judge(
+        self, release: Event, start_ns: int, estimate: EngineEstimate | None
+    ) -> Accuracy:
+        """Return the accuracy of a release, by an estimate if that was simulated."""
         estimator = self._estimator
-        if self._estimate is None:
-            errors = self._smoothed.release_errors(release.time, self._peak_plate_speed)
-        else:
-            assert self._prepared.forecaster is not None
-            errors = self._prepared.forecaster.errors(self._estimate)
+        errors = self._release_errors(release, estimate)
         speed = release.velocity
         transfer = (speed / self._peak_plate_speed) ** 2
-        left_out = estimator.jumped + self._left_out
+        left_out = estimator.outliers + self._fit.left_out
         return Accuracy(
-            basis='plate' if self._estimate is None else 'engine',
+            basis='plate' if estimate is None else 'engine',
             is_certain=self._is_certain,
-            release_ns=self._start_ns + round(release.time * SECOND),
+            release_ns=start_ns + round(release.time * SECOND),
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * transfer,
-            samples=len(estimator.samples(self._start_ns)) + estimator.jumped,
+            samples=len(estimator.samples(self._start_ns)) + estimator.outliers,
             samples_left_out=left_out,
         )
 
+    def _release_errors(self, release: Event, estimate: EngineEstimate | None) -> ReleaseErrors:
+        """Return the standard errors of a release, see `_judge`."""
+        if estimate is None or self._estimate is None:
+            return self._smoothed.release_errors(release.time, self._peak_plate_speed)
+        forecaster = self._prepared.forecaster
+        assert forecaster is not None
+        pairs = zip(
+            forecaster.errors(self._estimate),
+            forecaster.change(estimate, self._estimate),
+            strict=True,
+        )
+        return ReleaseErrors(*(math.hypot(error, change) for error, change in pairs))
+
     def _send(self, fork: Stepper, time: float) -> None:
-        """Have a fork go ahead, or as far as its memory for events lasts."""
+        """Advance a fork to a time, or until its memory for events is full."""
         fork.sync_from(self._stepper)
         try:
             fork.advance_to(time)
         except EventLimitError:
             self.ended_by = 'max_events'
 
-    def _measure_peak_speed(self) -> None:
-        """Find the largest speed of the plate, of the smoothed one so far."""
-        if self._estimate is not None:
-            self._peak_plate_speed = self._estimate.plate.peak_velocity
-            return
-        speeds = [speed for _, speed, _ in self._states]
-        plate = self._estimator.config.plate
-        largest = peak_speed(self._times, speeds, plate) if speeds else 0.0
-        self._peak_plate_speed = max(largest, self._estimator.config.start_speed)
+    def _measure_peak_speed(self, estimate: EngineEstimate | None) -> None:
+        """Update the largest speed of the plate, from the fit or from the smoothed samples."""
+        if estimate is not None:
+            self._peak_plate_speed = estimate.plate.peak_velocity
+        else:
+            speeds = [speed for _, speed, _ in self._run.states]
+            self._peak_plate_speed = self._smoothed.peak_speed(self._run.times, speeds)
 
     def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:
-        """Sum up what there is so far."""
-        self._measure_peak_speed()
+        """Return the preliminary result."""
+        run = self._run
+        self._measure_peak_speed(run.estimate)
         if stage == 'release' and self.first_release is not None:
-            self._accuracy = self._judge(self.first_release)
+            self._accuracy = self._judge(self.first_release, run.start_ns, run.estimate)
         return self._sum_up(
             stage,
             step,
@@ -332,77 +486,42 @@ class MeasuredThrow(OngoingThrow):
             lead=self._lead,
             accuracy=self._accuracy,
             comparison=self._residuals.compare(self.first_release),
+            disturbances=self._disturbances(),
+        )
+
+    def _disturbances(self) -> Disturbances:
+        """Return the faults of the measurement until now."""
+        stamp_error = self.stamp_error
+        if self.ended_by == 'noise' and not stamp_error:
+            stamp_error = self._onset.stamp_scatter  # the only information on the stamps
+        return Disturbances(
+            stamp_error=stamp_error,
+            samples_missing=self._estimator.missing_since(self._onset.onset_ns),
+            time_skipped=self._time_skipped,
         )
 
     def throw_field(self) -> ThrowField | None:
-        """Return the layer over time, once, when the plate is known for long enough or no more."""
-        if self._has_shown_field or not self._times:  # it may end before anything is known
+        """Return the layer over time once, when the plate is known for long enough or lost."""
+        times = self._run.times
+        if self._has_shown_field or not times:  # the throw may end before the plate is known
             return None
-        release, known = self.first_release, self._times[-1]
+        release, known = self.first_release, times[-1]
         if not (release or self.ended_by):
             return None
         length = THROW_FIELD_LENGTH * release.time if release else known
-        if self._follows_engine or (length > known and not self.ended_by):
+        if self._relies_on_engine or (length > known and not self.ended_by):
             return None
         self._has_shown_field = True
         stepper = stepper_of(self._prepared.config)
-        stepper.append_plate_states(self._times, self._states)
-        times = np.linspace(0.0, min(length, known), THROW_FIELD_ROWS)
+        stepper.append_plate_states(times, self._run.states)
+        rows = np.linspace(0.0, min(length, known), THROW_FIELD_ROWS)
         strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
-        stepper.sample_strain(np.minimum(times, stepper.horizon), strain)
-        return ThrowField.of(times, strain, start_ns=self._start_ns)
-
-
-class SmoothedPlate:
-    """What the plate has done by its samples alone."""
-
-    def __init__(self, onset: Onset, estimator: PlateEstimator) -> None:
-        self._onset = onset
-        self._estimator = estimator
-        self._motions: list[PlateStates] = []  # that have not been taken
-        self._errors: list[float] = []  # of velocities [m/s]
-
-    def add(self, motion: PlateStates) -> None:
-        """Take how the plate has moved since the last call, by the clock of the estimator."""
-        if motion.times.size:
-            self._motions.append(motion)
-            self._errors += motion.errors.tolist()
-
-    def begin(self) -> tuple[int, Floats, Floats] | None:
-        """
-        Return when the plate has started, and times and states since, over the first window.
-
-        They are fitted apart, see `first_states`; None if there are too few samples yet.
-        """
-        onset, config = self._onset, self._estimator.config
-        window_ns, rest = config.smoothing_window_ns, onset.rest.plate
-        end_ns = onset.onset_ns + round(_FIRST_WINDOWS * window_ns)
-        if self._estimator.complete_ns < end_ns:
-            return None
-        samples = self._estimator.samples(onset.onset_ns - window_ns, end_ns + 1)
-        start_ns = onset.onset_ns + find_start(samples, onset.onset_ns, rest, config)
-        return start_ns, *first_states(samples, start_ns, rest, config)
-
-    def take(self, after: float, start_ns: int) -> tuple[Floats, Floats]:
-        """Return times since a start, and states, after a time, which are taken once."""
-        shift = (self._onset.onset_ns - start_ns) / SECOND
-        after += _APART * state_spacing_ns(self._estimator.config) / SECOND
-        times, states = [np.empty(0)], [np.empty((0, 3))]
-        for known in self._motions:
-            later = known.times + shift > after
-            times.append(known.times[later] + shift)
-            states.append(known.states[later] - [self._onset.rest.plate, 0.0, 0.0])
-        self._motions.clear()
-        return np.concatenate(times), np.concatenate(states)
-
-    def release_errors(self, time: float, peak_plate_speed: float) -> ReleaseErrors:
-        """Return about how well a release at a time after the start is known by it."""
-        speed = float(np.median(self._errors)) / peak_plate_speed if self._errors else 1.0
-        return ReleaseErrors(_TIME * speed * time, _SPEED * speed, _TRANSFER * speed)
+        stepper.sample_strain(np.minimum(rows, stepper.horizon), strain)
+        return ThrowField.of(rows, strain, start_ns=self._start_ns)
 
 
 class _Residuals:
-    """Positions of the projectile by the model less those measured, until `longest` aloft."""
+    """Residuals of the projectile's position, until a time `longest` after the release."""
 
     def __init__(self, *, longest: float, threshold: float, gravity: float) -> None:
         self.is_complete = False
@@ -412,10 +531,10 @@ class _Residuals:
         self._count = 0
         self._sum = 0.0  # of squares
         self._largest = 0.0
-        self._aloft: list[tuple[float, float]] = []  # time since the release, and difference
+        self._in_flight: list[tuple[float, float]] = []  # times since the release, residuals
 
     def add(self, time: float, difference: float, events: Sequence[Event]) -> None:
-        """Take one, at a time since the start, after the events so far."""
+        """Add a residual at a time since the start, after the events until now."""
         since = time - events[0].time if events else 0.0
         if since > self._longest:
             self.is_complete = True
@@ -424,10 +543,10 @@ class _Residuals:
         self._sum += difference**2
         self._largest = max(self._largest, abs(difference))
         if len(events) == 1:  # they have not met again since the release
-            self._aloft.append((since, difference))
+            self._in_flight.append((since, difference))
 
     def compare(self, release: Event | None) -> Comparison | None:
-        """Return what they come to; None if there is none."""
+        """Return the statistics of the residuals; None if there are none."""
         if not self._count:
             return None
         comparison = Comparison(
@@ -436,13 +555,16 @@ class _Residuals:
             position_max=self._largest,
             threshold=self._threshold,
         )
-        is_enough = len(self._aloft) >= FEWEST_ALOFT and self._aloft[-1][0] >= 0.5 * self._longest
+        is_enough = (
+            len(self._in_flight) >= FEWEST_IN_FLIGHT
+            and self._in_flight[-1][0] >= 0.5 * self._longest
+        )
         if release is None or not is_enough:
             return comparison
-        times, differences = np.array(self._aloft).T
-        # both fly freely, so that the difference is a line
-        slope, ahead = np.polyfit(times, differences, 1).tolist()
-        later = -ahead / release.velocity
+        times, differences = np.array(self._in_flight).T
+        # model and projectile fly freely, so that the residual is linear in time
+        slope, offset = np.polyfit(times, differences, 1).tolist()
+        later = -offset / release.velocity
         return dataclasses.replace(
             comparison,
             ejection_time_error=later,

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How a throw of a measured plate begins: the plate is at rest, and then jumps up."""
+"""The onset of a throw of a measured plate: its rest before, and the time of its start."""
 
 from __future__ import annotations
 
@@ -20,32 +20,42 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-import scipy  # its parts are imported where they are first used, which takes 0.3 s
+import scipy  # imports its modules at their first use, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
 from soft_throw_ros.twin.engine_fit import EngineFit
-from soft_throw_ros.twin.jump_filter import TYPICAL
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
-    Sample,
     state_spacing_ns,
     STATES_PER_WINDOW,
 )
+from soft_throw_ros.twin.sample_buffer import Rows, Sample, seconds_since, to_samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-REST_WINDOWS = 8  # so many windows the plate must be at rest before a throw
-RISE = 0.125  # part of the plate's period in which it gets to the speed of a start [-]
-_TOPS = 3  # parabolas, after which the top is where it is
-_SURE = 6.0  # standard errors that are no noise
-_LEAST_DETERMINANT = 1e-12  # below which samples do not tell how the plate's size changes [-]
-MOST_AMPLITUDE = 2.0  # by which a motion may differ that is still the engine's, as a factor [-]
+REST_WINDOWS = 8
+"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
+
+RISE = 0.125
+"""Time until the plate reaches the speed of a start, over its period. [-]"""
+
+MOST_AMPLITUDE = 2.0
+"""Largest ratio of the fitted amplitude and the engine's amplitude, or its reciprocal. [-]"""
+
+_PARABOLAS = 3
+"""Parabolas that are fitted in turn to find the time of the largest speed. [-]"""
+
+_LEAST_DETERMINANT = 1e-12
+"""Relative determinant below which samples do not determine a change of amplitude. [-]"""
+
+_MOST_FOR_START = 128
+"""Most samples in the fit of the start, to bound its cost. [-]"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rest:
-    """Plate and projectile before a throw."""
+class RestBaseline:
+    """Heights of plate and projectile at rest before a throw."""
 
     plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
     projectile: float
@@ -53,19 +63,16 @@ class Rest:
     error: float  # standard error of its mean [m]
 
     @classmethod
-    def before(cls, estimator: PlateEstimator, end_ns: float) -> Rest | None:
-        """Return how things were for some windows before a time; None without samples."""
+    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
+        """Return the rest of some windows before a time; None if there are too few samples."""
         window_ns = estimator.config.smoothing_window_ns
         samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
         if len(samples) < FEWEST:
             return None
-        _, plate, _, projectile = np.array(samples).T
+        plate, projectile = samples['plate'], samples['projectile']
         measured = projectile[np.isfinite(projectile)]
-        # the noise is at least what it is said to be: rounded samples at rest are all the same
-        noise = estimator.config.position_noise
-        away = np.abs(plate - np.median(plate))
-        plate = plate[away <= _SURE * max(noise, float(np.median(away)) / TYPICAL)]
-        noise = max(noise, float(plate.std()))
+        # rounded samples at rest are all the same, so that their scatter underestimates the noise
+        noise = max(estimator.config.position_noise, float(plate.std()))
         return cls(
             plate=float(plate.mean()),
             projectile=float(measured.mean()) if measured.size else math.nan,
@@ -73,32 +80,41 @@ class Rest:
             error=noise / math.sqrt(plate.size),
         )
 
-    def engine_fit(self, config: MeasurementConfig, onset_ns: int) -> EngineFit:
-        """Return what fits the engine's motion to the samples of a throw from here."""
-        return EngineFit(
-            config, origin_ns=onset_ns, rest=self.plate, rest_error=self.error, noise=self.noise
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Onset:
-    """The plate has begun to move."""
+    """The start of the plate's motion, and so of a throw."""
 
-    onset_ns: int  # when, which is when the throw starts [ns]
-    rest: Rest  # how things were before
-    samples: tuple[Sample, ...]  # taken, in order, from a window before on
-    trusts_engine: bool = True  # whether the engine did as it should when it was seen last
+    onset_ns: int  # time of the start [ns]
+    rest: RestBaseline
+    samples: tuple[Sample, ...]  # sorted, from a window before the start on
+    trusts_engine: bool = True  # whether the last motion was that of the engine
+    stamp_scatter: float = 0.0  # standard deviation of stamps about an even rate [s]
+    stamp_error: float = 0.0  # standard deviation of stamps in the last throw [s]
+
+    def engine_fit(self, config: MeasurementConfig) -> EngineFit:
+        """Return a fit of the engine's motion to the samples of the throw."""
+        rest = self.rest
+        return EngineFit(
+            config,
+            origin_ns=self.onset_ns,
+            rest=rest.plate,
+            rest_error=rest.error,
+            noise=rest.noise,
+            stamp_scatter=self.stamp_scatter,
+            stamp_error=self.stamp_error,
+        )
 
 
 def find_onset(
     estimator: PlateEstimator, *, begun: float, time: float, height: float, speed: float
 ) -> Onset | None:
-    """Find when the plate started that was fast at `begun`, if it still goes up a window later."""
+    """Find the start of a plate that was fast at `begun`, if it still rises a window later."""
     config = estimator.config
     assert estimator.origin_ns is not None
     window_ns = config.smoothing_window_ns
     rest_ns = estimator.origin_ns + round(begun * SECOND) - window_ns
-    rest = Rest.before(estimator, rest_ns)
+    rest = RestBaseline.before(estimator, rest_ns)
     if rest is None or speed <= config.start_speed:
         return None
     since = time_since_start(height - rest.plate, speed, config.plate)
@@ -106,57 +122,75 @@ def find_onset(
     onset_ns += find_start(estimator.samples(rest_ns), onset_ns, rest.plate, config)
     if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
         return None
+    return _onset(estimator, onset_ns, rest)
+
+
+def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onset:
+    """Return an onset with enough samples of the rest before it for a fit."""
+    begin_ns = onset_ns - estimator.config.smoothing_window_ns
     return Onset(
-        onset_ns=onset_ns, rest=rest, samples=tuple(estimator.samples(onset_ns - window_ns))
+        onset_ns=onset_ns,
+        rest=rest,
+        samples=tuple(to_samples(estimator.samples(begin_ns))),
+        stamp_scatter=estimator.stamp_scatter,
     )
 
 
-def find_engine_start(estimator: PlateEstimator) -> Onset | None:
+def find_engine_start(estimator: PlateEstimator, stamp_error: float) -> Onset | None:
     """
-    Find when the plate started, by the first samples that have moved as the engine moves it.
+    Find the start of the plate from the first samples of a motion like that of the engine.
 
-    That takes about a millisecond from the start; None if it does not move, or not like this.
+    They suffice about a millisecond after the start. The result is None if the plate rests, or
+    moves otherwise.
     """
     config, plate = estimator.config, estimator.config.plate
     end_ns = estimator.complete_ns
     margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
-    rest = Rest.before(estimator, end_ns - margin_ns)
+    rest = RestBaseline.before(estimator, end_ns - margin_ns)
     samples = estimator.samples(end_ns - margin_ns, end_ns + 1)
     if rest is None or len(samples) < FEWEST:
         return None
-    height = max(samples[-1].plate - rest.plate, 0.0)
+    # a slow engine moves for many samples; a subset suffices
+    samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    last_ns = int(samples['stamp_ns'][-1])
+    height = max(float(samples['plate'][-1]) - rest.plate, 0.0)
     begun = math.sqrt(2.0 * height / plate.amplitude) / (2.0 * math.pi * plate.frequency)
-    fit = rest.engine_fit(config, samples[-1].stamp_ns - round(begun * SECOND))
+    guess = Onset(
+        onset_ns=last_ns - round(begun * SECOND),
+        rest=rest,
+        samples=(),
+        stamp_scatter=estimator.stamp_scatter,
+        stamp_error=stamp_error,
+    )
+    fit = guess.engine_fit(config)
     estimate = fit.update(samples)
     if estimate is None:
         return None
     onset_ns = fit.origin_ns + round(estimate.start * SECOND)
-    now = (samples[-1].stamp_ns - onset_ns) / SECOND
+    now = (last_ns - onset_ns) / SECOND
     ratio = estimate.plate.amplitude / plate.amplitude
     is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
     if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
         return None
-    # from enough before it that the fit sees the plate at rest
-    begin_ns = onset_ns - config.smoothing_window_ns
-    return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(estimator.samples(begin_ns)))
+    return _onset(estimator, onset_ns, rest)
 
 
 def first_states(
-    samples: Sequence[Sample], start_ns: int, plate_rest: float, config: MeasurementConfig
+    samples: Rows, start_ns: int, plate_rest: float, config: MeasurementConfig
 ) -> tuple[Floats, Floats]:
     r"""
-    Return how the plate has started, for as long as a window would reach to before that.
+    Return the states of the plate in the time after its start whose windows include the rest.
 
     Parameters
     ----------
-    samples : sequence of Sample
-        Of the first window after the start, and others.
+    samples : ndarray of `SAMPLE`
+        Samples, those of the first window after the start among them.
     start_ns : int
-        When it started. [ns]
+        Time of the start. [ns]
     plate_rest : float
-        Height before. [m]
+        Height of the plate before the start. [m]
     config : MeasurementConfig
-        How the plate is measured, and moves but for its amplitude.
+        Parameters of the measurement, with the motion of the plate up to its amplitude.
 
     Returns
     -------
@@ -167,20 +201,16 @@ def first_states(
 
     Notes
     -----
-    No cubic goes round the corner where the plate starts, at which its acceleration jumps. So the
-    first window after it is fitted apart, by an underdamped start from rest whose size changes
-    linearly, :math:`(p + q t) z(t)`, by least squares.
+    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
+    fitted by the damped step :math:`z(t)` with an amplitude that changes linearly,
+    :math:`(p + q t) z(t)`, by least squares.
 
     """
     plate, ratio = config.plate, config.position_noise / config.velocity_noise
-    first = [
-        sample
-        for sample in samples
-        if 0 < sample.stamp_ns - start_ns <= config.smoothing_window_ns
-    ]
-    since = np.array([sample.stamp_ns - start_ns for sample in first]) / SECOND
-    heights = np.array([sample.plate for sample in first]) - plate_rest
-    speeds = np.array([sample.plate_velocity for sample in first])
+    since_ns = samples['stamp_ns'] - start_ns
+    first = samples[(since_ns > 0) & (since_ns <= config.smoothing_window_ns)]
+    since = seconds_since(start_ns, first)
+    heights, speeds = first['plate'] - plate_rest, first['plate_velocity']
     measured = np.isfinite(speeds)
     position, velocity = plate.position(since), plate.velocity(since)
     sizes = np.concatenate((position, ratio * velocity[measured]))
@@ -191,7 +221,7 @@ def first_states(
     determinant = a * c - b * b
     if determinant > _LEAST_DETERMINANT * a * c:
         p, q = (c * right - b * below) / determinant, (a * below - b * right) / determinant
-    else:  # a sample, or none, as after a gap
+    else:  # at most one sample, as after a gap
         p, q = right / a if a > 0.0 else 1.0, 0.0
 
     times = np.arange(round(BEHIND * STATES_PER_WINDOW)) * (state_spacing_ns(config) / SECOND)
@@ -205,22 +235,22 @@ def first_states(
 
 def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
     r"""
-    Find how long ago an underdamped plate started, whatever its amplitude.
+    Return the time since the start of an underdamped plate of unknown amplitude.
 
-    Its height over its speed is the same at one time only: without damping, that is
+    The ratio of height and speed determines the time: without damping it is
     :math:`\arctan(2 \pi f z / v) / \pi f`.
 
     Parameters
     ----------
     height, speed : float
-        Of the plate, going up for the first time. [m], [m/s]
+        State of the plate during its first rise. [m], [m/s]
     plate : Underdamped
-        Of the same frequency and damping.
+        Motion of the same frequency and damping ratio.
 
     Returns
     -------
     float
-        At most until the plate is highest. [s]
+        Time since the start, at most that of the largest height. [s]
 
     Examples
     --------
@@ -237,36 +267,35 @@ def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
     def excess(time: float) -> float:
         return float(plate.position(time) - ratio * plate.velocity(time))
 
-    # until it is fastest, the plate has come less far than it would have at its speed now
+    # before its largest speed, the plate has risen less than it would have at its present speed
     low = min(ratio, plate.peak_velocity_time)
     return float(scipy.optimize.brentq(excess, low, highest, xtol=1e-12))
 
 
 def find_start(
-    samples: Sequence[Sample], onset_ns: int, plate_rest: float, config: MeasurementConfig
+    samples: Rows, onset_ns: int, plate_rest: float, config: MeasurementConfig
 ) -> int:
     """
-    Find when the plate has started, by least squares.
+    Find the start of the plate by least squares.
 
     Parameters
     ----------
-    samples : sequence of Sample
-        From before the start to about a window after it.
+    samples : ndarray of `SAMPLE`
+        Samples from before the start to about a window after it.
     onset_ns : int
-        First guess, to a quarter of the window. [ns]
+        First guess, within a quarter of the window. [ns]
     plate_rest : float
         Height before the start. [m]
     config : MeasurementConfig
-        How the plate is measured, and moves but for its amplitude.
+        Parameters of the measurement, with the motion of the plate up to its amplitude.
 
     Returns
     -------
     int
-        How much later than `onset_ns`. [ns]
+        Start minus `onset_ns`. [ns]
 
     """
-    since = np.array([sample.stamp_ns - onset_ns for sample in samples]) / SECOND
-    heights = np.array([sample.plate for sample in samples]) - plate_rest
+    since, heights = seconds_since(onset_ns, samples), samples['plate'] - plate_rest
 
     def mismatch(later: float) -> float:
         shape = config.plate.position(since - later)
@@ -283,18 +312,18 @@ def find_start(
 
 def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:
     """
-    Find the largest of noisy speeds of about such a plate: the top of a parabola around it.
+    Return the largest speed of a plate from noisy speeds, as the maximum of a parabola.
 
-    It goes through a fifth of the period, in the middle of which is its own top. It is looked for
-    from where it should be: around the largest of the speeds is where noise is.
+    The parabola is fitted to a fifth of the period around its own maximum. The iteration starts
+    at the expected time of the maximum, because the largest sample may be noise.
     """
     time, speed = np.array(times), np.array(speeds)
     largest, half = float(speed.max()), 0.1 / plate.frequency
     top = plate.peak_velocity_time
-    for _ in range(_TOPS):
+    for _ in range(_PARABOLAS):
         near = np.abs(time - top) <= half
         if near.sum() < 5 or time[-1] - top < 0.5 * half:
-            return largest  # it still grows
+            return largest  # the speed still grows
         c, b, a = np.polyfit(time[near] - top, speed[near], 2).tolist()
         if c >= 0.0:
             return largest

@@ -15,51 +15,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache, partial
-from typing import Any
+from functools import lru_cache
 
-from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.cell_stepper import first_throws
-from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.models import MODELS
+from soft_throw_ros.core.rig import model_for, Rig
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.twin.results import Release
 
-_CELLS = 64  # by which finite differences predict, ...
-_STIFFEST = 1000.0  # up to so many crossings in a plate period, which take long to follow
+_COMPARED = (
+    'spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued'
+)
+"""Names of the models that predict, in the order of the results."""
+
+_CELLS = 64
+"""Number of cells of the models with cells."""
+
+_MAX_SPEED_RATIO = 1000.0
+"""Most crossings of the wave per plate period; beyond, models with cells are too slow. [-]"""
 
 
 @lru_cache(maxsize=4)
 def predict_by_other_models(rig: Rig, model: str) -> dict[str, Release | None]:
-    """Let models other than the given one predict, if they can; None where nothing leaves."""
-    ratios: dict[str, Any] = {  # keyword arguments of either kind of function
-        'mass_ratio': rig.mass_ratio,
-        'speed_ratio': rig.speed_ratio,
-        'damping_ratio': rig.engine.damping_ratio,
-        'gravity_ratio': rig.gravity_ratio,
+    """Predict the release by the other applicable models; None without a release."""
+    return {
+        name: _first_release(rig, name)
+        for name in _COMPARED
+        if name != model
+        and name == model_for(rig, name)
+        and (MODELS[name].batch != 'cells' or rig.speed_ratio <= _MAX_SPEED_RATIO)
     }
-    spring_ratio = rig.natural_frequency / rig.engine.frequency
-    ways: dict[str, Callable[[], Any]] = {  # each returns its own type with the same three fields
-        'spring_mass': partial(spring_mass.first_release, frequency_ratio=spring_ratio)
-    }
-    if not rig.layer.needs_cells:
-        ways['travelling_wave'] = partial(first_release, **ratios)
-    if rig.speed_ratio <= _STIFFEST:
-        ratios = {**rig.cell_ratios, 'cells': _CELLS}
-        ways['finite_difference_elastic'] = partial(
-            first_throws, **ratios, crossing_ratio=rig.crossing_ratio
-        )
-        ways['finite_difference_glued'] = partial(first_throws, **ratios, glued_to='projectile')
-    return {name: _released(rig, way) for name, way in ways.items() if name != model}
 
 
-def _released(rig: Rig, way: Callable[[], Any]) -> Release | None:
-    try:
-        release = way()
-    except ThrowUnresolvedError:
+def _first_release(rig: Rig, model: str) -> Release | None:
+    throws = throw_many(rig, model=model, cells=_CELLS)
+    time, speed, transfer = map(float, throws[:3])
+    if not speed > 0.0:
         return None
-    return Release(
-        ejection_time=float(release.ejection_phase) / rig.engine.frequency,
-        ejection_speed=float(release.speed) * rig.engine.speed_scale,
-        energy_transfer=float(release.energy_transfer),
-    )
+    return Release(ejection_time=time, ejection_speed=speed, energy_transfer=transfer)

@@ -12,25 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-From samples of a rig, as they come, to the motion of its plate.
+The motion of a measured plate, estimated from samples as they arrive.
 
-Samples are put in the order of their stamps. What is older than the newest stamp by more than the
-time to wait for stragglers (the watermark) is complete, and is smoothed there, see
-`soft_throw_ros.core.smoothing`, at times an eighth of the window apart. So the plate is known up
-to a quarter of the window, the time to wait and at most an eighth of the window behind the newest
-sample. What comes for a time that is complete already is late, and is refused.
+Samples are sorted by their stamps. Samples older than the newest stamp by more than
+`measured.latency` (the watermark) are complete, and are smoothed at times an eighth of the window
+apart, see `soft_throw_ros.core.smoothing`. The plate is therefore known up to a quarter of the
+window, the latency and at most an eighth of the window before the newest sample. Samples that
+arrive for a complete time are late, and are refused.
 
-Complete samples are held against where those before them say that the plate must be: a body that
-is not accelerated by much more than the engine can do gets no farther. Those that have
-jumped are left out, see `jump_filter`.
+Outliers among complete samples are left out, see `outlier_filter`: a body is not accelerated by
+much more than the acceleration of the engine.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 import math
 from typing import NamedTuple
 
@@ -38,79 +35,104 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.smoothing import AHEAD, BEHIND, FEWEST, fit_cubics
-from soft_throw_ros.twin.jump_filter import JumpFilter
+from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OutlierFilter
+from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
-FUTURE = SECOND // 10  # how far ahead of the clock a stamp may be [ns]
-PAST = SECOND  # how far behind the clock a stamp may be [ns]
-FARTHEST, FASTEST = 100.0, 1000.0  # heights [m], velocities [m/s] that no rig goes beyond
-PER_CROSSING, PER_PERIOD = 3, 20  # fewest samples in a crossing of the wave, and a plate period
-STATES_PER_WINDOW = 8  # times at which the plate is smoothed, in a window
-_KEPT_WINDOWS = 16  # for which samples are kept: rest, start, and some reserve
-_LONGEST_STEP = 1000  # times that are smoothed at once; what is before them is given up
+FUTURE = SECOND // 10
+"""Largest accepted lead of a stamp over the clock. [ns]"""
 
+PAST = SECOND
+"""Largest accepted age of a stamp by the clock. [ns]"""
 
-class Sample(NamedTuple):
-    """What was measured at a time."""
+FARTHEST = 100.0
+"""Largest accepted magnitude of a height; every real rig stays below. [m]"""
 
-    stamp_ns: int  # when [ns]
-    plate: float  # height [m]
-    plate_velocity: float = math.nan  # or NaN [m/s]
-    projectile: float = math.nan  # height, or NaN [m]
+FASTEST = 1000.0
+"""Largest accepted magnitude of a velocity; every real rig stays below. [m/s]"""
+
+PER_CROSSING = 3
+"""Samples that are needed while a wave crosses the layer. [-]"""
+
+PER_PERIOD = 20
+"""Samples that are needed in a period of the plate. [-]"""
+
+STATES_PER_WINDOW = 8
+"""Times in a smoothing window at which the plate is estimated. [-]"""
+
+MOST_SCATTER = 2.0
+"""Largest error of a stamp over the scatter of stamps about an even rate. [-]"""
+
+_KEPT_WINDOWS = 16
+"""Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
+
+_SCATTER_SAMPLES = 64
+"""Newest samples, which give the scatter of stamps. [-]"""
+
+_SCATTER_UPDATE = 16
+"""Complete samples from one estimate of the scatter to the next. [-]"""
+
+_LONGEST_STEP = 1000
+"""Times that one call smooths at most, to bound its cost; earlier times are skipped. [-]"""
 
 
 class PlateStates(NamedTuple):
-    """Motion of the plate, smoothed."""
+    """Smoothed motion of the plate."""
 
     times: Floats  # since the origin of the estimator, shape (n,) [s]
     states: Floats  # height [m], velocity [m/s], acceleration [m/s2], shape (n, 3)
     errors: Floats  # standard errors of the velocity, shape (n,) [m/s]
     gap: float = 0.0  # longest time between samples on the way here [s]
+    # sums of squares of residuals, over the variance of heights [-], and degrees of freedom [-]
+    misfits: Floats = np.empty((0, 2))
 
 
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
 
 
 def state_spacing_ns(config: MeasurementConfig) -> int:
-    """Return the time between those at which the plate is smoothed [ns]."""
+    """Return the interval between the times at which the plate is estimated [ns]."""
     return config.smoothing_window_ns // STATES_PER_WINDOW
 
 
 def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, str]:
-    """Return the lowest rate of samples that will do, and why [Hz]."""
+    """Return the lowest sufficient rate of samples [Hz], and the rule that requires it."""
     return max(
         (PER_CROSSING / crossing_time, f'{PER_CROSSING} in a crossing of the wave'),
         (PER_PERIOD * config.plate.frequency, f'{PER_PERIOD} in a period of the plate'),
-        (FEWEST / config.smoothing_window, f'{FEWEST} in measured.window'),
+        (FEWEST / config.smoothing_window, f'{FEWEST} in measured.smoothing_window'),
     )
 
 
 class PlateEstimator:
     """
-    Samples in their order, and the motion of the plate through them.
+    Samples sorted by stamp, and the smoothed motion of the plate.
 
     Parameters
     ----------
     config : MeasurementConfig
-        How they are taken.
+        Parameters of the measurement.
     origin_ns : int, optional
-        Time 0; that of the first sample if not given. [ns]
+        Time 0; by default the stamp of the first sample. [ns]
     samples : sequence of Sample
-        That have been taken already, in their order.
+        Samples that have been accepted already, sorted.
     refused : Counter of str, optional
-        Where samples that are refused are counted, by reason: 'not finite', 'out of range',
-        'future', 'past', 'doubled' and 'late'.
+        Counts of refused samples by reason: 'not finite', 'out of range', 'future', 'past',
+        'doubled' and 'late'.
 
     Attributes
     ----------
-    jumped : int
-        Samples that were taken, and left out since plate or projectile cannot have been there.
+    outliers : int
+        Number of accepted samples that were left out later as outliers.
     newest_ns : float
         Stamp of the newest sample, minus infinity if there is none. [ns]
     complete_ns : float
-        Until when samples are complete, by the last call of `advance`. [ns]
+        Time until which samples are complete, by the last call of `advance`. [ns]
+    stamp_scatter : float
+        Standard deviation of the stamps about an even rate; 0 while there are too few samples.
+        Wrong stamps scatter, and so do right ones of a sensor with an uneven rate. [s]
 
     """
 
@@ -125,32 +147,52 @@ class PlateEstimator:
         self.config = config
         self.origin_ns = origin_ns
         self.refused: Counter[str] = Counter() if refused is None else refused
-        self._samples = list(samples)
+        self._samples = SampleBuffer(samples)
         self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
-        self._next = 0  # time at which to smooth, in spacings
-        self.jumped = 0
+        self._next = 0  # next time to estimate, in spacings
+        self.outliers = 0
         self.complete_ns = -math.inf
-        self._smoothed_ns = -math.inf  # what is not later has been in a window
+        self._smoothed_ns = -math.inf  # end of the last window
         plate = config.plate
         acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
-        self._plate_filter = JumpFilter(acceleration, config.position_noise)
-        self._projectile_filter = JumpFilter(acceleration, config.position_noise)
+        self.stamp_scatter = 0.0
+        self._unscattered = 0  # complete samples since the last estimate of the scatter
+        self._plate_filter = OutlierFilter(acceleration, config.position_noise)
+        self._projectile_filter = OutlierFilter(acceleration, config.position_noise)
 
-    def samples(self, begin_ns: float, end_ns: float = math.inf) -> list[Sample]:
-        """Return the samples from one time to before another, as far back as they are kept."""
-        first = bisect_left(self._samples, (begin_ns,))
-        last = bisect_left(self._samples, (end_ns,))
-        return self._samples[first:last]
+    def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
+        """Return the stored samples from one time to before another."""
+        return self._samples.between(begin_ns, end_ns)
 
     def rate(self) -> float:
-        """Return the rate of the samples that are kept, 0 if there are too few to tell [Hz]."""
-        stamps = [sample.stamp_ns for sample in self._samples]
+        """Return the rate of the stored samples, 0 if there are too few [Hz]."""
+        stamps = self._samples.rows['stamp_ns']
         if len(stamps) < FEWEST:
             return 0.0
         return SECOND / float(np.median(np.diff(stamps)))
 
+    def missing_since(self, begin_ns: int) -> int:
+        """Count the samples that are missing since a time, compared with an even rate."""
+        intervals = np.diff(self.samples(begin_ns)['stamp_ns'])
+        if len(intervals) < FEWEST:
+            return 0
+        return int((np.rint(intervals / np.median(intervals)) - 1.0).clip(0.0).sum())
+
+    def _update_stamp_scatter(self) -> None:
+        """Estimate the scatter of stamps about an even rate after some new samples."""
+        last = self._samples.index(self.complete_ns + 1)
+        if self._unscattered < _SCATTER_UPDATE or last < _SCATTER_UPDATE:
+            return
+        self._unscattered = 0
+        stamps = self._samples.rows['stamp_ns'][max(last - _SCATTER_SAMPLES, 0):last]
+        # the variance of second differences is six times that of a stamp
+        deviation = float(np.median(np.abs(np.diff(stamps, 2)))) / MEDIAN_DEVIATION
+        self.stamp_scatter = deviation / (math.sqrt(6.0) * SECOND)
+        for outlier_filter in (self._plate_filter, self._projectile_filter):
+            outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
+
     def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
-        """Take samples in the order in which they came, or refuse and count them."""
+        """Add samples in their order of arrival, count refused ones, and return the added ones."""
         taken = []
         for sample in samples:
             reason = self._refusal(sample, now_ns)
@@ -158,11 +200,8 @@ class PlateEstimator:
                 self.refused[reason] += 1
                 continue
             taken.append(sample)
-            if sample.stamp_ns > self.newest_ns:
-                self._samples.append(sample)
-                self.newest_ns = sample.stamp_ns
-            else:
-                self._samples.insert(bisect_left(self._samples, sample), sample)
+            self._samples.insert(sample)
+            self.newest_ns = max(self.newest_ns, sample.stamp_ns)
         return taken
 
     def _refusal(self, sample: Sample, now_ns: int) -> str:
@@ -177,92 +216,91 @@ class PlateEstimator:
             return 'past'
         if stamp_ns > self.newest_ns:
             return ''
-        index = bisect_left(self._samples, (stamp_ns,))
-        if index < len(self._samples) and self._samples[index].stamp_ns == stamp_ns:
+        if len(self._samples.between(stamp_ns, stamp_ns + 1)):
             return 'doubled'
         return 'late' if stamp_ns <= self.complete_ns else ''
 
     def _complete(self, until_ns: int) -> None:
-        """Leave out what has jumped of the samples that are complete now."""
-        first = bisect_left(self._samples, (self.complete_ns + 1,))
-        end = bisect_left(self._samples, (until_ns + 1,))
+        """Leave out the outliers among the samples that are complete now."""
+        buffer = self._samples
+        first = buffer.index(self.complete_ns + 1)
         self.complete_ns = max(self.complete_ns, until_ns)
-        new = self._samples[first:end]
-        if not new:
+        new = buffer.rows[first:buffer.index(until_ns + 1)]
+        if not len(new):
             return
         assert self.origin_ns is not None
-        count, origin_ns = len(new), self.origin_ns
-        times, plates, tops = np.array(
-            [((stamp_ns - origin_ns) / SECOND, at, top) for stamp_ns, at, _, top in new]
-        ).T.copy()
-        out, top_out = np.zeros((2, count), dtype=np.bool_)
-        plate_filter, top_filter = self._plate_filter, self._projectile_filter
-        plate_filter.judge(times, plates, count - 1, out)
-        top_filter.judge(times, tops, count - 1, top_out)
-        last = times[-1:], plates[-1:], tops[-1:]
-        if plate_filter.is_doubtful(times[-1], plates[-1]) or top_filter.is_doubtful(
-            times[-1], tops[-1]
-        ):  # the next one will tell
-            self.complete_ns, end, count = new[-1].stamp_ns - 1, end - 1, count - 1
+        times = seconds_since(self.origin_ns, new)
+        plates, projectiles = new['plate'].copy(), new['projectile'].copy()
+        count = len(new)
+        is_out, is_projectile_out = np.zeros((2, count), dtype=np.bool_)
+        plate_filter, projectile_filter = self._plate_filter, self._projectile_filter
+        plate_filter.judge(times, plates, count - 1, is_out)
+        projectile_filter.judge(times, projectiles, count - 1, is_projectile_out)
+        last = times[-1:], plates[-1:], projectiles[-1:]
+        if plate_filter.needs_next(times[-1], plates[-1]) or projectile_filter.needs_next(
+            times[-1], projectiles[-1]
+        ):
+            self.complete_ns, count = int(new['stamp_ns'][-1]) - 1, count - 1
         else:
-            plate_filter.judge(last[0], last[1], 1, out[-1:])
-            top_filter.judge(last[0], last[2], 1, top_out[-1:])
-        if not (out[:count].any() or top_out[:count].any()):
+            plate_filter.judge(last[0], last[1], 1, is_out[-1:])
+            projectile_filter.judge(last[0], last[2], 1, is_projectile_out[-1:])
+        self._unscattered += count
+        self._update_stamp_scatter()
+        is_out, is_projectile_out = is_out[:count], is_projectile_out[:count]
+        if not (is_out.any() or is_projectile_out.any()):
             return
-        self.jumped += int((out | top_out)[:count].sum())
-        self._samples[first:end] = [
-            sample._replace(projectile=math.nan) if top_out[k] else sample
-            for k, sample in enumerate(new[:count])
-            if not out[k]
-        ]
+        self.outliers += int((is_out | is_projectile_out).sum())
+        new['projectile'][:count][is_projectile_out] = math.nan
+        buffer.remove(first, is_out)
 
     def advance(self, now_ns: int) -> PlateStates:
-        """Return the motion since the last call, as far as it is known."""
-        if not self._samples:
+        """Return the motion since the last call, up to the latest known time."""
+        if not len(self._samples):
             return NO_STATES
         if self.origin_ns is None:
-            self.origin_ns = self._samples[0].stamp_ns
+            self.origin_ns = int(self._samples.rows['stamp_ns'][0])
         config, spacing = self.config, state_spacing_ns(self.config)
         behind = round(BEHIND * config.smoothing_window_ns)
         ahead = round(AHEAD * config.smoothing_window_ns)
-        complete_ns = min(int(self.newest_ns), now_ns) - config.wait_ns
+        complete_ns = min(int(self.newest_ns), now_ns) - config.latency_ns
         self._complete(complete_ns)
         end = (int(self.complete_ns) - ahead - self.origin_ns) // spacing + 1
         begin = max(self._next, end - _LONGEST_STEP)
         if begin >= end:
             return NO_STATES
         self._next = end
-        at_ns = self.origin_ns + spacing * np.arange(begin, end)
-        first = bisect_left(self._samples, (at_ns[0] - behind,))
-        last = bisect_left(self._samples, (at_ns[-1] + ahead + 1,))
-        before = max(first - 1, 0)
-        samples = self._samples[before:last]
-        before_ns, self._smoothed_ns = self._smoothed_ns, int(at_ns[-1]) + ahead
-        kept_ns = self._smoothed_ns - _KEPT_WINDOWS * config.smoothing_window_ns
-        del self._samples[: bisect_left(self._samples, (kept_ns,))]
-        if len(samples) < FEWEST:
+        begin_ns = self.origin_ns + spacing * begin - behind
+        end_ns = self.origin_ns + spacing * (end - 1) + ahead
+        before_ns, self._smoothed_ns = self._smoothed_ns, end_ns
+        first = max(self._samples.index(begin_ns) - 1, 0)
+        rows = self._samples.rows[first:self._samples.index(end_ns + 1)]
+        self._samples.drop_before(end_ns - _KEPT_WINDOWS * config.smoothing_window_ns)
+        if len(rows) < FEWEST:
             return NO_STATES
-        stamps = [sample.stamp_ns for sample in samples]
-        gap_ns = max(
-            (later - earlier for earlier, later in pairwise(stamps) if later > before_ns),
-            default=0,
-        )
-        _, plate, velocity, _ = np.array(samples).T
-        at = (at_ns - self.origin_ns) / SECOND
-        times = (np.array(stamps) - self.origin_ns) / SECOND
+        stamps = rows['stamp_ns']
+        is_new = stamps[1:] > before_ns
+        gap_ns = int(np.diff(stamps)[is_new].max()) if is_new.any() else 0
+        at = spacing * np.arange(begin, end) / SECOND
         states, errors = np.empty((at.size, 3)), np.empty(at.size)
+        misfits = np.empty((at.size, 2))
         ratio = config.position_noise / config.velocity_noise
         fit_cubics(
             at,
-            times,
-            plate.copy(),
-            velocity.copy(),
+            seconds_since(self.origin_ns, rows),
+            rows['plate'].copy(),
+            rows['plate_velocity'].copy(),
             0.5 * config.smoothing_window,
             ratio,
             states,
             errors,
+            misfits,
         )
         known = np.isfinite(errors)
+        misfits[:, 0] /= config.position_noise**2
         return PlateStates(
-            at[known], states[known], config.position_noise * errors[known], gap_ns / SECOND
+            at[known],
+            states[known],
+            config.position_noise * errors[known],
+            gap_ns / SECOND,
+            misfits[known],
         )

@@ -11,52 +11,82 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rig with all that can be made ready before it throws."""
+"""A rig with all values that are computed before a throw."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core.cell_stepper import cells_per_layer
+from soft_throw_ros.core.cell_stepper import cells_per_layer, UPDATE_COST
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, Stepper
 from soft_throw_ros.core.throw import make_stepper
-from soft_throw_ros.core.wave_stepper import steps_per_crossing
+from soft_throw_ros.core.throws import advance_to_release
+from soft_throw_ros.core.wave_stepper import STEP_COST, steps_per_crossing
 from soft_throw_ros.twin.engine_forecast import EngineForecaster
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
-THROW_FIELD_ROWS = 200  # times at which the field of a throw holds the layer
-THROW_FIELD_LENGTH = 1.5  # how long the field of a throw lasts, in ejection times [-]
-LONGEST_WINDOW = 0.2  # of the smoothing, in plate periods: longer ones hide the start [-]
-RETURN_TIME = 0.1  # of putting back, unless the period of the throws is too short for it [s]
+THROW_FIELD_ROWS = 200
+"""Times of the field of a throw. [-]"""
 
-_LONGEST_CONTACT = 4  # oscillation cycles: what has not left by then counts as never leaving
+THROW_FIELD_LENGTH = 1.5
+"""Duration of the field of a throw, in ejection times. [-]"""
+
+LONGEST_WINDOW = 0.2
+"""Longest smoothing window in periods of the plate; longer ones hide the start. [-]"""
+
+CATCH_UP = 0.25
+"""Part of a step that a simulation of a measured throw from its start may take. [-]"""
+MOST_SHARE = 0.5
+"""
+Share of a step that the stepper of a measured throw and its forks may take, in addition to
+`CATCH_UP` and the remaining work of a step. [-]
+"""
+RETURN_TIME = 0.1
+"""Duration of the return to rest, unless the period of the throws is too short. [s]"""
+
+_LONGEST_CONTACT = 4
+"""Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
+
+
+class Track(NamedTuple):
+    """A stepper of a measured plate, and two forks that run ahead."""
+
+    stepper: Stepper
+    shown: Stepper  # stands at the present time
+    ahead: Stepper  # stands as far ahead as the projectile is known
+
+    @classmethod
+    def of(cls, stepper: Stepper) -> Track:
+        """Make a track of a stepper."""
+        return cls(stepper, stepper.fork(), stepper.fork())
 
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedRig:
     """A rig that is ready to throw."""
 
-    config: TwinConfig  # what it was made of
+    config: TwinConfig  # the configuration of this rig
     stepper: Stepper  # the rig by its model, at rest
     rest: State  # where plate and projectile are at rest
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
-    throw_field: ThrowField | None  # what the layer will do; unknown if the plate is measured
-    forks: tuple[Stepper, ...] = ()  # with a measured plate two that go ahead of the stepper
+    throw_field: ThrowField | None  # None if the plate is measured
+    tracks: tuple[Track, ...] = ()  # with a measured plate two, the first with the stepper
     forecaster: EngineForecaster | None = None  # with a measured plate, if the projectile leaves
 
     @classmethod
     def from_config(cls, config: TwinConfig) -> PreparedRig:
         """
-        Make everything ready, which takes milliseconds.
+        Prepare a rig, which takes milliseconds.
 
         Raises
         ------
@@ -75,7 +105,7 @@ class PreparedRig:
             rest_layer=LayerState(*rest_layer),
             peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
-            forks=(stepper.fork(), stepper.fork()) if is_measured else (),
+            tracks=(Track.of(stepper), Track.of(stepper_of(config))) if is_measured else (),
             forecaster=_forecaster(config) if is_measured else None,
         )
 
@@ -91,27 +121,32 @@ class PreparedRig:
 
     @property
     def lookahead(self) -> float:
-        """How much longer than the plate the projectile is known: as long as a wave needs [s]."""
+        """Time from the horizon of the plate to that of the projectile: a wave's crossing [s]."""
         return 0.0 if self.config.model == 'spring_mass' else self.rig.crossing_time
 
     @property
     def release_lookahead(self) -> float:
-        """Return the same of its release, at the plate if the layer is thrown along [s]."""
-        return 0.0 if self.config.model == 'finite_difference_glued' else self.lookahead
+        """Return the lookahead of the release, zero if the layer is thrown along [s]."""
+        return 0.0 if self.config.model == 'cells_glued' else self.lookahead
+
+    @property
+    def catch_up(self) -> float:
+        """Time of the rig that a simulation from the start may advance in one step [s]."""
+        return CATCH_UP * self.tick / self.stepper.cost
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
         return max(2, round(period / self.tick))
 
     def return_ticks(self, period: float) -> int:
-        """Return the steps that putting back takes: at most half of the period."""
+        """Return the steps of the return to rest, at most half of the period."""
         ticks = max(1, round(RETURN_TIME / self.tick))
         return min(ticks, self.period_ticks(period) // 2) if period else ticks
 
 
 def stepper_of(config: TwinConfig) -> Stepper:
     """
-    Make what follows the rig in real time, by the motion of its engine or a measured one.
+    Return a stepper of the rig with the motion of its engine or a measured plate.
 
     Raises
     ------
@@ -128,13 +163,13 @@ def stepper_of(config: TwinConfig) -> Stepper:
 
 
 def _forecaster(config: TwinConfig) -> EngineForecaster | None:
-    """Make what predicts throws by the engine's motion; None if the projectile does not leave."""
+    """Return a forecaster with the motion of the engine; None if the projectile does not leave."""
 
     def throw(engine: Engine) -> tuple[float, float] | None:
         rig = dataclasses.replace(config.rig, engine=engine)
         try:
             stepper = stepper_of(dataclasses.replace(config, rig=rig, motion='underdamped'))
-        except ValueError:  # the rig is at the limit of what can be stepped
+        except ValueError:  # a neighbouring rig exceeds the limits of the stepper
             return None
         _ejection_time(stepper)
         events = stepper.events()
@@ -143,32 +178,52 @@ def _forecaster(config: TwinConfig) -> EngineForecaster | None:
     return EngineForecaster.of(config.rig.engine, throw, stepper_of(config))
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: Settings, before: TwinConfig | None = None) -> TwinConfig:
     """
-    Tell whether settings can be stepped in real time, which takes microseconds.
+    Return the configuration that settings describe if it can be stepped in real time.
+
+    Parameters
+    ----------
+    settings : mapping of str to value
+        Complete settings.
+    before : TwinConfig, optional
+        An earlier configuration; its rig is reused unless a parameter of the rig changes.
 
     Raises
     ------
     ValueError
-        If not, with the number and what would do.
+        If the rig cannot be stepped in real time, with the number and the remedy.
 
     """
-    config = TwinConfig.from_settings(settings)
+    config = TwinConfig.from_settings(settings) if before is None else before.change(settings)
+    crossing = config.rig.crossing_time
     if config.model == 'travelling_wave':
-        steps_per_crossing(config.rig)
+        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
     else:
-        cells_per_layer(config.rig, config.model)
+        cost = UPDATE_COST * cells_per_layer(config.rig, config.model) ** 2 / crossing
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
     if config.is_measured and window * frequency > LONGEST_WINDOW:
         raise ValueError(
-            f'measured.window must be at most {LONGEST_WINDOW:g} of the plate period, '
+            f'measured.smoothing_window must be at most {LONGEST_WINDOW:g} of the plate period, '
             f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
             f'got {window:g} s'
         )
+    # in each step, the forks advance by the time that they are ahead
+    ahead = 2.0 * crossing + window
+    share = cost * (1.0 + ahead * config.state_rate)
+    if config.is_measured and share > MOST_SHARE:
+        message = (
+            f'rate.state {config.state_rate:g} Hz with a measured plate needs '
+            f'{1e3 * share / config.state_rate:.3g} ms of processor time in a step of '
+            f'{1e3 / config.state_rate:.3g} ms, the limit is {100.0 * MOST_SHARE:g} %'
+        )
+        feasible = (MOST_SHARE / cost - 1.0) / ahead
+        raise ValueError(f'{message}; feasible: rate.state of {0.999 * feasible:.4g} Hz or less')
+    return config
 
 
 def _throw_field(stepper: Stepper) -> ThrowField:
-    """Let the layer go through a throw, to half as long again as the ejection time."""
+    """Return the strain of the layer until `THROW_FIELD_LENGTH` ejection times."""
     times = np.linspace(0.0, THROW_FIELD_LENGTH * _ejection_time(stepper), THROW_FIELD_ROWS)
     strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
     stepper.reset()
@@ -178,16 +233,14 @@ def _throw_field(stepper: Stepper) -> ThrowField:
 
 
 def _ejection_time(stepper: Stepper) -> float:
-    """Find when the projectile leaves, or, if it does not soon, how long it was waited for."""
+    """Return the ejection time, or the waiting time if the projectile does not leave soon."""
     rig = stepper.rig
     cycle = 1.0 / min(rig.engine.frequency, rig.natural_frequency) + rig.crossing_time
     if rig.engine.motion:
         cycle += rig.engine.motion.end_time
-    for eighth in range(1, 8 * _LONGEST_CONTACT + 1):
-        try:
-            has_left = stepper.advance_to(0.125 * eighth * cycle) > 0
-        except EventLimitError:  # it has, and bounced on a stiff layer countless times
-            has_left = True
-        if has_left:
-            return stepper.events()[0].time
-    return _LONGEST_CONTACT * cycle
+    latest = _LONGEST_CONTACT * cycle
+    try:
+        release = advance_to_release(stepper, latest=latest, step=0.125 * cycle)
+    except EventLimitError:  # the projectile has left, and bounces on a stiff layer
+        release = stepper.events()[0]
+    return latest if release is None else release.time

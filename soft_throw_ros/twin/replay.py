@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
@@ -24,7 +25,7 @@ from soft_throw_ros.twin.session import Session
 
 def follow(session: Session, entry: journal.Entry) -> Iterator[Outputs]:
     """
-    Go on to an entry of the journal of a session, and take the input it tells, if it does.
+    Advance a session to an entry of its journal, and apply the input of the entry, if any.
 
     Yields
     ------
@@ -36,7 +37,7 @@ def follow(session: Session, entry: journal.Entry) -> Iterator[Outputs]:
     JournalError
         If the entry cannot be read, or its input belongs before a step that has passed.
     RequestRejected
-        If the input cannot be taken, so that this is not the session that the journal is of.
+        If the session rejects the input, so that the journal is of another session.
 
     """
     if entry['kind'] == 'samples':
@@ -49,19 +50,22 @@ def follow(session: Session, entry: journal.Entry) -> Iterator[Outputs]:
         session.set_tick_schedule(journal.decode_schedule(entry))
     elif entry['kind'] == 'input':
         if entry['step'] != session.step:
-            raise journal.JournalError(f'an input before step {session.step}, got {dict(entry)!r}')
+            raise journal.JournalError(
+                f'an input before step {session.step}, got {quote(dict(entry))}'
+            )
         match entry.get('input'):
             case 'throw':
                 session.request_throw()
             case 'reset':
                 session.reset()
             case 'parameters':
-                session.change(journal.checked_settings(entry, 'values'))
+                values = journal.checked_settings(entry, 'values')
+                session.change(values, motion_of=journal.motion_source(entry))
             case name:
-                raise journal.JournalError(f'no input is named {name!r}')
+                raise journal.JournalError(f'no input is named {quote(name)}')
 
 
 def advance_to(session: Session, step: int) -> Iterator[Outputs]:
-    """Go on until a step is the next one."""
+    """Advance until a step is the next one."""
     while session.step < step:
         yield session.advance()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What comes out of a throw."""
+"""Results of a throw, and the output of a step."""
 
 from __future__ import annotations
 
@@ -31,17 +31,30 @@ Floats = NDArray[np.float64]
 
 
 MOST_LEFT_OUT = 0.05
-"""Part of the samples of a throw that may be left out before it is marked [-]."""
+"""Largest share of outliers, or of missing samples, without a warning. [-]"""
+
+_EXPLAINED_SHARE = 0.5
+"""Smallest share of a residual that identifies its cause. [-]"""
+
+INVALID_ENDS = ('gap', 'noise')
+"""Values of `ThrowResult.ended_by` of throws that could not be followed."""
 
 
 class Phase(str, Enum):
-    """What the rig is doing."""
+    """Phase of the rig."""
 
     REST = 'rest'
     CONTACT = 'contact'
     FLIGHT = 'flight'
     LANDED = 'landed'
     RETURNING = 'returning'
+
+
+class PhaseChange(NamedTuple):
+    """The start of a phase."""
+
+    phase: Phase
+    stamp_ns: int  # time of the change by the clock of the ticks [ns]
 
 
 class State(NamedTuple):
@@ -60,7 +73,7 @@ class LayerState(NamedTuple):
 
     height: Floats  # [m]
     velocity: Floats  # [m/s]
-    force: Floats  # through each height, of what is below on what is above, z up [N]
+    force: Floats  # through the layer at each height, positive in compression [N]
 
 
 class ThrowField(NamedTuple):
@@ -79,86 +92,123 @@ class ThrowField(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """How the projectile left."""
+    """Time, speed and energy of a release."""
 
     ejection_time: float  # from the start of the throw [s]
     ejection_speed: float  # [m/s]
-    energy_transfer: float  # square of the latter over the peak speed of the plate [-]
+    energy_transfer: float  # square of the ejection speed over the plate's peak speed [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
     """
-    A throw by the model against what was measured, until a plate period after the release.
+    A throw of the model compared with the samples, until a plate period after the release.
 
-    The errors are how much later, and faster, the projectile passes the height of its release by
-    the model than measured; None if it was not followed long enough.
+    The errors are model minus measurement, for the time and the speed at the height of the
+    release; None if the projectile was not measured for long enough.
     """
 
     samples: int  # of the projectile, that were compared
     position_rms: float  # of the differences of its position [m]
     position_max: float  # [m]
-    threshold: float  # within which `position_rms` should be [m]
+    threshold: float  # upper bound of a normal `position_rms` [m]
     ejection_time_error: float | None = None  # [s]
     ejection_speed_error: float | None = None  # [m/s]
 
     @property
     def is_within_threshold(self) -> bool:
-        """Whether the model is as good as it should be."""
+        """Whether the differences of model and measurement are normal."""
         return self.position_rms <= self.threshold
 
-    def describe(self) -> str:
-        """Say it for people to read."""
-        rms, threshold = 1e6 * self.position_rms, 1e6 * self.threshold
-        if self.is_within_threshold:
-            return f'the projectile went as by the model, to {rms:.3g} um rms'
-        return (
-            f'the projectile was {rms:.3g} um rms off the model, beyond measured.band '
-            f'{threshold:.3g} um: the layer has aged or slipped, or the parameters are wrong'
-        )
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances:
+    """Faults of the measurement during a throw that are no fault of the rig."""
+
+    stamp_error: float = 0.0  # standard deviation of the stamps of samples [s]
+    samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
+    time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
+
+    def describe(self, *, samples: int, speed: float, residual: float) -> str:
+        """
+        Describe the disturbances that explain a residual.
+
+        Parameters
+        ----------
+        samples : int
+            Number of samples in the throw.
+        speed : float
+            Speed of the body. [m/s]
+        residual : float
+            Rms of its positions. [m]
+
+        Returns
+        -------
+        str
+            Empty without such disturbances.
+
+        """
+        causes = []
+        if self.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:
+            causes.append(
+                f'stamps jitter by {1e6 * self.stamp_error:.3g} us (stamp samples when they are '
+                'measured)'
+            )
+        if self.samples_missing > MOST_LEFT_OUT * samples:
+            causes.append(
+                f'{self.samples_missing} samples are missing or came too late (see measurement '
+                'in /diagnostics)'
+            )
+        if self.time_skipped > 0.0:
+            causes.append(
+                f'the twin had no processor time for {1e3 * self.time_skipped:.3g} ms'
+            )
+        return ', '.join(causes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
     """
-    How well the release of a measured plate is known: standard errors, by what was measured.
+    Standard errors of the release of a measured plate, from the errors of the samples.
 
-    What is not known of layer and projectile comes on top of that, see `uncertainty.*`.
+    The uncertainties of layer and projectile are not included, see `uncertainty.*`.
     """
 
-    basis: str  # 'engine' if the plate is taken to do as it should, 'plate' if it was smoothed
+    basis: str  # 'engine' for a fit of the engine's motion, 'plate' for the smoothed plate
     is_certain: bool  # whether the plate cannot change the release any more
     release_ns: int  # when the projectile leaves, by the clock of the ticks [ns]
-    release_time_error: float  # of that [s]
+    release_time_error: float  # [s]
     ejection_speed_error: float  # [m/s]
     energy_transfer_error: float  # [-]
     samples: int  # of the plate, since the start
-    samples_left_out: int  # of these, for having jumped
+    samples_left_out: int  # outliers among the samples
 
     @property
     def is_clean(self) -> bool:
-        """Whether few enough samples had to be left out."""
+        """Whether the share of outliers is tolerable."""
         return self.samples_left_out <= MOST_LEFT_OUT * self.samples
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowResult:
     """
-    What a throw gave, so far or in the end.
+    The result of a throw, preliminary or final.
 
-    Loads are the largest magnitudes up to the first release; so far, while it has not come. The
-    `stage` is 'predicted' when the first release of a measured plate is known beforehand: once
-    when it is known well enough if the engine does as it should, and once when it is certain,
-    whatever the plate does. It is 'release' after it, or 'final' when the throw is over. It is
-    `ended_by` 'rest', 'max_events', 'period', 'duration' or 'reset', and with a measured plate
-    'gap', or 'next' if it jumps again.
+    Loads are the largest magnitudes up to the first release, or up to now before the release. The
+    `stage` is 'predicted' before the first release of a measured plate: a first result comes when
+    the fit of the engine's motion is accurate enough, a second one when no later motion of the
+    plate can change the release. The stage is 'release' after the release, and 'final' when the
+    throw is over. `ended_by` is 'rest', 'max_events', 'period', 'duration' or 'reset'. With a
+    measured plate it may also be 'next' (the plate jumps again), 'gap' (no samples for too long)
+    or 'noise' (the samples scatter too much). The last two mark a throw that could not be
+    followed, without releases, accuracy or comparison.
     """
 
     throw: int  # number of the throw, from 1
     step: int  # at which it is reported
     stage: str
     ended_by: str  # empty while the throw goes on
-    rig: Rig  # what threw
+    rig: Rig
     first: Release | None  # of the ejection, before the projectile falls back; None before it
     last: Release | None
     peak_plate_speed: float  # [m/s]
@@ -172,12 +222,13 @@ class ThrowResult:
     landings: int  # it came down on the layer
     lead: float | None = None  # how long before the release of a measured plate it was known [s]
     accuracy: Accuracy | None = None  # of the first release of a measured plate
-    comparison: Comparison | None = None  # with what was measured of the projectile, if it was
+    comparison: Comparison | None = None  # with a measured projectile
+    disturbances: Disturbances | None = None  # of a measured plate
 
     @property
     def is_valid(self) -> bool:
         """Whether the plate was known all the time."""
-        return self.ended_by != 'gap'
+        return self.ended_by not in INVALID_ENDS
 
     @property
     def is_ahead(self) -> bool:
@@ -189,11 +240,16 @@ class ThrowResult:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
 
+    @property
+    def has_shocks(self) -> bool:
+        """Whether shocks formed in a neo-Hookean layer before the release."""
+        return self.first is not None and self.first.ejection_time > self.rig.shock_time
+
     def values(self) -> dict[str, Scalar]:
         """
-        Return what is known, each by the name under which it is published; the rig is left out.
+        Return the known values by their published names, without the rig.
 
-        What has not happened, or was not measured, is left out, too.
+        Values of events that have not happened, or were not measured, are missing.
         """
         values = {name: getattr(self, name) for name in _SIMPLE if getattr(self, name) is not None}
         values['is_linear'] = self.is_linear
@@ -214,37 +270,72 @@ class ThrowResult:
         return cls(rig=rig, **parts)
 
     def describe(self) -> str:
-        """Say it for people to read."""
+        """Return a readable summary."""
         if not self.is_valid:
-            return f'throw {self.throw} is invalid: the plate was not measured for too long'
+            return self._describe_invalid()
         if self.first is None:
-            return f'throw {self.throw}: the projectile has not left the layer'
-        verb = 'will leave' if self.stage == 'predicted' else 'left'
+            return f'throw {self.throw}: the projectile was not released'
+        event = 'release predicted' if self.stage == 'predicted' else 'released'
         text = (
-            f'throw {self.throw}: {verb} after {1e3 * self.first.ejection_time:.3f} ms '
-            f'at {self.first.ejection_speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
+            f'throw {self.throw}: {event} at {1e3 * self.first.ejection_time:.3f} ms, '
+            f'{self.first.ejection_speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
         )
         if self.accuracy is not None:
             text += f' +- {self.accuracy.energy_transfer_error:.3f}'
         if self.last is not None and self.recontacts:
             times = 're-contact' if self.recontacts == 1 else 're-contacts'
-            text += f', after {self.recontacts} {times} {self.last.energy_transfer:.3f}'
+            text += f' ({self.last.energy_transfer:.3f} after {self.recontacts} {times})'
         if not self.is_linear:
             strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
-            text += f'; strain {strain:.1f} % is beyond the linear {limit:.3g} %'
+            text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
+        if self.has_shocks:
+            text += f'; errors up to 4e-3, shocks form after {1e3 * self.rig.shock_time:.3g} ms'
         if self.accuracy is not None and not self.accuracy.is_clean:
             out, count = self.accuracy.samples_left_out, self.accuracy.samples
-            text += f'; {out} of {count} samples of the plate jumped and were left out'
+            text += f'; {out} of {count} plate samples were rejected as outliers'
         return text
 
+    def _describe_invalid(self) -> str:
+        """Return why the plate could not be followed."""
+        text = f'no plate samples for more than {1e3 * self.rig.crossing_time:.3g} ms'
+        if self.ended_by == 'noise':
+            text = (
+                'the plate samples are too noisy; increase measured.smoothing_window or the '
+                'sample rate, or stamp the samples more precisely'
+            )
+        text = f'throw {self.throw} is invalid: {text}'
+        disturbances = self.disturbances or Disturbances()
+        causes = disturbances.describe(samples=0, speed=self.peak_plate_speed, residual=0.0)
+        return f'{text}; {causes}' if causes else text
+
+    def describe_comparison(self) -> str:
+        """Return how the projectile went, and the likely cause if that is not as by the model."""
+        comparison = self.comparison
+        if comparison is None:
+            return 'the projectile was not measured'
+        rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
+        if comparison.is_within_threshold:
+            return f'the projectile followed the model within {rms:.3g} um rms'
+        causes = (self.disturbances or Disturbances()).describe(
+            samples=comparison.samples,
+            speed=self.first.ejection_speed if self.first else self.peak_plate_speed,
+            residual=comparison.position_rms,
+        )
+        return (
+            f'the projectile deviated from the model by {rms:.3g} um rms, more than '
+            f'measured.residual_threshold {threshold:.3g} um: '
+            + (causes or 'the layer has aged or slipped, or the parameters are wrong')
+        )
+
     def describe_lead(self) -> str:
-        """Say how long before the release that was known, if it was predicted."""
+        """Return how long before or after the release the first prediction was available."""
         lead = 1e3 * (self.lead or 0.0)
-        return f'known {lead:.2f} ms before' if self.is_ahead else f'known {-lead:.2f} ms too late'
+        side = 'before' if self.is_ahead else 'after'
+        return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
 def known_values(part: object) -> dict[str, Scalar]:
-    """Return what is known of a part of a result, by name; nothing if there is no such part."""
+    """Return the fields of a part of a result that are not None; no fields if there is no part."""
     return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
 
 
@@ -253,21 +344,22 @@ _PARTS: dict[str, tuple[str, type[Any]]] = {
     'last': ('last_', Release),
     'accuracy': ('accuracy.', Accuracy),
     'comparison': ('residual.', Comparison),
+    'disturbances': ('measurement.', Disturbances),
 }
-"""What of a result may be there, with values of its own, and how their names begin."""
+"""Optional parts of a result: prefix of the published names, and type."""
 
 _SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_PARTS))
-"""What of a result is one value."""
+"""Names of the fields of a result that are single values."""
 
 
 class PredictedState(NamedTuple):
-    """The projectile, as far ahead as it is known."""
+    """The latest known state of the projectile."""
 
-    stamp_ns: int  # the time of it [ns]
+    stamp_ns: int  # time of the state [ns]
     position: float
     velocity: float
     force: float
-    lead_ns: int  # how far that is ahead of the step [ns]
+    lead_ns: int  # time from the step to the state [ns]
 
 
 class Residual(NamedTuple):
@@ -279,16 +371,15 @@ class Residual(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What one step gives."""
+    """Output of one step."""
 
     step: int
-    throw: int  # how many have started
+    throw: int  # number of throws that have started
     state: State  # at the end of the step
-    phases: tuple[Phase, ...] = ()  # entered in this step
+    phases: tuple[PhaseChange, ...] = ()  # that began in this step, or became known
     events: tuple[Event, ...] = ()  # in this step
-    results: tuple[ThrowResult, ...] = ()  # of the throw under way, or just over
+    results: tuple[ThrowResult, ...] = ()  # of the present throw, or the one that has just ended
     layer: LayerState | None = None  # at `rate.field`
     throw_field: ThrowField | None = None  # once per throw
     prediction: PredictedState | None = None  # in a throw of a measured plate
-    residual: Residual | None = None  # when the projectile has been measured, too
-    notices: tuple[str, ...] = ()  # what is to be said about the measurement
+    residual: Residual | None = None  # if the projectile is measured as well

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How far the clock that stamps the samples of a rig is off that of the twin."""
+"""The offset between the clock of the sensors and the clock of the twin."""
 
 from __future__ import annotations
 
@@ -19,39 +19,51 @@ from collections.abc import Iterable
 
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-TOLERATED = SECOND // 200  # what a message may take, or clocks that are kept together differ [ns]
-_FIRST, _LATER = SECOND // 5, 2 * SECOND  # how long samples are watched before they tell [ns]
-_FEWEST = 50  # samples that do
-_SINCE_BOOT = 300_000_000 * SECOND  # nothing has been running for ten years, ...
-_TIME_OF_DAY = 1_000_000_000 * SECOND  # ... and this was in 2001
+TOLERATED = SECOND // 200
+"""Transport time of a message and difference of synchronized clocks, at most. [ns]"""
+
+_FIRST = SECOND // 5
+"""Duration of the first observation of stamps. [ns]"""
+
+_LATER = 2 * SECOND
+"""Duration of later observations of stamps. [ns]"""
+
+_FEWEST = 50
+"""Samples that an observation needs. [-]"""
+
+_SINCE_BOOT = 300_000_000 * SECOND
+"""Largest stamp that counts from the boot, as no sensor runs for ten years. [ns]"""
+
+_TIME_OF_DAY = 1_000_000_000 * SECOND
+"""Smallest present time of day, which was in 2001. [ns]"""
 
 
 class SensorClock:
     """
-    Estimates a constant offset of stamps, to be taken off.
+    An estimator of a constant offset of stamps.
 
-    What no message has been quicker than is the offset: the time that every message takes cannot
-    be told from it, and counts as offset if it is more than 5 ms. Up to that nothing is changed.
+    The offset is the smallest delay of a message, because the transport time of the fastest
+    message cannot be distinguished from an offset. Offsets up to `TOLERATED` are not corrected.
 
     Attributes
     ----------
     offset_ns : int
-        To be added to stamps. [ns]
+        Correction to be added to stamps. [ns]
     problem : str
-        What is wrong with the stamps and what has been done, in a sentence; empty if nothing.
+        A sentence on the fault of the stamps and its correction; empty without a fault.
 
     """
 
     def __init__(self) -> None:
         self.offset_ns = 0
         self.problem = ''
-        self._begin_ns: int | None = None  # since when samples are watched
+        self._begin_ns: int | None = None  # start of the observation [ns]
         self._watching_ns = _FIRST
         self._count = 0
         self._least_ns = 0
 
     def observe(self, stamps: Iterable[int], now_ns: int, *, limit_ns: int) -> bool:
-        """Look at stamps that have just come; return whether there is another `problem` now."""
+        """Observe stamps that have just arrived; return whether `problem` has changed."""
         newest_ns = -1
         for stamp_ns in stamps:
             self._count += 1
@@ -68,7 +80,7 @@ class SensorClock:
         return self.problem != problem
 
     def _estimate(self, newest_ns: int, now_ns: int, limit_ns: int) -> None:
-        """Take over what no message was quicker than, if it is more than messages take."""
+        """Use the smallest delay as offset, if it exceeds the transport time."""
         least_ns = self._least_ns
         if abs(least_ns - self.offset_ns) <= TOLERATED and abs(self.offset_ns) <= limit_ns:
             return

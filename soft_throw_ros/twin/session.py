@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The twin without ROS: what happens at which step.
+A session of the twin without ROS.
 
-A step is a tick of `rate.state`, and steps are all the time there is: whoever drives a session
-(a node by the clock, a replay as fast as it can) asks for one after the other and gets the same.
+A session counts its time in steps, the ticks of `rate.state`. A node, which advances it by the
+clock, and a replay, which advances it as fast as it can, get the same outputs.
 """
 
 from __future__ import annotations
@@ -24,38 +24,43 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from threading import Lock
 
-from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration import motions, Settings
+from soft_throw_ros.configuration.motions import MotionSource
+from soft_throw_ros.configuration.table import quote
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
-from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.plate_monitor import SampleCounts
 from soft_throw_ros.twin.results import Outputs
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throw_cycle import ThrowCycle
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
 class RequestRejected(Exception):
-    """What was asked for cannot be done now; the message says why, and for how long."""
+    """A refused request; the message has the reason, and the time until it is possible."""
 
 
 class Session:
     """
     The cycle of a rig, its settings and its journal.
 
-    Inputs may come from another thread than steps are asked for from. An input is taken between
-    two steps, and has the number of the second one in the journal.
+    Inputs may come from another thread than the one that advances the session. An input takes
+    effect between two steps, and has the number of the second one in the journal.
 
     Parameters
     ----------
     settings : mapping of str to value
-        Complete settings to start with.
+        Complete settings at the start.
     step : int
         Number of the first step.
     on_entry : callable
-        Called with every line of the journal, in order. It must not call back.
+        Called with every line of the journal, in order; it must not call the session.
     pending : mapping of str to value, optional
-        Changes that wait, in a session that goes on where the journal of another one is.
+        Pending changes of a session that continues another one from its journal.
+    motion_of : callable
+        Returns the motion of a plate by the path of its file; by default it reads the file.
 
     Attributes
     ----------
@@ -76,101 +81,106 @@ class Session:
         step: int = 0,
         on_entry: Callable[[str], None] = lambda _line: None,
         pending: Settings | None = None,
+        motion_of: MotionSource = motions.read,
     ) -> None:
         self.step = step
         self._lock = Lock()  # held for microseconds
         self._changing = Lock()  # held while a rig is prepared, for milliseconds
-        self._staged = StagedSettings(settings, pending or {})
+        config = TwinConfig.from_settings(settings, motion_of)
+        self._staged = StagedSettings(config, config.change(pending or {}, motion_of))
         self._journal = JournalWriter(on_entry, step=step)
         self._cycle = ThrowCycle(self._staged, self._journal, step=step)
         if pending is None:
-            self._journal.begin('start', step, settings)
+            self._journal.begin('start', step, settings, self._staged.encoded_motions)
 
     @classmethod
     def from_entry(
         cls, entry: journal.Entry, *, on_entry: Callable[[str], None] = lambda _line: None
     ) -> Session:
         """
-        Continue from the start of a session or of a throw, as the journal has it.
+        Continue from the entry of the journal for the start of a session or a throw.
 
-        The next step is the entry's own. It gives what it gave then, to the last bit, and so do
-        all that follow if they get the same inputs, see `twin.replay`.
+        The next step is that of the entry. Its outputs equal the original ones to the last bit,
+        and so do those of all later steps with the same inputs, see `twin.replay`.
 
         Raises
         ------
         JournalError
-            If the entry is no such start, or lacks something.
+            If the entry is of another kind, or incomplete.
         ValueError
             If the rig cannot be stepped in real time.
 
         """
         settings, step = journal.checked_settings(entry, 'settings'), entry['step']
+        motion_of = journal.motion_source(entry)
         if entry['kind'] == 'start':
-            return cls(settings, step=step, on_entry=on_entry)
+            return cls(settings, step=step, on_entry=on_entry, motion_of=motion_of)
         if entry['kind'] != 'throw' or 'throw' not in entry:
             raise journal.JournalError(
-                f'a session starts with an entry start or throw, got {dict(entry)!r}'
+                f'a session starts with an entry start or throw, got {quote(dict(entry))}'
             )
         pending = journal.checked_settings(entry, 'pending')
-        session = cls(settings, step=step, on_entry=on_entry, pending=pending)
+        session = cls(
+            settings, step=step, on_entry=on_entry, pending=pending, motion_of=motion_of
+        )
         session._cycle.resume(step, entry)
         return session
 
     @property
     def throws(self) -> int:
-        """How many throws have started."""
+        """Number of throws that have started."""
         return self._cycle.throws
 
     @property
     def rate(self) -> float:
-        """Return steps per second of the clock, now [Hz]."""
+        """Present number of steps per second of the clock [Hz]."""
         return self._staged.config.state_rate
 
     @property
     def time_scale(self) -> float:
-        """Time of the rig over time of the clock, now [-]."""
+        """Present time of the rig over time of the clock [-]."""
         return self._staged.config.time_scale
 
     def due_ns(self, step: int) -> int:
-        """Return when a step is due by the schedule that was told last [ns]."""
+        """Return the deadline of a step by the last schedule that was set [ns]."""
         return self._cycle.schedule.deadline(step)
 
     @property
     def pending(self) -> Settings:
-        """Return the changes that wait, by name."""
+        """Pending changes by name."""
         return self._staged.pending
 
     @property
     def wanted(self) -> Settings:
-        """All settings, with the changes that wait."""
-        return self._staged.wanted
+        """All settings, including pending changes."""
+        return self._staged.wanted.settings
 
     @property
     def is_measured(self) -> bool:
-        """Whether samples of the rig are taken."""
+        """Whether the plate is measured."""
         return self._cycle.monitor is not None
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether a measured plate is at rest, so that a throw starts when it jumps up."""
+        """Whether a measured plate is at rest, so that a throw can start."""
         monitor = self._cycle.monitor
         return monitor is not None and monitor.is_armed
 
     @property
     def sample_counts(self) -> SampleCounts:
-        """How many samples of the rig were taken and refused."""
+        """Numbers of accepted and refused samples of the rig."""
         return self._cycle.sample_counts
 
     # inputs
 
     def request_throw(self) -> None:
         """
-        Have a throw start with the next step, or after putting back if changes wait.
+        Start a throw with the next step, or after a return to rest if changes are pending.
 
         Raises
         ------
         RequestRejected
-            If one is under way, saying how long that takes, or the plate is measured.
+            If a throw is under way, with the time until it is over, or if the plate is measured.
 
         """
         with self._lock:
@@ -180,17 +190,32 @@ class Session:
             if refusal is None:
                 self._journal.write('input', self.step, input='throw')
                 return
-        raise RequestRejected(refusal())  # which may take milliseconds: no step is held up
+        raise RequestRejected(refusal())  # may take milliseconds, outside the lock
 
     def reset(self) -> None:
-        """Break off a throw under way, put things back, and count the period from here."""
+        """Abort a throw under way, return to rest, and count the period from here."""
         with self._lock:
             self._journal.write('input', self.step, input='reset')
             self._cycle.reset(self.step)
 
-    def change(self, values: Settings) -> None:
+    def change(
+        self,
+        values: Settings,
+        config: TwinConfig | None = None,
+        *,
+        motion_of: MotionSource = motions.read,
+    ) -> None:
         """
-        Change settings: at once, or when things are put back, see `StagedSettings`.
+        Change settings: at once, or when the rig is put back, see `StagedSettings`.
+
+        Parameters
+        ----------
+        values : mapping of str to value
+            The changes, with all implied changes.
+        config : TwinConfig, optional
+            The configuration with these changes, if it exists already.
+        motion_of : callable
+            Returns the motion of a plate by the path of its file; by default it reads the file.
 
         Raises
         ------
@@ -199,41 +224,51 @@ class Session:
 
         """
         with self._changing:
-            prepared = self._staged.prepare(values)
+            staged = self._staged
+            wanted = config or staged.change(values, motion_of)
+            prepared = staged.prepare(wanted)
             with self._lock:
-                self._journal.write_change(self.step, values)
-                self._staged.stage(values, prepared)
+                before = staged.encoded_motions
+                staged.stage(wanted, prepared)
+                after = staged.encoded_motions
+                new = {path: after[path] for path in after if path not in before}
+                self._journal.write_change(self.step, values, new)
                 if 'throw.period' in values:
                     self._cycle.set_throw_due()
 
     def measure(self, samples: Sequence[Sample]) -> None:
-        """Take samples of the rig, if the plate is measured, or refuse and count them."""
+        """Add samples of the rig, if the plate is measured, or refuse and count them."""
         with self._lock:
             taken = self._cycle.take(self.step, samples)
             if taken:
                 self._journal.keep_samples(self.step, taken)
 
+    def diagnose_sensors(self) -> tuple[str, ...]:
+        """Return new reports on the sensors of a measured plate; call it about once a second."""
+        with self._lock:
+            return self._cycle.diagnose_sensors()
+
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """
-        Take note of when steps are due from the next one on.
+        Set the deadlines of steps from the next one on.
 
-        Samples and results have stamps, which it relates to steps. It is in the journal, and again
-        with every throw, so that whoever has some of the messages can tell by their stamps which
-        steps they are of.
+        The schedule relates the stamps of samples and results to steps. It is written to the
+        journal, and again with every throw, so that any part of a recording determines the steps
+        of its messages.
         """
         with self._lock:
-            self._cycle.schedule = replace(schedule)  # whose owner goes on changing it
+            self._cycle.schedule = replace(schedule)  # its owner changes it later
             self._journal.write('tick_schedule', self.step, **journal.encode_schedule(schedule))
 
     def close(self) -> None:
-        """Write down what is not in the journal yet, since there are no more steps."""
+        """Write the remaining entries of the journal after the last step."""
         with self._lock:
             self._journal.close(self.step)
 
     # steps
 
     def advance(self) -> Outputs:
-        """Go one step on."""
+        """Advance by one step."""
         with self._lock:
             outputs = self._cycle.advance(self.step)
             self.step += 1

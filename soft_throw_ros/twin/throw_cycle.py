@@ -11,29 +11,34 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The cycle of a rig: it rests, throws, is put back, and rests."""
+"""The cycle of a rig: at rest, throwing, returning to rest."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import math
+from typing import TypeAlias
 
 import numpy as np
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, Sample
+from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates
 from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
 from soft_throw_ros.twin.results import (
     LayerState,
     Outputs,
     Phase,
+    PhaseChange,
     State,
     ThrowField,
     ThrowResult,
 )
+from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, ThrowStep, time_until_over
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -41,12 +46,64 @@ from soft_throw_ros.twin.tick_schedule import TickSchedule
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
 
 
+@dataclass(frozen=True)
+class AtRest:
+    """Plate and projectile are at rest; the next throw starts when it is due or requested."""
+
+    is_requested: bool = False
+
+
+@dataclass(frozen=True)
+class Throwing:
+    """A throw is under way."""
+
+    throw: OngoingThrow
+
+
+@dataclass(frozen=True)
+class Returning:
+    """
+    Plate and projectile return to rest between two steps, see `between`.
+
+    A measured plate returns by itself: it is at rest when its monitor is armed.
+    """
+
+    begin: int
+    end: int
+    origin: State
+    is_requested: bool = False  # the next throw starts when they have arrived
+
+
+RigState: TypeAlias = AtRest | Throwing | Returning
+
+
+@dataclass(frozen=True)
+class ThrowPeriod:
+    """Steps of throws by `throw.period`; infinite without one, or if the plate is measured."""
+
+    start: int
+    """First step of the throw, where its period begins."""
+    due: float
+    """Step at which the next throw starts."""
+    latest_end: float
+    """Step at which a throw ends, so that the rig returns in time."""
+
+    @classmethod
+    def after(cls, start: int, staged: StagedSettings) -> ThrowPeriod:
+        """Return the steps of the throw that follows one at a step."""
+        period, prepared = staged.config.throw_period, staged.prepared
+        if not period or staged.config.is_measured:
+            return cls(start, math.inf, math.inf)
+        due = start + prepared.period_ticks(period)
+        return cls(start, due, due - prepared.return_ticks(period))
+
+
 def between(origin: State, goal: State, part: float, duration: float) -> State:
     """
-    Return a part of the way from standing still to standing still with the least jerk [1]_.
+    Return a point of the way between two states at rest with the least jerk [1]_.
 
-    Plate and projectile do not run into each other, since both go the same part of their way at a
-    time. Forces are zero, since the layer is left out.
+    Plate and projectile have covered the same part of their ways at any time, so that they do not
+    collide. Forces are zero, because the layer is left out.
 
     References
     ----------
@@ -67,61 +124,62 @@ def between(origin: State, goal: State, part: float, duration: float) -> State:
     )
 
 
+@dataclass
+class _RareOutputs:
+    """Outputs of a step that most steps do not have."""
+
+    phases: tuple[tuple[Phase, int | None], ...] = ()  # with times; None for that of the step
+    results: tuple[ThrowResult, ...] = ()
+    throw_field: ThrowField | None = None
+
+
 class ThrowCycle:
     """
-    What the rig does at every step, from the first one on, at which it is at rest.
+    A state machine for the rig: at rest, throwing, or returning to rest.
 
     Notes
     -----
-    A throw starts when it is due by `throw.period`, counted from the last start, or when asked
-    for. It is over when the projectile is at rest, after `throw.max_events` contacts, when the
-    period leaves just the time to put things back, or after `throws.LONGEST_THROW`. Then plate
-    and projectile are put back, see `between`: positions are continuous.
+    A throw starts on request, or `throw.period` after the start of the last throw. It ends when
+    the projectile is at rest, after `throw.max_events` contacts, after `throws.LONGEST_THROW`, or
+    when only the time to return to rest remains until the next throw. Then plate and projectile
+    return to rest along continuous paths, see `between`.
 
-    What is staged takes effect whenever things are put back: after a throw, at a reset, or, if
-    the rig is at rest, before the next throw, which starts so much later.
+    Staged settings take effect when the return begins: after a throw, at a reset, or, if the rig
+    is at rest, before the next throw, which starts later by the time of the return.
 
-    If the plate is measured, a throw starts when that jumps up after a rest, whatever the period,
-    and is over, besides, when nothing is known of the plate for longer than a wave needs to cross
-    the layer, or when it jumps again. What is staged then takes effect with the throw. In between
-    plate and projectile are where the plate was measured last.
+    If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
+    regardless of the period. It also ends when samples are missing for longer than a wave needs to
+    cross the layer, or when the next throw starts. Staged settings then take effect with the
+    throw. Between throws, plate and projectile stay at the last measured height of the plate.
 
     """
 
     def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
-        self.throws = 0  # that have started
+        self.throws = 0  # number of started throws
         self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
         self.sample_counts = SampleCounts()
+        self.sensor_checks = SensorChecks()
         self.monitor: PlateMonitor | None = None
         self._staged = staged
         self._journal = writer
-        self._phase = Phase.REST
+        self._rig_state: RigState = AtRest()
         self._state = staged.prepared.rest
-        self._throw: OngoingThrow | None = None
-        self._start = step  # what the period and the time of a throw are counted from
-        self._throw_due = math.inf  # by the period
-        self._latest_end = math.inf  # of a throw, before the next one is due
-        self._throw_requested_at = math.inf
-        self._return = (step, step, self._state)  # from a step to a step, and from where
+        self._period = ThrowPeriod.after(step, staged)
         self._layer_start, self._layer_row = step, -1
-        self._phases: tuple[Phase, ...] = (Phase.REST,)
-        self._results: tuple[ThrowResult, ...] = ()
-        self._throw_field: ThrowField | None = None
-        self._notices: tuple[str, ...] = ()
-        self._onset: Onset | None = None  # which is to begin a throw, if a journal says so
+        self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
+        self._onset: Onset | None = None  # of the throw that a journal starts with
         self._start_monitoring()
-        self.set_throw_due()
 
     @property
     def _prepared(self) -> PreparedRig:
         return self._staged.prepared
 
     def resume(self, step: int, entry: journal.Entry) -> None:
-        """Have the throw of an entry of a journal begin at its step, whatever was before."""
+        """Start the throw of an entry of a journal at its step."""
         self.throws = entry['throw'] - 1
-        self._throw_requested_at = step
-        self._phase = Phase.RETURNING  # until this very step, so that nothing delays it
-        self._phases = ()
+        # a rig that has just returned starts the throw at once, also if changes wait
+        self._rig_state = Returning(step, step, self._state, is_requested=True)
+        self._rare_outputs = _RareOutputs()
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
         if self.monitor is not None:
@@ -129,101 +187,116 @@ class ThrowCycle:
 
     def request_throw(self, step: int) -> Callable[[], str] | None:
         """
-        Have a throw start; or return what says why not, and how long it is until one can.
+        Request a throw; return None, or a function that returns the reason of a refusal.
 
-        To find that out may take as long as a throw takes to compute.
+        That function finds the time until the rig is ready, which may take as long as computing a
+        throw.
         """
-        if self._phase is Phase.REST:
-            if self._throw_requested_at < math.inf:
+        rig_state = self._rig_state
+        if isinstance(rig_state, AtRest):
+            if rig_state.is_requested:
                 return lambda: f'throw {self.throws + 1} is about to start'
-            self._throw_requested_at = step
+            self._rig_state = AtRest(is_requested=True)
             return None
-        prepared, throw, config = self._prepared, self._throw, self._staged.config
-        elapsed = (step - self._start) * prepared.tick
-        longest = (self._return[1] if throw is None else self._throw_due) - step
+        prepared, config, period = self._prepared, self._staged.config, self._period
 
         def refusal() -> str:
-            reason, ticks = 'the rig is being put back', max(longest, 0)
-            if throw is not None:
-                left = time_until_over(prepared, elapsed, max_events=config.max_events)
+            if isinstance(rig_state, Returning):
+                reason, ticks = 'resetting the rig', max(rig_state.end - step, 0.0)
+            else:
+                reason = f'throw {rig_state.throw.number} is under way'
+                elapsed = (step - period.start) * prepared.tick
+                remaining = time_until_over(prepared, elapsed, max_events=config.max_events)
                 returning = prepared.return_ticks(config.throw_period)
-                reason = f'throw {throw.number} is under way'
-                ticks = min(left / prepared.tick + returning, longest)
+                ticks = min(remaining / prepared.tick + returning, period.due - step)
             return f'{reason}: ready in {ticks / config.state_rate:.2f} s'
 
         return refusal
 
     def reset(self, step: int) -> None:
-        """Break off a throw under way, put things back, and count the period from here."""
-        if self._throw is not None:
-            self._end_throw(step, self._throw, 'reset')
+        """Abort a throw under way, return to rest, and count the period from here."""
+        if isinstance(self._rig_state, Throwing):
+            self._end_throw(step, self._rig_state.throw, 'reset')
         else:
             self._put_back(step)
-        self._throw_requested_at = math.inf
-        self._start = step
-        self.set_throw_due()
+        self._period = ThrowPeriod.after(step, self._staged)
 
     def take(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
-        """Take samples of the rig if the plate is measured; return those not refused."""
+        """Add samples of the rig if the plate is measured; return the accepted ones."""
         if self.monitor is None:
             return []
         return self.monitor.take(samples, self.schedule.deadline(step))
 
+    def diagnose_sensors(self) -> tuple[str, ...]:
+        """Return new reports on the sensors of a measured plate."""
+        if self.monitor is None:
+            return ()
+        return self.sensor_checks.diagnose(
+            self.monitor.estimator,
+            self._prepared.rig.crossing_time,
+            is_armed=self.monitor.is_armed,
+        )
+
     def advance(self, step: int) -> Outputs:
-        """Go one step on."""
+        """Advance by one step."""
         motion = NO_STATES
         if self.monitor is not None:
             motion = self._watch_plate(step, self.monitor)
-        elif self._phase in (Phase.REST, Phase.RETURNING):
-            self._begin_throw_if_due(step)
-        advanced = self._advance_throw(step, motion)
-        outputs = Outputs(
-            step,
-            self.throws,
-            self._state,
-            self._phases,
-            () if advanced is None else advanced.events,
-            self._results,
-            self._layer(step),
-            self._throw_field,
-            None if advanced is None else advanced.prediction,
-            None if advanced is None else advanced.residual,
-            self._notices,
+        elif not isinstance(self._rig_state, Throwing):
+            self._begin_throw_if_due(step, self._rig_state)
+        if isinstance(self._rig_state, Throwing):
+            advanced = self._advance_throw(step, self._rig_state.throw, motion)
+        else:
+            advanced = ThrowStep(self._idle_state(step, self._rig_state), ())
+            self._state = advanced.state
+        layer = self._layer(step)
+        rare, self._rare_outputs = self._rare_outputs, _RareOutputs()
+        return Outputs(
+            step=step,
+            throw=self.throws,
+            state=self._state,
+            phases=tuple(
+                PhaseChange(phase, self.schedule.deadline(step) if stamp_ns is None else stamp_ns)
+                for phase, stamp_ns in rare.phases
+            ),
+            events=advanced.events,
+            results=rare.results,
+            layer=layer,
+            throw_field=rare.throw_field,
+            prediction=advanced.prediction,
+            residual=advanced.residual,
         )
-        self._phases = self._results = self._notices = ()
-        self._throw_field = None
-        return outputs
 
-    def _begin_throw_if_due(self, step: int) -> None:
-        """Start a throw, or put things back before it if changes wait."""
-        has_returned = self._phase is Phase.RETURNING
-        if has_returned and step < self._return[1]:
+    def _begin_throw_if_due(self, step: int, rig_state: AtRest | Returning) -> None:
+        """Start a throw, or return to rest before it if changes wait."""
+        has_returned = isinstance(rig_state, Returning)
+        if isinstance(rig_state, Returning) and step < rig_state.end:
             return
-        if step < min(self._throw_requested_at, self._throw_due):
+        if not rig_state.is_requested and step < self._period.due:
             if has_returned:
-                self._enter(Phase.REST)
+                self._enter(AtRest(), Phase.REST)
         elif has_returned or not self._staged.pending:
             self._begin_throw(step)
         else:
-            self._put_back(step)
+            self._put_back(step, is_requested=rig_state.is_requested)
 
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
-        self._throw_requested_at = math.inf
-        self._start = step
         self._layer_start, self._layer_row = step, -1
-        self.set_throw_due()
+        self._period = ThrowPeriod.after(step, self._staged)
         self._journal.begin(
             'throw',
             step,
-            self._staged.settings,
+            self._staged.config.settings,
+            self._staged.encoded_motions,
             throw=self.throws,
             pending=self._staged.pending,
             schedule=journal.encode_schedule(self.schedule),
             **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
+        throw: OngoingThrow
         if onset is None:
-            self._throw = ScheduledThrow(
+            throw = ScheduledThrow(
                 self._prepared,
                 number=self.throws,
                 start_step=step,
@@ -232,154 +305,141 @@ class ThrowCycle:
         else:
             self._start_monitoring(onset)
             assert self.monitor is not None
-            self._throw = MeasuredThrow(
+            throw = MeasuredThrow(
                 self._prepared, onset, self.monitor.estimator, number=self.throws
             )
-        self._enter(Phase.CONTACT)
+        start_ns = None if onset is None else onset.onset_ns
+        self._enter(Throwing(throw), Phase.CONTACT, start_ns)
 
-    def _advance_throw(self, step: int, motion: PlateStates) -> ThrowStep | None:
-        """Bring the state to a step; return what the throw under way gives, if there is one."""
-        throw, config = self._throw, self._staged.config
-        if throw is None:
-            self._state = self._idle_state(step)
-            return None
+    def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
+        """Advance the throw under way, and end it if it is over."""
+        config = self._staged.config
         had_left = bool(throw.events)
         advanced = throw.advance(step, self.schedule.deadline(step), motion, config)
         if self.monitor is not None:
             self.monitor.trusts_engine = throw.engine_holds
+            self.monitor.stamp_error = throw.stamp_error
         self._state = advanced.state
-        for event in advanced.events:
-            self._enter(_PHASES[event.kind])
+        now_ns = self.schedule.deadline(step)
+        self._rare_outputs.phases += tuple(
+            (_PHASES[event.kind], throw.event_ns(event, now_ns)) for event in advanced.events
+        )
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
         if throw.events and not had_left:
             self._report(step, throw.result('release', step, config))
-        if throw.ended_by or step >= self._latest_end:
+        if throw.ended_by or step >= self._period.latest_end:
             self._end_throw(step, throw, throw.ended_by or 'period')
         else:
-            self._throw_field = throw.throw_field()
+            self._rare_outputs.throw_field = throw.throw_field()
         return advanced
 
-    def _idle_state(self, step: int) -> State:
-        """Return where plate and projectile are between throws."""
+    def _idle_state(self, step: int, rig_state: AtRest | Returning) -> State:
+        """Return the state of plate and projectile between throws."""
         prepared = self._prepared
         if self.monitor is not None:
             return self.monitor.state(prepared.rest)
-        if self._phase is Phase.RETURNING:
-            begin, end, origin = self._return
-            part = (step - begin) / (end - begin)
-            return between(origin, prepared.rest, part, (end - begin) * prepared.tick)
+        if isinstance(rig_state, Returning):
+            duration = rig_state.end - rig_state.begin
+            part = (step - rig_state.begin) / duration
+            return between(rig_state.origin, prepared.rest, part, duration * prepared.tick)
         return prepared.rest
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
         throw.ended_by = ended_by
         self._report(step, throw.result('final', step, self._staged.config))
-        self._throw_field = throw.throw_field()
-        self._throw = None
+        self._rare_outputs.throw_field = throw.throw_field()
         self._put_back(step)
 
-    def _put_back(self, step: int) -> None:
-        """Begin the way back to rest, with whatever has waited in effect."""
+    def _put_back(self, step: int, *, is_requested: bool = False) -> None:
+        """Begin the return to rest, with the settings that were pending in effect."""
         self._commit(step)
-        config = self._staged.config
+        config, ticks = self._staged.config, 0
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
-            self._return = (step, step + ticks, self._state)
         self._start_monitoring()
         self._layer_start, self._layer_row = step, -1
-        self._enter(Phase.RETURNING)
+        returning = Returning(
+            step, step + ticks, self._state, is_requested=is_requested and self.monitor is None
+        )
+        self._enter(returning, Phase.RETURNING)
 
     def _commit(self, step: int) -> None:
-        """Put in effect what has waited; the period goes on as long as it was for the rig."""
+        """Put pending settings in effect; the time since the last start stays the same."""
         if not self._staged.pending:
             return
-        passed = (step - self._start) * self._prepared.tick
+        passed = (step - self._period.start) * self._prepared.tick
         self._staged.commit()
-        self._start = step - round(passed / self._prepared.tick)
-        self.set_throw_due()
+        start = step - round(passed / self._prepared.tick)
+        self._period = ThrowPeriod.after(start, self._staged)
 
     def set_throw_due(self) -> None:
-        """Find when the next throw is due by the period."""
-        period, prepared = self._staged.config.throw_period, self._prepared
-        self._throw_due = self._latest_end = math.inf
-        if period and not self._staged.config.is_measured:
-            self._throw_due = self._start + prepared.period_ticks(period)
-            self._latest_end = self._throw_due - prepared.return_ticks(period)
+        """Compute the step of the next throw by a changed period."""
+        self._period = ThrowPeriod.after(self._period.start, self._staged)
 
     def _layer(self, step: int) -> LayerState | None:
-        """Return the layer, if `rate.field` has it due."""
-        config = self._staged.config
+        """Return the state of the layer if it is due by `rate.field`."""
+        config, rig_state = self._staged.config, self._rig_state
         row = int((step - self._layer_start) * config.field_rate // config.state_rate)
         if row == self._layer_row:
             return None
         self._layer_row = row
-        if self._phase is Phase.REST:
-            return self._prepared.rest_layer
-        if self._throw is None:
-            return self._idle_layer()
-        return self._throw.layer
+        if isinstance(rig_state, Throwing):
+            return rig_state.throw.layer
+        return self._prepared.rest_layer if isinstance(rig_state, AtRest) else self._idle_layer()
 
     def _idle_layer(self) -> LayerState:
-        """Return the layer lying on the plate, without force, between throws."""
+        """Return the layer lying on the plate without force, as between throws."""
         rest, height, state = self._prepared.rest, self._prepared.rest_layer.height, self._state
-        room = state.projectile_position - state.plate_position
-        part = min(1.0, room / (rest.projectile_position - rest.plate_position))
+        gap = state.projectile_position - state.plate_position
+        scale = min(1.0, gap / (rest.projectile_position - rest.plate_position))
         return LayerState(
-            state.plate_position + part * (height - rest.plate_position),
+            state.plate_position + scale * (height - rest.plate_position),
             np.full(FIELD_POINTS, state.plate_velocity),
             np.zeros(FIELD_POINTS),
         )
 
-    def _enter(self, phase: Phase) -> None:
-        self._phase = phase
-        self._phases += (phase,)
+    def _enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
+        self._rig_state = rig_state
+        self._rare_outputs.phases += ((phase, stamp_ns),)
 
     def _report(self, step: int, result: ThrowResult) -> None:
-        self._results += (result,)
+        self._rare_outputs.results += (result,)
         self._journal.write_result(step, result)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
-        """Wait for the next jump of the plate, if it is measured."""
+        """Wait for the next throw of the plate, if it is measured."""
         config = self._staged.config
         if not config.is_measured:
             self.monitor = None
-            return
-        self._throw_requested_at = math.inf
-        if self.monitor is None or onset is not None:
-            self.monitor = PlateMonitor(config.measurement, self.sample_counts, onset)
+        elif self.monitor is None or onset is not None:
+            self.sensor_checks.begin(config.measurement)
+            self.monitor = PlateMonitor(
+                config.measurement, self.sample_counts, self.sensor_checks, onset
+            )
         else:
             self.monitor.rearm(config.measurement)
 
     def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
-        """See how the plate moves, and start a throw when it jumps up."""
+        """Return the motion of the plate, and start a throw at its onset."""
         now_ns = self.schedule.deadline(step)
         onset, self._onset = self._onset, None
         motion = NO_STATES
         if onset is None:
             motion, onset = monitor.advance(now_ns)
-            self._notices += monitor.problems()
-            if onset is not None and not self._is_fast_enough(monitor):
+            crossing_time = self._prepared.rig.crossing_time
+            if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None
         if onset is not None:
-            if self._throw is not None:
-                self._end_throw(step, self._throw, 'next')
+            if isinstance(self._rig_state, Throwing):
+                self._end_throw(step, self._rig_state.throw, 'next')
             self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)
                 assert self.monitor is not None
                 motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
-            elif self.monitor is not None:  # from now on it is not measured
+            elif self.monitor is not None:  # the change that took effect ends the measurement
                 self._put_back(step)
-        elif self._phase is Phase.RETURNING and monitor.is_armed:
-            self._enter(Phase.REST)
-            self._is_fast_enough(monitor)
-        elif self._throw is None and not motion.times.size and monitor.is_blind():
-            self._is_fast_enough(monitor)
+        elif isinstance(self._rig_state, Returning) and monitor.is_armed:
+            self._enter(AtRest(), Phase.REST)
         return motion
-
-    def _is_fast_enough(self, monitor: PlateMonitor) -> bool:
-        """Tell whether there are enough samples, and if not, say so."""
-        rate_warning = monitor.rate_warning(self._prepared.rig.crossing_time)
-        if rate_warning:
-            self._notices += (rate_warning,)
-        return not rate_warning

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Throws under way: what all have in common, and the one whose plate moves as the engine says."""
+"""Throws under way: their common base, and the throw with the prescribed motion of the engine."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_
 from soft_throw_ros.twin.results import (
     Accuracy,
     Comparison,
+    Disturbances,
+    INVALID_ENDS,
     LayerState,
     PredictedState,
     Release,
@@ -37,38 +39,42 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
+from soft_throw_ros.twin.tick_schedule import SECOND
 
-LONGEST_THROW = 10.0  # is over in any case: without gravity nothing comes down [s]
-REST_SPEED = 1e-3  # what is slower than this part of the plate's largest speed is at rest [-]
+LONGEST_THROW = 10.0
+"""Longest duration of a throw, which without gravity would never end. [s]"""
+
+REST_SPEED = 1e-3
+"""Largest speed at rest, over the largest speed of the plate. [-]"""
 
 
 class ThrowStep(NamedTuple):
-    """What one step of a throw gives; all but the first two only with a measured plate."""
+    """Outputs of one step of a throw; all but the first two are for measured plates."""
 
     state: State
-    events: tuple[Event, ...]  # which have happened, or become certain, since the last step
-    forecast: ThrowResult | None = None  # when the first release has become known
+    events: tuple[Event, ...]  # that happened, or became certain, since the last step
+    forecast: ThrowResult | None = None  # when the first release becomes known
     prediction: PredictedState | None = None
     residual: Residual | None = None  # at the last sample that could be compared
 
 
 class OngoingThrow(ABC):
     """
-    A throw, from its start until it is over: its events, its end, and what it gave.
+    A throw from its start to its end, with its events and results.
 
-    It ends at rest, besides other reasons, see `ThrowResult`: in contact, and both plate and
-    projectile below `rest_speed` for as long as the slower of the two takes to swing once.
+    A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
+    of plate and projectile below `rest_speed` for the longer of their periods.
 
     Parameters
     ----------
     prepared : PreparedRig
-        What throws; its stepper is reset.
+        The rig; its stepper is reset.
     number : int
-        Of the throw.
+        Number of the throw.
     start_ns : int
-        When it starts, by the clock of the ticks. [ns]
+        Start by the clock of the ticks. [ns]
     rest_speed : float
-        Below which things are at rest. [m/s]
+        Largest speed of plate and projectile at rest. [m/s]
 
     """
 
@@ -79,7 +85,7 @@ class OngoingThrow(ABC):
         self.number = number
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
-        self.engine_holds = True  # whether the plate has done so far as the engine should
+        self.engine_holds = True  # whether the motion so far is that of the engine
         self._prepared = prepared
         self._stepper = self._shown = prepared.stepper
         self._start_ns = start_ns
@@ -96,8 +102,13 @@ class OngoingThrow(ABC):
         return self.events[0] if self.events else None
 
     @property
+    def stamp_error(self) -> float:
+        """Estimated standard deviation of a measured plate's stamps, 0 without an estimate [s]."""
+        return 0.0
+
+    @property
     def layer(self) -> LayerState:
-        """Return what the layer does now."""
+        """Return the present state of the layer."""
         rows = np.empty((3, FIELD_POINTS))
         self._shown.read_layer(rows)
         return LayerState(*rows)
@@ -106,18 +117,22 @@ class OngoingThrow(ABC):
     def advance(
         self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
     ) -> ThrowStep:
-        """Go on to a step, which is due now, with how a measured plate has moved until then."""
+        """Advance to a step that is due now, with the latest motion of a measured plate."""
 
     @abstractmethod
     def throw_field(self) -> ThrowField | None:
-        """Return the layer over time, once, when it is known for long enough or no more."""
+        """Return the layer over time once, when it is known for long enough or the throw ends."""
+
+    @abstractmethod
+    def event_ns(self, event: Event, now_ns: int) -> int:
+        """Return the time of an event in a step that is due now, by the clock of ticks [ns]."""
 
     def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:
-        """Sum up what there is so far."""
+        """Return the preliminary result."""
         return self._sum_up(stage, step, config, self._stepper, self.events)
 
     def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
-        """Go on to `time` after the start; return the state, and what happened on the way."""
+        """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
         try:
             count = stepper.advance_to(time)
@@ -148,9 +163,12 @@ class OngoingThrow(ABC):
         lead: float | None = None,
         accuracy: Accuracy | None = None,
         comparison: Comparison | None = None,
+        disturbances: Disturbances | None = None,
     ) -> ThrowResult:
         prepared, loads = self._prepared, stepper.loads
-        found = ejections(events)
+        if self.ended_by in INVALID_ENDS:
+            events, lead, accuracy, comparison = (), None, None, None
+        releases = ejections(events)
         kinds = [event.kind for event in events]
         rest_height = prepared.rest.projectile_position
         return ThrowResult(
@@ -159,20 +177,23 @@ class OngoingThrow(ABC):
             stage=stage,
             ended_by=self.ended_by,
             rig=prepared.rig,
-            first=self._release(found[0]) if found else None,
-            last=self._release(found[-1]) if found else None,
+            first=self._release(releases[0]) if releases else None,
+            last=self._release(releases[-1]) if releases else None,
             peak_plate_speed=self._peak_plate_speed,
             peak_strain=loads.strain,
             max_strain=config.max_strain,
             peak_acceleration=loads.acceleration,
             peak_force=loads.plate_force,
             plate_work=stepper.plate_work,
-            apex_height=apex_height(found[-1], prepared.rig.gravity) if found else rest_height,
+            apex_height=(
+                apex_height(releases[-1], prepared.rig.gravity) if releases else rest_height
+            ),
             recontacts=kinds.count('recontact'),
             landings=kinds.count('landing'),
             lead=lead,
             accuracy=accuracy,
             comparison=comparison,
+            disturbances=disturbances,
         )
 
     def _release(self, event: Event) -> Release:
@@ -184,7 +205,7 @@ class OngoingThrow(ABC):
 
 
 class ScheduledThrow(OngoingThrow):
-    """A throw by the schedule or on request, see `OngoingThrow`."""
+    """A throw by the period or on request, see `OngoingThrow`."""
 
     def __init__(
         self, prepared: PreparedRig, *, number: int, start_step: int = 0, start_ns: int = 0
@@ -201,16 +222,21 @@ class ScheduledThrow(OngoingThrow):
     def advance(
         self,
         step: int,
-        now_ns: int,  # noqa: ARG002  this and the motion are for measured plates
+        now_ns: int,  # noqa: ARG002  only measured plates need the time and the motion
         motion: PlateStates,  # noqa: ARG002
         config: TwinConfig,
     ) -> ThrowStep:
-        """Go on to a step."""
+        """Advance to a step."""
         self._time = (step - self._start_step) * self._prepared.tick
         return ThrowStep(*self._go_to(self._time, config.max_events))
 
+    def event_ns(self, event: Event, now_ns: int) -> int:
+        """Return the time of an event, relative to the step because steps may be skipped [ns]."""
+        since = (self._time - event.time) / self._prepared.config.time_scale
+        return now_ns - round(since * SECOND)
+
     def throw_field(self) -> ThrowField | None:
-        """Return the layer over time, once, when that time has passed or the throw is over."""
+        """Return the layer over time once, when that time has passed or the throw is over."""
         field = self._prepared.throw_field
         if self._has_shown_field or field is None:
             return None
@@ -222,11 +248,11 @@ class ScheduledThrow(OngoingThrow):
 
 def time_until_over(prepared: PreparedRig, elapsed: float, *, max_events: int) -> float:
     """
-    Find how much longer a throw takes that has gone on for `elapsed`, by throwing once more.
+    Return the remaining time of a throw that has lasted for `elapsed`, by a second simulation.
 
-    At most `LONGEST_THROW`, and exact to a millisecond or a tick. [s]
+    The result is at most `LONGEST_THROW`, and exact to a millisecond or a tick. [s]
     """
-    # the stepper of the rig is busy with the throw that is under way
+    # the stepper of the rig is in use by the throw under way
     another = dataclasses.replace(prepared, stepper=stepper_of(prepared.config))
     throw = ScheduledThrow(another, number=0)
     tick = max(prepared.tick, 1e-3)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""When each step is due."""
+"""Deadlines of steps."""
 
 from __future__ import annotations
 
@@ -23,16 +23,14 @@ SECOND = 1_000_000_000  # [ns]
 @dataclass
 class TickSchedule:
     """
-    When each step is due.
-
-    Deadlines are absolute: being late once makes nothing late later.
+    Absolute deadlines of steps, so that a delay of one step does not delay later ones.
 
     Parameters
     ----------
     step : int
-        A step.
+        Number of a step.
     time_ns : int
-        When it is due. [ns]
+        Deadline of the step. [ns]
     rate : float
         Steps per second. [Hz]
 
@@ -53,23 +51,23 @@ class TickSchedule:
     rate: float
 
     def deadline(self, step: int) -> int:
-        """Return when a step is due [ns]."""
+        """Return the deadline of a step [ns]."""
         return self.time_ns + round((step - self.step) * SECOND / self.rate)
 
     def change_rate(self, *, step: int, rate: float) -> None:
-        """Take another rate from `step` on, whose own deadline stays."""
+        """Change the rate after a step, whose own deadline stays."""
         self.time_ns = self.deadline(step)
         self.step = step
         self.rate = rate
 
     def skip(self, *, step: int, now: int, max_catch_up: int) -> int:
         """
-        Let time stand still for what a stall took beyond `max_catch_up`.
+        Delay all deadlines by the part of a stall beyond `max_catch_up`.
 
         Returns
         -------
         int
-            How many ticks of the clock go without a step. Steps stay consecutive.
+            Number of ticks of the clock without a step. Steps stay consecutive.
 
         """
         late = now - self.deadline(step) - max_catch_up

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands, run as from a shell."""
+"""Fixtures that run commands as from a shell."""
 
 import json
 import re
@@ -20,7 +20,7 @@ import pytest
 
 
 class Command:
-    """A command, as the module names it in `COMMAND`: its main, and words that come first."""
+    """A command named by `COMMAND` of the test module: its main function and leading words."""
 
     def __init__(self, main, *words, capsys):
         self._main = main
@@ -29,24 +29,26 @@ class Command:
         self.err = ''
 
     def run(self, *args, code=0):
-        """Run it; return what it printed, and keep what it said on standard error."""
+        """Run the command, check its exit code, return its output and keep its standard error."""
         assert self._main([*self._words, *map(str, args)]) == code
         out, self.err = self._capsys.readouterr()
         return out
 
     def json(self, *args, code=0):
-        """Run it with `--json`; return the object that it printed."""
+        """Run the command with `--json` and return the decoded object."""
         return json.loads(self.run('--json', *args, code=code))
 
     def refused(self, *args):
-        """Run it with something that it refuses; return what it says."""
+        """Run the command with arguments that it refuses and return the error message."""
         with pytest.raises(SystemExit) as end:
             self._main([*self._words, *map(str, args)])
         assert end.value.code == 2
         out, err = self._capsys.readouterr()
         assert out == ''
         assert 'Traceback' not in err
-        return err.splitlines()[-1].partition('error: ')[2]
+        assert 'usage: ' not in err
+        (line,) = [line for line in err.splitlines() if ': error: ' in line]
+        return line.partition('error: ')[2]
 
     @staticmethod
     def row(printed, title):
@@ -57,7 +59,7 @@ class Command:
 
 @pytest.fixture
 def command(request, capsys):
-    """Offer the command that the module names as `COMMAND`."""
+    """Return the command named by `COMMAND` of the test module."""
     return Command(*request.module.COMMAND, capsys=capsys)
 
 

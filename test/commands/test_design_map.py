@@ -13,7 +13,6 @@
 # limitations under the License.
 """The command `design map`."""
 
-import json
 import os
 from pathlib import Path
 import re
@@ -25,10 +24,12 @@ import time
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands import design, design_map, output, rerun_output
+from scipy.io import netcdf_file
+from soft_throw_ros.commands import design, design_map, output
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import compute_landscape
-from soft_throw_ros.recording.viewer import free_port, NoGraphicsError, Viewer
+from soft_throw_ros.recording import rerun_output
+from soft_throw_ros.recording.rerun_viewer import free_port, NoGraphicsError, Viewer
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,7 +42,7 @@ AXES = {
     'projectile.mass': np.linspace(1e-3, 5e-3, 30),
 }
 
-# Says aloud what a progress bar would show, so that somebody can press Ctrl-C in the middle.
+# Prints the progress as lines, so that the test can press Ctrl-C in the middle of a map.
 LOUD = """
 import signal, sys
 from soft_throw_ros.commands import design, design_map
@@ -58,18 +59,18 @@ if __name__ == '__main__':
 
 
 def test_axes_and_options_reach_the_map(command, tmp_path):
-    path = tmp_path / 'map.npz'
+    path = tmp_path / 'map.nc'
     said = command.run(
         'mu=0.1:10:5:log', 'kappa', '--model', 'spring_mass', '--frequency', 31.1,
         '--output', path,
     )
-    assert 'left out by this model: engine.damping_ratio, gravity' in said
-    with np.load(path) as file:
-        np.testing.assert_allclose(file['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
-        np.testing.assert_allclose(file['kappa'], np.geomspace(0.5, 50.0, 256))
-        attributes = json.loads(str(file['attributes']))
-    assert attributes['model'] == 'spring_mass'
-    assert attributes['engine_frequency'] == 31.1
+    assert 'neglected by this model: engine.damping_ratio, gravity' in said
+    with netcdf_file(path, mmap=False) as data:
+        values = {name: data.variables[name][:] for name in ('mu', 'kappa')}
+        assert data.model == b'spring_mass'
+        assert data.engine_frequency == 31.1
+    np.testing.assert_allclose(values['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
+    np.testing.assert_allclose(values['kappa'], np.geomspace(0.5, 50.0, 256))
 
 
 def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
@@ -88,18 +89,18 @@ def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
             time.sleep(0.1)
 
 
-def test_map_without_a_release_says_so_and_can_be_drawn(command, tmp_path):
+def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
     said = command.run(
         'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
         '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
     )
-    assert 'the projectile leaves nowhere' in said
-    assert 'finite_difference' in said  # which knows loss
+    assert 'the projectile is released nowhere' in said
+    assert 'cells' in said  # which knows loss
     assert (tmp_path / 'map.png').exists()
 
 
-def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch):
+def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypatch):
     module = pytest.importorskip('matplotlib.figure', reason='comes with the extra [plot]')
     pytest.importorskip('rerun', reason='comes with the extra [rerun]')
     from test.recording.recordings import Recording
@@ -111,7 +112,7 @@ def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch
         'savefig',
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
-    files = [tmp_path / f'map.{ending}' for ending in ('npz', 'nc', 'png', 'rrd')]
+    files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png', 'rrd')]
     said = command.run(
         'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
         '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
@@ -125,10 +126,11 @@ def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch
     alpha = f'{landscape.optimum.energy_transfer:.4f}'
     assert f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg' in said
     assert all(path.stat().st_size > 1000 for path in files)
-    saved, recording, (figure,) = np.load(files[0]), Recording(files[3]), figures
+    saved, recording = netcdf_file(files[0], mmap=False), Recording(files[2])
+    (figure, _) = figures
     for panel, name in zip(figure.axes, ('ejection_phase', 'energy_transfer'), strict=False):
         values = getattr(landscape, name)
-        np.testing.assert_array_equal(saved[name], values)
+        np.testing.assert_array_equal(saved.variables[name][:], values)
         (mesh,) = panel.collections
         np.testing.assert_array_equal(mesh.get_array().T, values)
         assert (panel.get_xscale(), panel.get_yscale()) == ('log', 'linear')
@@ -138,11 +140,13 @@ def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch
         (tensor,) = batch.column('Tensor:data').to_pylist()[0]
         assert tensor['names'] == ['thickness Lₛ (mm)', 'mass m (g)']
         np.testing.assert_array_equal(np.reshape(tensor['buffer'], tensor['shape']), values)
-        first, second = recording.last(f'/{name}/mark_texts', 'Points2D:labels')
-        assert first == 'this rig'
-        assert second.endswith(f', {landscape.optimum.energy_transfer:.3f}')
+    (batch,) = recording.entities['/map']
+    assert bytes(batch.column('EncodedImage:blob').to_pylist()[0][0]) == files[1].read_bytes()
     lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
     place = [[1e3 * thickness, 1e3 * mass]]
+    assert figure.axes[1].lines[1].get_label().endswith(
+        f', {landscape.optimum.energy_transfer:.3f}'
+    )
     np.testing.assert_allclose(lines['largest α'].get_xydata(), place)
     np.testing.assert_allclose(lines['this rig'].get_xydata(), [[10.0, 2.0]])
     saved.close()
@@ -150,7 +154,7 @@ def test_map_is_summed_up_and_saved_in_every_form(command, tmp_path, monkeypatch
 
 def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
     command.run(*SMALL, '--release', 'last')  # so that no worker has to compile
-    script, path = tmp_path / 'loud.py', tmp_path / 'map.npz'
+    script, path = tmp_path / 'loud.py', tmp_path / 'map.nc'
     script.write_text(LOUD)
     with subprocess.Popen(
         [sys.executable, script, 'x=0.6:0.9:300', 'C=5:8:300', '--release', 'last',
@@ -187,15 +191,15 @@ def test_file_that_cannot_be_written_is_named(command, tmp_path):
         (['--output', 'map.png'], 'plot'),
     ],
 )
-def test_what_is_not_installed_is_said(command, monkeypatch, args, extra):
+def test_missing_package_is_named(command, monkeypatch, args, extra):
     monkeypatch.setattr(output.importlib.util, 'find_spec', lambda _: None)
     assert f"pip installs with 'soft_throw_ros[{extra}]'" in command.refused(*args)
 
 
-def test_map_without_screen_and_viewer_says_what_to_do(command, monkeypatch):
+def test_map_without_screen_and_viewer_names_a_remedy(command, monkeypatch):
     pytest.importorskip('rerun', reason='comes with the extra [rerun]')
     monkeypatch.setattr(design_map, 'PORT', free_port())
-    monkeypatch.setattr(rerun_output.viewer, 'has_display', lambda: False)
+    monkeypatch.setattr(rerun_output.rerun_viewer, 'has_display', lambda: False)
     assert '--output FILE.rrd' in command.refused('--rerun')
 
 
@@ -203,7 +207,7 @@ def test_map_without_screen_and_viewer_says_what_to_do(command, monkeypatch):
     ('args', 'message'),
     [
         (['x'], 'AXIS .* got x'),
-        (['x', 'D'], "'D'; there are: x, C, mu"),
+        (['x', 'D'], "'D'; choose from x, C, mu"),
         (['x', 'layer.density'], "layer.density=LOW:HIGH, .* got 'layer.density'"),
         (['x=0.1', 'C'], "x=LOW:HIGH, .* got 'x=0.1'"),
         (['x=0.1:0.9:4.5', 'C'], "x=LOW:HIGH, .* got 'x=0.1:0.9:4.5'"),
@@ -217,8 +221,8 @@ def test_map_without_screen_and_viewer_says_what_to_do(command, monkeypatch):
         (['--model', 'spring_mass', '--release', 'last'], 'last release .*spring_mass'),
         (['--thickness', '16.8'], 'argument --thickness: .* got 16.8'),
         (['--output', 'map.h5'], r"--output: .* got 'map.h5'"),
-        (['--output', 'no_such/map.nc'], 'no_such/map.nc: there is no folder no_such'),
+        (['--output', 'no_such/map.nc'], 'no_such/map.nc: folder no_such not found'),
     ],
 )
-def test_what_is_refused_is_quoted(command, args, message):
+def test_refused_arguments_are_quoted(command, args, message):
     assert re.search(message, command.refused(*args))

@@ -17,10 +17,13 @@ import re
 
 import pytest
 from soft_throw_ros.commands import design
+from soft_throw_ros.commands.design_texts import remarks_of, uncertainty_text
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Projectile, Rig
-from soft_throw_ros.design.objective import Limits, Robust, Versatile
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.requests import limits_of, objective_of
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
@@ -46,11 +49,12 @@ def mine(tmp_path):
     return path
 
 
-def test_table_is_what_is_recommended_beside_what_is_there(command):
+def test_table_compares_the_recommended_and_the_present_layer(command):
     printed = command.run('--vary', 'thickness')
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())
-    assert printed.startswith(f'{best.summary}\n\n')
-    assert printed.endswith(f'\n\n{best.remarks}\n')
+    summary = command.json('--vary', 'thickness')['recommendation']['summary']
+    assert printed.startswith(f'{summary}\n\n')
+    assert printed.endswith(f'\n\n{remarks_of(best)}\n')
     for title, name, scale in (
         ('thickness L_s', 'thickness', 1e3),
         ('wave speed c_s', 'wave_speed', 1.0),
@@ -58,18 +62,17 @@ def test_table_is_what_is_recommended_beside_what_is_there(command):
         ('peak strain', 'peak_strain', 1e2),
         ('work of the plate', 'plate_work', 1e3),
     ):
-        expected = [getattr(each, name) for each in (now, best, best.by_wave_speed, best.by_both)]
+        expected = [getattr(each, name) for each in (now, best, best.by_wave_speed)]
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
-    assert prediction_uncertainty(best.rig).describe() in printed
+    assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
     _, table = printed.split('around the recommended layer')
     for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
         (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
-        value, low, high, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
-        shown = [value, low, high, within]
-        known = [item.value, item.low, item.high, item.tolerance]
-        assert shown == pytest.approx([scale * each for each in known], rel=0.05)
-        assert more == pytest.approx(item.elasticity, abs=0.006)
+        value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
+        known = [scale * item.value, scale * item.tolerance]
+        assert [value, within] == pytest.approx(known, rel=0.05)
+        assert more == pytest.approx(item.sensitivity, abs=0.006)
 
 
 def test_json_has_everything_to_the_last_digit(command):
@@ -79,21 +82,21 @@ def test_json_has_everything_to_the_last_digit(command):
     found = printed['recommendation']
     assert found['wave_speed'] == best.wave_speed
     assert found['now']['energy_transfer'] == predict(rig).energy_transfer
-    assert found['by_both']['thickness'] == best.by_both.thickness
-    assert [item['low'] for item in found['sensitivities']] == [
-        item.low for item in best.sensitivities
+    assert found['by_thickness']['thickness'] == best.by_thickness.thickness
+    assert [item['tolerance'] for item in found['sensitivities']] == [
+        item.tolerance for item in best.sensitivities
     ]
     assert printed['parameters']['recommendation.vary'] == 'wave_speed'
     assert printed['uncertainty'] == prediction_uncertainty(best.rig).values()
 
 
-def test_layer_that_throws_nothing_is_null_in_json(command):
+def test_layer_without_a_throw_is_null_in_json(command):
     found = command.json('--mass', 0.3)['recommendation']
     assert (found['now'], found['now_score']) == (None, 0.0)
     assert command.row(command.run('--mass', 0.3), 'energy transfer alpha')[0] == '-'
 
 
-def test_options_are_what_is_asked(command):
+def test_options_define_the_request(command):
     options = {
         'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
         'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
@@ -113,7 +116,7 @@ def test_options_are_what_is_asked(command):
     assert found['score'] == recommend(Rig(), objective=objective).score
 
 
-def test_layer_is_picked_from_a_library_of_one_s_own(command, mine):
+def test_layer_is_chosen_from_a_user_library(command, mine):
     found = command.json('--vary', 'library', '--library', mine)['recommendation']
     ranks = {item['layer']: item['score'] for item in found['candidates']}
     assert found['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
@@ -127,7 +130,7 @@ def test_layer_is_picked_from_a_library_of_one_s_own(command, mine):
     assert re.search(rf'^jelly_40.0mm +40.0 +{found["score"]:.3f}$', table, re.MULTILINE)
 
 
-def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(command, tmp_path):
+def test_options_replace_the_request_of_a_twin_file(command, tmp_path):
     path = tmp_path / 'rig.yaml'
     path.write_text(
         'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
@@ -148,7 +151,7 @@ def test_file_of_the_twin_says_what_is_asked_and_options_replace_it(command, tmp
     assert printed['recommendation']['peak_strain'] <= 0.11 * (1.0 + 1e-9)
 
 
-def test_file_that_aims_is_for_the_other_task(command, write):
+def test_file_with_an_aim_is_refused_with_its_task(command, write):
     path = write('twin: {ros__parameters: {recommendation.objective: aim}}', 'aim.yaml')
     assert 'design aim' in command.refused('--config', path)
 
@@ -174,5 +177,5 @@ def test_file_that_aims_is_for_the_other_task(command, write):
         (['--gravity', '30', '--amplitude', '1e-5'], 'gravity .19 of the largest'),
     ],
 )
-def test_what_is_refused_is_quoted(command, args, message):
+def test_refused_arguments_are_quoted(command, args, message):
     assert re.search(message, command.refused(*args))

@@ -23,11 +23,14 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
+from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
 from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
 from soft_throw_ros.identification.fit_description import USUAL
 from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
@@ -39,12 +42,12 @@ RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
     layer=Layer(thickness=12e-3, wave_speed=6.9),
 )
-"""What the sample says that it is of."""
+"""Rig of the sample, according to its description."""
 
 
 @pytest.fixture(scope='module')
 def found_in_sample():
-    """Give what is found in the sample, as JSON."""
+    """Return the JSON result of the identification of the sample."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         assert identify.main([*map(str, OF_SAMPLE), '--json']) == 0
     return json.loads(out.getvalue())
@@ -67,15 +70,16 @@ def test_sample_gives_its_rig(found_in_sample):
     place = found['fit']['names'].index('layer.wave_speed')
     covariance = np.array(found['fit']['covariance'])
     assert np.sqrt(covariance[place, place]) == value(found, 'layer.wave_speed')[1]
+    answer = found['answer']
+    assert answer['effective_wave_speed']['error'] < 0.03 * 6.9
+    assert answer['rest_wave_speed']['error'] == value(found, 'layer.wave_speed')[1]
+    assert answer['limited_by'] == 'layer.stiffening'
+    assert answer['is_good_enough']
+    assert found['ejection']['alternatives'] == []
     assert found['throws'][0]['start_time'] == pytest.approx(0.0124, abs=5e-5)
-    averaged = found['throws'][0]['running_averages']
-    for name, exact in found['ejection'].items():
-        assert averaged[name]['value'] == pytest.approx(
-            exact['value'], abs=3.0 * averaged[name]['error']
-        )
 
 
-def test_readme_shows_what_is_printed_of_the_sample_and_the_file_is_one_of_the_twin(
+def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     command, found_in_sample, tmp_path, monkeypatch
 ):
     pytest.importorskip('matplotlib')
@@ -85,9 +89,15 @@ def test_readme_shows_what_is_printed_of_the_sample_and_the_file_is_one_of_the_t
     monkeypatch.chdir(root)
     path = tmp_path / 'my_rig.yaml'
     args = call.replace('my_rig.yaml', str(path)).split()
-    printed = command.run(*args, '--figure', tmp_path / 'a.png').splitlines()[:7]
+    answer, table, *_ = command.run(*args, '--figure', tmp_path / 'a.png').split('\n\n')
+    printed = table.splitlines()[:7]
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
     shown = re.findall(r'^    ((?:engine|layer|projectile)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
+    titles = ('effective wave speed', 'wave speed at rest', 'energy transfer')
+    for line, title in zip(answer.splitlines(), titles, strict=True):
+        (line_of_page,) = re.findall(rf'^    ({title}  .*)$', text, re.MULTILINE)
+        assert line.partition(' +- ')[0] == line_of_page.partition(' +- ')[0]
+    assert 'good enough to choose a layer' in answer
     # The last digits may depend on the processor
     for line, other in zip(printed, shown, strict=True):
         assert line.split()[0] == other.split()[0]
@@ -96,9 +106,9 @@ def test_readme_shows_what_is_printed_of_the_sample_and_the_file_is_one_of_the_t
     for name in found['found']:
         assert settings[name] == pytest.approx(value(found, name)[0], rel=1e-6)
     assert settings['layer.name'] == 'custom'
-    # What does not describe the rig stays as it was
+    # Parameters that do not describe the rig are left out of the file
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
-    for line in printed:  # and says how sure it is
+    for line in printed:  # with their standard errors
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
     predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
     assert predicted['energy_transfer'] == pytest.approx(
@@ -106,10 +116,10 @@ def test_readme_shows_what_is_printed_of_the_sample_and_the_file_is_one_of_the_t
     )
 
 
-def test_large_strain_is_said_and_written(command, write, tmp_path):
+def test_large_strain_is_printed_and_written(command, write, tmp_path):
     engine = Engine(frequency=58.0, damping_ratio=0.05, amplitude=5e-3)
-    rig = Rig(engine=engine, layer=Layer(elasticity='neo_hookean'))
-    time = np.arange(0.0, 0.08, 2e-4)
+    rig = Rig(engine=engine, layer=Layer(stress_strain_law='neo_hookean'))
+    time = np.arange(0.0, 0.042, 2e-4)  # a longer flight would only cost time
     heights = np.stack([
         Underdamped.of(engine).position(time - 0.0153),
         ThrowSimulator().follow(rig, time - 0.0153).position,
@@ -119,12 +129,25 @@ def test_large_strain_is_said_and_written(command, write, tmp_path):
     path = write('\n'.join(['t,plate,projectile', *rows]))
     output = tmp_path / 'rig.yaml'
     printed = command.run(path, '--output', output)
-    assert re.search(r'^layer.elasticity +neo_hookean$', printed, re.MULTILINE)
-    assert rig_of(files.read(output)).layer.elasticity == 'neo_hookean'
+    assert re.search(r'^layer.stress_strain_law +neo_hookean$', printed, re.MULTILINE)
+    assert rig_of(files.read(output)).layer.stress_strain_law == 'neo_hookean'
     assert command.json(path, '--hold', 'layer.stiffening')['chosen'] == {}
 
 
-def test_samples_that_are_3_mm_off_are_listed_and_left_out(command, write, found_in_sample):
+def test_release_beyond_a_jump_is_an_alternative_of_the_report():
+    one = Estimate(7.5e-3, 1e-4)
+    other = AlternativeRelease(1, 0.2, Estimate(9e-3, 2e-4), one, Estimate(3.0, 0.1))
+    ejection = Ejection(
+        time=one, speed=one, peak_plate_speed=one, energy_transfer=one, alternatives=(other,),
+        time_budget={'tracks': 1e-5, 'projectile.sticking': 1e-4},
+    )
+    lines = list(ejection_lines(ejection))
+    assert 'or, with 20 %, one echo later: t_e 9.00 +- 0.20 ms' in lines[-2]
+    assert lines[-1].startswith('error of ejection time: 0.1 ms, by projectile.sticking 0.1')
+    assert ejection_data(ejection)['alternatives'] == (other,)
+
+
+def test_outliers_of_3_mm_are_listed_and_excluded(command, write, found_in_sample):
     clean = found_in_sample
     lines = SAMPLE.read_text().splitlines()
     off = {}
@@ -147,7 +170,7 @@ def test_samples_that_are_3_mm_off_are_listed_and_left_out(command, write, found
         assert f'left out as outliers of {body}: {time:g} s' in printed
 
 
-def test_fit_is_described_alike_by_options_and_file(command, write):
+def test_options_and_file_describe_the_same_fit(command, write):
     path = write('parameters: {projectile.mass: 0.0012 +- 1 %}\nheights: own', 'fit.yaml')
     by_file = command.json(*OF_SAMPLE, '--fit-file', path)
     by_option = command.json(*OF_SAMPLE, '--mass', '0.0012+-1%')
@@ -172,56 +195,14 @@ def test_plate_alone_gives_the_engine(command, write, tmp_path):
     )
 
 
-def ringing(thickness, seed):
-    """Text of a free layer's ends in mm."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, 0.05, 2e-4)
-    rings = np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
-    noise = rng.normal(size=(2, time.size)) * 1e-5
-    bottom, top = 0.1 + noise[0], 0.1 + thickness + 5e-4 * rings + noise[1]
-    rows = zip(time, 1e3 * bottom, 1e3 * top, strict=True)
-    return '\n'.join(['t;bottom;top', *(f'{t:.4f};{a:.4f};{b:.4f}' for t, a, b in rows)])
-
-
-def test_free_layers_give_the_wave_speed(command, write, tmp_path):
-    thicknesses = (5.6e-3, 16.8e-3, 29.1e-3)
-    args = ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
-    for thickness in thicknesses:
-        path = write(ringing(thickness, seed=1), f'{thickness}.csv')
-        args += ['--free-layer', thickness, path]
-    found = command.json(*args, '--fit', 'layer.loss_tangent', '--figure', tmp_path / 'a.png')
-    speed, error = value(found, 'layer.wave_speed')
-    assert speed == pytest.approx(7.8, abs=4.0 * error)
-    assert error < 0.03
-    periods = [layer['period']['value'] for layer in found['layers']]
-    assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
-    assert (tmp_path / 'a.png').stat().st_size > 10_000
-    settings = files.read(tmp_path / 'rig.yaml')
-    assert settings['layer.wave_speed'] == pytest.approx(speed, rel=1e-4)
-    assert settings['layer.loss_tangent'] == pytest.approx(
-        value(found, 'layer.loss_tangent')[0], rel=1e-2
-    )
-    rows = [line.split() for line in command.run(*args).splitlines() if ' mm ' in line]
-    assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
-
-
-def test_free_layers_of_two_materials_are_doubted(command, write):
-    args = ['--unit', 'mm']
-    for thickness, truth in ((10e-3, 10e-3), (20e-3, 24e-3)):
-        args += ['--free-layer', thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
-    command.run(*args)
-    assert 'not proportional to the thicknesses' in command.err
-    assert 'do not agree in their loss' in command.err  # for they decay alike, thick or thin
-
-
 class Bag:
-    """Writes messages JointState into a bag."""
+    """A writer of JointState messages into a bag."""
 
     def __init__(self, folder):
         self.writer = BagWriter(folder, distribution='jazzy')
 
     def add(self, topic, times, plate, projectile, names=('plate', 'projectile')):
-        """Write positions; of what is not seen there is none."""
+        """Write positions, without those of bodies that are not seen."""
         channel = Channel(topic=topic, type='sensor_msgs/msg/JointState', schema='float64 x')
         for time, *both in zip(times, plate, projectile, strict=True):
             stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
@@ -239,7 +220,7 @@ class Bag:
 
 
 def recorded(starts=(0.2, 0.8), noise=2e-5):
-    """Make a record of throws, after each of which all is put back."""
+    """Return times and heights of a record in which the rig returns to rest after every throw."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, starts[-1] + 0.6, 5e-4)
     heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
@@ -263,7 +244,7 @@ def test_bag_gives_its_throws(command, tmp_path):
     assert error < 0.35
 
 
-def test_of_several_rigs_the_measured_one_comes_first_and_others_are_asked_for(command, tmp_path):
+def test_measured_rig_is_the_default_among_several(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     bag = Bag(tmp_path / 'bag')
     bag.add('/a/joint_states', time, plate, projectile)
@@ -284,25 +265,24 @@ def test_of_several_rigs_the_measured_one_comes_first_and_others_are_asked_for(c
 
 
 def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
-    # Without noise, and with few samples per period, in which the flight is the smoothest part
+    # No noise and few samples per period: the flight is the smoothest phase
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)
     every = slice(None, None, 2)
     folder = Bag(tmp_path / 'bag').add(
         '/twin/joint_states', time[every], plate[every], projectile[every]
     ).close()
-    printed = command.run(folder, '--thickness', 12e-3)
+    command.run(folder, '--thickness', 12e-3)
     assert command.err == ''
-    assert 'no running averages: bag, throw 1: running averages need at least 20' in printed
     last = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3, '--from', 1.2)
     assert last['sources'] == ['bag_0.mcap']
     for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         found, error = value(last, name)
-        # One throw hardly tells wave speed, thickness and stiffening apart
+        # One throw hardly distinguishes wave speed, thickness and stiffening
         slack = 0.05 * error if name == 'layer.wave_speed' else 0.0
         assert found == pytest.approx(expected, rel=1e-4, abs=slack)
 
 
-def test_what_cannot_be_read_of_a_bag_is_said(command, tmp_path):
+def test_unreadable_messages_of_a_bag_are_reported(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
     names = ('plate', 'other')
     bag = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile, names=names)
@@ -316,17 +296,40 @@ def test_what_cannot_be_read_of_a_bag_is_said(command, tmp_path):
         f"identify: {path}: 3 messages on '/rig/joint_states' are no sensor_msgs/msg/JointState, "
         'and left out\n'
     )
-    assert value(command.json(path), 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
-    assert command.err == left_out
+    found = command.json(path)
+    assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
+    assert command.err == left_out == ''.join(f'identify: {note}\n' for note in found['notes'])
     path.write_bytes(path.read_bytes()[:-300])
-    assert value(command.json(path), 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
-    damage, *rest = command.err.splitlines(keepends=True)
-    assert damage.startswith(f'identify: {path}: ')
-    assert 'what can be read is taken' in damage
-    assert rest == [left_out]
+    assert 'soft-throw recover' in command.refused(path)
 
 
-def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):
+def test_json_has_the_gaps_of_the_tracks(command, write, found_in_sample):
+    assert found_in_sample['notes'] == []
+    assert found_in_sample['throws'][0]['gaps'] == {'plate': [], 'projectile': []}
+    lines = SAMPLE.read_text().splitlines()
+    times = [float(line.split(',')[0]) for line in lines[58:62]]
+    lines[59:61] = [line.rpartition(',')[0] + ',' for line in lines[59:61]]
+    found = command.json(write('\n'.join(lines)), *OF_SAMPLE[1:])
+    gaps = {'plate': [], 'projectile': [[times[0], times[-1]]]}
+    assert found['throws'][0]['gaps'] == gaps
+
+
+def test_samples_with_late_stamps_are_named_and_excluded(command, write, found_in_sample):
+    lines = SAMPLE.read_text().splitlines()
+    rows = [line.split(',') for line in lines[4:]]
+    late = rows[10::20]
+    for row in late:
+        row[0] = f'{float(row[0]) + 0.4:.6f}'
+    rows.sort(key=lambda row: float(row[0]))
+    path = write('\n'.join([*lines[:4], *map(','.join, rows)]))
+    found = command.json(path, *OF_SAMPLE[1:])
+    assert any(f'{len(late)} samples' in note and 'late' in note for note in found['notes'])
+    for name in USUAL:
+        best, error = value(found_in_sample, name)
+        assert value(found, name)[0] == pytest.approx(best, abs=error)
+
+
+def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
     plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
     plate[(time > 0.83) & (time < 1.4)] = 0.0
@@ -341,7 +344,7 @@ def test_throw_of_a_bag_that_is_none_is_left_out(command, tmp_path):
     [(-0.002, 2e-5), (0.015, 4e-4)],
     ids=['never at rest', 'hardly to be seen'],
 )
-def test_throw_that_looks_like_several_is_one(command, write, start, noise):
+def test_throw_that_resembles_several_is_one(command, write, start, noise):
     time = np.arange(0.0, 0.1, 2e-4)
     plate = Underdamped.of(RIG.engine).position(time - start)
     projectile = follow(RIG, until=time[-1] - start).projectile_position(time - start)
@@ -356,9 +359,9 @@ def test_throw_that_looks_like_several_is_one(command, write, start, noise):
         assert best == pytest.approx(truth, abs=4.0 * error)
 
 
-def test_projectile_that_is_not_seen_is_left_out(command, tmp_path):
+def test_unseen_positions_of_the_projectile_are_excluded(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2,))
-    projectile[projectile > 0.04] = np.nan  # beyond what the camera sees
+    projectile[projectile > 0.04] = np.nan  # above the field of view of the camera
     projectile[50:60] = np.nan
     found = command.json(
         Bag(tmp_path / 'bag').add('/twin/measured_joint_states', time, plate, projectile).close(),
@@ -377,25 +380,23 @@ THICKNESS = 'layer.thickness'
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
-        ((), 'either FILE or --video, or --free-layer must be given'),
-        ((SAMPLE, '--free-layer', '0.01', SAMPLE), 'either FILE or --video, or --free-layer'),
         (('none.csv',), 'none.csv: No such file or directory'),
         ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
         ((SAMPLE, '--noise', '0'), 'argument --noise: must be finite and positive, got 0'),
         ((SAMPLE, '--fit', 'layer.colour'), 'argument --fit: what is fitted must be some of '),
         ((SAMPLE, '--fit', THICKNESS, '--hold', THICKNESS), f'argument --hold: {THICKNESS}'),
         ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),
-        (('--free-layer', 'x', SAMPLE), 'argument --free-layer: M must be a number from 0.0005'),
-        (('--free-layer', '1e-2', SAMPLE, '--thickness-error', '-1'), 'argument --thickness-e'),
-        (('--free-layer', '1e-2', SAMPLE), f"{SAMPLE}:4: no column is named 'bottom', got t [s]"),
         ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),
         ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must have an'),
         ((*OF_SAMPLE, '--from', '1'), f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
-        ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: none/rig.yaml: there'),
-        ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end on .png, .pdf, .svg'),
+        (
+            (*OF_SAMPLE, '--output', 'none/rig.yaml'),
+            'argument --output: none/rig.yaml: folder none not found',
+        ),
+        ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end with .png, .pdf, .svg'),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(command, args, message):
+def test_error_is_one_line(command, args, message):
     assert command.refused(*args).startswith(message)
 
 
@@ -404,3 +405,15 @@ def test_wrong_unit_without_a_header_is_noticed(command, write):
     message = command.refused(write('\n'.join(rows)), '--hold', 'layer.wave_speed')
     assert message.startswith('found, but not for the twin: engine.amplitude must be a number')
     assert message.endswith('is the unit of heights right (--unit)?')
+
+
+def test_distant_samples_are_excluded_with_a_note(command, tmp_path):
+    # found by make fuzz: a cut joins the time of a row at rest and the height of another row
+    text = (SAMPLE.parent / 'reference_tracks.csv').read_text(encoding='utf-8')
+    path = tmp_path / 'throw.csv'
+    path.write_text(text[:231] + text[2854:4692], encoding='utf-8')
+    found = command.json(path)
+    frequency, error = value(found, 'engine.frequency')
+    assert frequency == pytest.approx(63.2, abs=3.0 * error)
+    assert error < 1.0
+    assert any('7 samples from 0 s to 0.0012 s' in note for note in found['notes'])

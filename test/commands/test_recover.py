@@ -42,7 +42,7 @@ def bag(tmp_path):
 
 
 def all_of(target):
-    """Return what is said of such a bag when nothing is lost."""
+    """Return the report of a recovery without losses."""
     return f'{target}: 300 messages recovered\n  /a               200\n  /longer          100\n'
 
 
@@ -57,7 +57,7 @@ def damage(bag, chunk):
     return index.chunk_start_offset, index.chunk_length
 
 
-def test_bag_that_lacks_only_its_end_is_recovered_as_a_whole(command, bag):
+def test_bag_without_its_end_is_recovered_completely(command, bag):
     (path,) = bag.glob('*.mcap')
     path.write_bytes(path.read_bytes()[:-37])  # footer
     assert command.run(bag) == all_of(f'{bag}_recovered')
@@ -66,7 +66,16 @@ def test_bag_that_lacks_only_its_end_is_recovered_as_a_whole(command, bag):
         assert recovered.damage == ''
 
 
-def test_what_is_lost_is_told_by_place_number_and_exit_code(command, tmp_path):
+def test_escape_codes_in_a_topic_are_escaped(command, tmp_path):
+    channel = Channel(topic='/a\x1b[2J\x07\nb', type='std_msgs/msg/String', schema='string data')
+    with BagWriter(tmp_path / 'run', distribution='', compression='none') as writer:
+        writer.write(Message(channel, b'x' * 50, 1, 1, 1))
+    out = command.run(tmp_path / 'run')
+    assert r'/a\x1b[2J\x07' in out
+    assert all(letter.isprintable() or letter == '\n' for letter in out)
+
+
+def test_losses_are_reported_by_position_number_and_exit_code(command, tmp_path):
     with BagWriter(tmp_path / 'run', distribution='', compression='none') as writer:
         for number in range(30):
             writer.write(Message(CHANNELS[0], b'x' * 50, number, number, number))
@@ -77,13 +86,13 @@ def test_what_is_lost_is_told_by_place_number_and_exit_code(command, tmp_path):
     out = command.run(tmp_path / 'run', '--to', tmp_path / 'out/whole', code=1)
     first, *_, total, place = out.splitlines()[:4]
     assert first.startswith(f'{tmp_path}/out/whole: 15 messages')
-    assert 'in 16 places' in total  # with the messages that the end tells of
+    assert 'in 16 ranges' in total  # including the messages that only the end of the file lists
     assert re.search(rf'run_0\.mcap: \d+ bytes at {offset}: ', place)
     assert out.count('crc') == 10
     assert out.endswith('and 6 more\n')
 
 
-def test_single_file_and_the_folder_we_are_in_are_recovered_beside_themselves(
+def test_recovered_bag_is_beside_its_file_or_the_current_folder(
     command, bag, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(bag)
@@ -92,7 +101,7 @@ def test_single_file_and_the_folder_we_are_in_are_recovered_beside_themselves(
     assert command.run(path) == all_of(f'{tmp_path}/alone_recovered')
 
 
-def test_what_cannot_be_done_is_one_line(command, bag, tmp_path):
+def test_error_is_one_line(command, bag, tmp_path):
     (tmp_path / 'text').write_text('hello')
     for name in ('missing', 'text'):
         assert f'{tmp_path}/{name}' in command.refused(tmp_path / name)

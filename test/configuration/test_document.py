@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize(('path', 'text'), document.documents().items())
 def test_document_is_current(path: str, text: str) -> None:
-    """Bring it up to date with `python -m soft_throw_ros.configuration`."""
+    """The command `python -m soft_throw_ros.configuration` updates the document."""
     assert (ROOT / path).read_text('utf-8') == text
 
 

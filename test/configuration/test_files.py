@@ -65,7 +65,7 @@ def test_installed_file_gives_the_defaults(table: Any) -> None:
         'qos_overrides./x.publisher.depth: 7, recommended: {thickness: .nan}}}',
     ],
 )
-def test_read_finds_the_node_however_it_is_written(write: Any, text: str) -> None:
+def test_read_finds_the_node_in_every_notation(write: Any, text: str) -> None:
     expected = {**TWIN.defaults(), 'layer.thickness': 0.01, 'layer.name': 'custom'}
     assert files.read(write(text)) == expected
 
@@ -117,13 +117,13 @@ def test_read_names_file_and_line(write: Any, text: str, line: int, message: str
     assert '\n' not in str(refused.value)
 
 
-def test_name_that_no_file_can_have_is_refused() -> None:
+def test_impossible_file_name_is_refused() -> None:
     with pytest.raises(ParameterError, match='null'):
         files.read(Path('a\0b'))
 
 
 @pytest.mark.parametrize('content', [None, b'\xff\xfe', b'\x00', b'', b'# nothing\n', b'[' * 9999])
-def test_read_refuses_a_file_with_nothing_to_read(tmp_path: Path, content: bytes) -> None:
+def test_read_refuses_a_file_without_parameters(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / 'twin.yaml'
     if content is not None:
         path.write_bytes(content)
@@ -133,7 +133,7 @@ def test_read_refuses_a_file_with_nothing_to_read(tmp_path: Path, content: bytes
 
 @settings(max_examples=30)
 @given(data=st.data())
-def test_write_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) -> None:
+def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) -> None:
     path = tmp_path_factory.getbasetemp() / 'written.yaml'
     thickness = data.draw(st.floats(5e-4, 0.1))
     amplitude = data.draw(st.floats(1e-5, 0.1))
@@ -144,6 +144,24 @@ def test_write_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data: Any) 
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
     assert everybody['engine']['amplitude'] == amplitude  # and not its text
     assert everybody['layer']['thickness'] == thickness
+
+
+TEXTS = (
+    '/data/run #3/plate.csv', 'a: b', '*x', '[x]', '{x', 'true', 'y', '~', '2e-3', '0x1F', 'nan',
+    ' ', "it's", 'a "b"', 'two\nlines', '\x1b[0m', '- x', '\N{MICRO SIGN}m', 100 * 'long ',
+)
+
+
+@pytest.mark.parametrize('text', TEXTS)
+def test_texts_are_written_so_that_they_are_read_back(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'written.yaml'
+    settings = {**TWIN.defaults(), 'layer.library': text}
+    path.write_text(files.render(settings), 'utf-8')
+    layer = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']['layer']
+    assert layer['library'] == text
+    recorder = {**RECORDER.defaults(), 'name': text, 'topics': ('/a', 'on')}
+    path.write_text(files.render(recorder, table=RECORDER), 'utf-8')
+    assert files.read(path, node='/recorder', table=RECORDER) == recorder
 
 
 def test_arguments_are_one_request_after_the_file(write: Any) -> None:
@@ -162,13 +180,32 @@ def test_arguments_that_contradict_each_other_are_refused() -> None:
         start(arguments)
 
 
-def test_arguments_outside_ros_args_are_not_ours() -> None:
+def test_arguments_outside_ros_args_are_ignored() -> None:
     assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
 
 
-def test_select_lets_the_later_pattern_win(write: Any) -> None:
+def test_select_prefers_the_later_pattern(write: Any) -> None:
     """A known surprise of ROS: `-p` counts where the file has its `/**`."""
     path = write('/**: {ros__parameters: {gravity: 1}}\ntwin: {ros__parameters: {gravity: 2}}\n')
     file = ['--ros-args', '--params-file', str(path)]
     assert start([*file, '-p', 'gravity:=3'])['gravity'] == 2.0
     assert start([*file, '-p', 'twin:gravity:=3'])['gravity'] == 3.0
+
+
+def test_former_names_in_files_and_arguments_are_accepted_with_their_position(
+    write, capsys
+) -> None:
+    path = write(
+        'twin:\n  ros__parameters:\n    measured: {window: 3e-3}\n    model: finite_difference\n'
+    )
+    settings = files.read(path)
+    assert settings['measured.smoothing_window'] == 3e-3
+    assert settings['model'] == 'cells'
+    window, model = capsys.readouterr().err.splitlines()
+    assert window.startswith(f'warning: {path}:3: measured.window ')
+    assert model.startswith(f'warning: {path}:4: model ')
+    arguments = ['--ros-args', '--params-file', str(path), '-p', 'measured.smoothing_window:=4e-3']
+    assert start(arguments)['measured.smoothing_window'] == 4e-3
+    assert 'measured.window' in capsys.readouterr().err
+    with pytest.raises(ParameterError, match=r'^-p measured\.wait:=-1: measured\.latency must be'):
+        start(['--ros-args', '-p', 'measured.wait:=-1'])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The library of layers: what is installed, and what is refused of a file of one's own."""
+"""The library of layers: its installed entries, and the refusals of bad library files."""
 
 from __future__ import annotations
 
@@ -66,10 +66,10 @@ def refused(path: Path) -> str:
     return message
 
 
-# what is installed
+# installed layers
 
 
-def test_gelatins_of_the_paper_are_there_in_six_thicknesses() -> None:
+def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
     gelatins = {name: values for name, values in LAYERS.items() if name.endswith('mm')}
     gelatins = {name: values for name, values in gelatins.items() if name.startswith('gelatin_')}
     assert gelatins == {
@@ -98,8 +98,8 @@ def test_installed_material_is_described_sourced_and_within_bounds(material: Mat
     assert list(material.thicknesses) == sorted(set(material.thicknesses))
 
 
-def test_installed_moduli_are_those_of_the_file_to_all_digits() -> None:
-    """By another reader of YAML, and E = rho c^2."""
+def test_installed_moduli_agree_with_the_file_to_all_digits() -> None:
+    """The expected values come from an independent YAML reader and E = rho c^2."""
     path = default_file()
     given = {
         name: parts['youngs_modulus']
@@ -117,7 +117,7 @@ def test_installed_moduli_are_those_of_the_file_to_all_digits() -> None:
 # a file of one's own
 
 
-def test_materials_of_one_s_own_come_besides_the_installed_ones(write: Any) -> None:
+def test_user_materials_extend_the_installed_ones(write: Any) -> None:
     mine = library(write(FOAM))
     assert mine.materials.keys() == {*INSTALLED.materials, 'foam'}
     assert mine.materials['foam'] == Material(
@@ -137,11 +137,11 @@ def test_materials_of_one_s_own_come_besides_the_installed_ones(write: Any) -> N
     assert library() == INSTALLED
 
 
-def test_stack_of_one_s_own_is_a_layer_and_no_material(write: Any) -> None:
+def test_user_stack_is_a_layer_and_no_material(write: Any) -> None:
     text = FOAM + 'both:\n  description: d\n  source: s\n  stack: 8e-3 gelatin, 2e-3 foam\n'
     mine = library(write(text))
     assert 'both' not in mine.materials
-    assert mine.layers['both']['layer.stack'] == '8e-3 gelatin, 2e-3 foam'
+    assert mine.layers['both']['layer.stack'] == '0.008 7.8 1000.0 0.0, 0.002 20.0 120.0 0.1'
     assert mine.layers['both']['layer.thickness'] == pytest.approx(0.01)
 
 
@@ -166,7 +166,7 @@ def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:
     assert [speed.low, speed.value, speed.high] == pytest.approx(expected, rel=1e-15)
 
 
-def test_material_in_some_thicknesses_makes_a_layer_of_each(write: Any) -> None:
+def test_material_makes_a_layer_of_each_thickness(write: Any) -> None:
     layers = library(write(FOAM + '  thicknesses: [5e-3, 6.35e-3]\n  diameter: 0.02\n')).layers
     mine = {name: values for name, values in layers.items() if name.startswith('foam')}
     assert {name: values['layer.thickness'] for name, values in mine.items()} == {
@@ -176,7 +176,7 @@ def test_material_in_some_thicknesses_makes_a_layer_of_each(write: Any) -> None:
     assert all(values['layer.diameter'] == 0.02 for values in mine.values())
 
 
-def test_file_is_read_again_when_it_has_changed(write: Any) -> None:
+def test_changed_file_is_read_again(write: Any) -> None:
     path = write(FOAM)
     assert library(path).materials['foam'].density.value == 120.0
     write(FOAM.replace('120.0', '150.0'))
@@ -222,7 +222,7 @@ def test_file_is_read_again_when_it_has_changed(write: Any) -> None:
         ('foam:', 'my foam:', 2, "letters, digits, .* got 'my foam'"),
     ],
 )
-def test_what_is_wrong_is_quoted_with_file_and_line(
+def test_error_is_quoted_with_file_and_line(
     write: Any, old: str, new: str, line: int, message: str
 ) -> None:
     assert FOAM.count(old) == 1
@@ -247,7 +247,7 @@ def test_file_without_materials_is_refused(write: Any, text: str, message: str) 
     assert re.match(rf'{re.escape(str(path))}.*{message}', refused(path))
 
 
-def test_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_unreadable_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / 'binary.yaml'
     path.write_bytes(b'\xff\xfe')
     for unreadable in (tmp_path / 'no.yaml', tmp_path, path):

@@ -19,9 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import ParameterError, RECORDER, TWIN
+from soft_throw_ros.configuration.recorder import VIEWER
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 
-TABLES = (TWIN, RECORDER, RIG, CALIBRATOR)
+TABLES = (TWIN, RECORDER, VIEWER, RIG, CALIBRATOR)
 SETTINGS = [(table, entry) for table in TABLES for entry in table.entries if not entry.is_result]
 NUMBERS = [(table, entry) for table, entry in SETTINGS if type(entry.default) in (int, float)]
 anything = st.one_of(
@@ -45,7 +46,7 @@ def test_check_value_returns_an_allowed_value_or_quotes_it(setting: Any, value: 
     if not entry.allows(value):
         with pytest.raises(ParameterError) as refused:
             table.check_value(entry.name, value)
-        quoted = f'{entry.name} must be {entry.rule}, got {repr(value)[:200]}'
+        quoted = f'{entry.name} must be {entry.rule}, got {repr(value)[:60]}'
         assert str(refused.value).startswith(quoted)
         return
     checked = table.check_value(entry.name, value)
@@ -59,7 +60,9 @@ def test_check_value_returns_an_allowed_value_or_quotes_it(setting: Any, value: 
 
 
 @given(number=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
-def test_every_number_in_the_range_is_taken_as_such_and_as_text(number: Any, share: float) -> None:
+def test_every_number_in_the_range_is_accepted_as_number_and_text(
+    number: Any, share: float
+) -> None:
     table, entry = number
     value = min(entry.low + share * (entry.high - entry.low), entry.high)
     value = int(value) if isinstance(entry.default, int) else value
@@ -90,16 +93,18 @@ def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
         ('throw.max_events', 2.0, ['whole number', '2.0']),
         ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
         ('recommendation.masses', [], ['[]']),
-        ('recommendation.masses', [0.01] * 5000, ['30000 characters']),
+        ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '5000 items']),
+        ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '20000 characters']),
+        ('x' * 20_000, 1.0, ['no parameter is named', '20000 characters']),
         ('recommended.thickness', 0.01, ['layer.thickness', '~/apply_recommendation', '0.01']),
         ('recommended.mass_ratio', 0.2, ['~/apply_recommendation', '0.2']),
     ],
 )
-def test_refusal_says_what_would_be_right(name, value, words) -> None:
+def test_refusal_names_the_allowed_values(name, value, words) -> None:
     with pytest.raises(ParameterError) as refused:
         TWIN.check_value(name, value)
     assert refused.value.names == (name,)
-    assert name in str(refused.value)
+    assert name[:40] in str(refused.value)
     assert all(word in str(refused.value) for word in words), str(refused.value)
     assert len(str(refused.value)) < 500
 
@@ -115,3 +120,30 @@ def test_recorder_takes_topics_and_namespaces_and_nothing_else() -> None:
 def test_recorder_that_would_record_nothing_is_refused() -> None:
     with pytest.raises(ParameterError, match=r'storage and rerun\.sink'):
         RECORDER.change(RECORDER.defaults(), {'storage': 'none', 'rerun.sink': 'none'})
+
+
+def test_former_names_become_the_present_ones_with_a_warning_each() -> None:
+    warnings: list[str] = []
+    request = {'measured.band': 1e-3, 'model': 'finite_difference_glued', 'gravity': 1.0}
+    assert TWIN.without_deprecated(request, warnings.append) == {
+        'measured.residual_threshold': 1e-3, 'model': 'cells_glued', 'gravity': 1.0,
+    }
+    names, values = warnings
+    assert 'measured.band' in names
+    assert 'measured.residual_threshold' in names
+    assert "'finite_difference_glued'" in values
+    assert "'cells_glued'" in values
+
+
+def test_both_names_of_a_parameter_in_one_request_are_refused() -> None:
+    with pytest.raises(ParameterError, match=r'measured\.wait .* measured\.latency'):
+        TWIN.without_deprecated({'measured.wait': 0.0, 'measured.latency': 0.0})
+
+
+def test_every_former_name_stands_for_a_parameter_or_choice_that_exists() -> None:
+    for table in TABLES:
+        assert set(table.deprecated.values()) <= table.by_name.keys()
+        assert not table.deprecated.keys() & table.by_name.keys()
+        for entry in table.entries:
+            assert set(entry.deprecated.values()) <= set(entry.choices)
+            assert not set(entry.deprecated) & set(entry.choices)

@@ -11,13 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+import os
+from pathlib import Path
 from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, rig_values, TWIN
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.configuration import twin as twin_module
+from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Rig
 
 DEFAULTS = TWIN.defaults()
 HARMONIC = {**DEFAULTS, 'engine.motion': 'harmonic', 'engine.damping_ratio': 0.0}
@@ -28,7 +34,7 @@ def one_change() -> st.SearchStrategy:
     options = []
     for entry in TWIN.entries:
         if entry.is_result or entry.name in ('layer.library', 'engine.motion_file'):
-            continue  # files have tests of their own
+            continue  # files are tested separately
         if entry.name == 'layer.name':
             values = st.sampled_from(['custom', *LAYERS])
         elif entry.name == 'layer.stack':
@@ -45,21 +51,22 @@ def one_change() -> st.SearchStrategy:
     return st.one_of(options)
 
 
-def test_rig_of_defaults_is_the_papers() -> None:
+def test_default_rig_is_that_of_the_paper() -> None:
     assert rig_of(DEFAULTS) == Rig()
     assert rig_of({**DEFAULTS, 'engine.motion': 'harmonic'}).engine.damping_ratio == 0.0
 
 
 @given(changes=st.lists(one_change(), max_size=8))
-def test_single_changes_are_accepted_and_leave_settings_that_agree(changes: Any) -> None:
+def test_single_changes_leave_consistent_settings(changes: Any) -> None:
     settings = dict(DEFAULTS)
     for name, value in changes:
         accepted = TWIN.change(settings, {name: value})
-        assert accepted[name] == value
+        assert name == 'layer.stack' or accepted[name] == value
         settings.update(accepted)
     assert settings.keys() == DEFAULTS.keys()
     rig = rig_of(settings)
-    for name in ('thickness', 'wave_speed', 'density', 'loss_tangent', 'elasticity', 'loss'):
+    names = ('thickness', 'wave_speed', 'density', 'loss_tangent', 'stress_strain_law', 'loss')
+    for name in names:
         assert getattr(rig.layer, name) == settings[f'layer.{name}']
     assert rig.layer.is_uniform is (settings['layer.stack'] == '')
     assert rig.engine.damping_ratio == settings['engine.damping_ratio']
@@ -80,12 +87,16 @@ def test_single_changes_are_accepted_and_leave_settings_that_agree(changes: Any)
         (DEFAULTS, {'rate.field': 100.0, 'rate.state': 100.0}, {}),
         (DEFAULTS, {'engine.motion': 'harmonic'}, {'engine.damping_ratio': 0.0}),
         (HARMONIC, {'engine.motion': 'underdamped'}, {'engine.damping_ratio': 0.064}),
+        (HARMONIC, {'engine.motion': 'measured'}, {'engine.damping_ratio': 0.064}),
+        (HARMONIC, {'engine.motion': 'measured', 'engine.damping_ratio': 0.1}, {}),
         (HARMONIC, {'engine.damping_ratio': 0.1}, {'engine.motion': 'underdamped'}),
         (HARMONIC, {'engine.damping_ratio': 0.0}, {}),
         (DEFAULTS, {'recommendation.target_speed': 2.0}, {'recommendation.target_height': 0.0}),
+        (DEFAULTS, {'layer.library': '', 'layer.diameter': 0.012}, {}),
+        (DEFAULTS, {'layer.diameter': 0.013}, {'layer.name': 'custom'}),
     ],
 )
-def test_change_adds_what_is_implied_and_leaves_its_arguments_alone(
+def test_change_adds_implied_changes_and_keeps_its_arguments(
     settings, request_, implied
 ) -> None:
     before = dict(settings), dict(request_)
@@ -117,7 +128,7 @@ def test_contradiction_is_refused_at_once_and_accepted_one_by_one(request_) -> N
 STACK = '8e-3 gelatin, 2e-3 20 1100 0.05'
 
 
-def test_stack_has_its_sheets_and_the_values_of_the_whole() -> None:
+def test_stack_has_its_sheets_and_their_overall_values() -> None:
     settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
     assert settings['layer.name'] == 'custom'
     assert settings['layer.thickness'] == pytest.approx(0.01)
@@ -125,12 +136,78 @@ def test_stack_has_its_sheets_and_the_values_of_the_whole() -> None:
     assert (soft.thickness, soft.wave_speed, soft.density) == (8e-3, 7.8, 1000.0)
     assert (stiff.wave_speed, stiff.density, stiff.loss_tangent) == (20.0, 1100.0, 0.05)
     assert stiff.diameter == settings['layer.diameter']
-    # a rig that is told of in numbers is the same
+    # a rig described by numbers is equal
     assert rig_of({**DEFAULTS, **rig_values(rig_of(settings))}) == rig_of(settings)
 
 
+FOAM = """\
+foam:
+  {description: foam, source: measured, density: 120.0, wave_speed: 20.0, loss_tangent: 0.1}
+both: {description: d, source: s, stack: '8e-3 gelatin, 2e-3 foam'}
+other: {description: d, source: s, stack: '5e-3 foam, 5e-3 gelatin'}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """Write a library of one's own, and return its path."""
+    path = tmp_path / 'mine.yaml'
+    path.write_text(FOAM)
+    return path
+
+
+@pytest.mark.parametrize(
+    'request_', [{'layer.stack': '8e-3 gelatin, 2e-3 foam'}, {'layer.name': 'both'}]
+)
+def test_stack_is_kept_in_numbers_after_changes_of_the_library(mine: Path, request_) -> None:
+    request_ = {'layer.library': str(mine), **request_}
+    settings = {**DEFAULTS, **TWIN.change(DEFAULTS, request_)}
+    numbers = '0.008 7.8 1000.0 0.0, 0.002 20.0 120.0 0.1'
+    assert settings['layer.stack'] == numbers
+    before = rig_of(settings)
+    mine.write_text(FOAM.replace(' 20.0', ' 9.0'))
+    os.utime(mine, ns=(1, 1))
+    assert rig_of(settings) == before
+    mine.unlink()
+    for change in ({'throw.period': 2.0}, {'layer.stress_strain_law': 'neo_hookean'}):
+        assert TWIN.change(settings, change) == change
+    assert rig_of(settings) == before
+    thin = TWIN.change(settings, {'layer.thickness': 0.004})
+    assert {**settings, **thin}['layer.name'] == 'custom'
+    assert thin['layer.stack'] == ''
+    with pytest.raises(ParameterError, match='No such file'):
+        TWIN.change(settings, {'layer.stack': '8e-3 gelatin'})
+    mine.write_text(FOAM.replace(' 20.0', ' 9.0'))
+    again = TWIN.change(settings, request_)
+    assert again['layer.stack'] == numbers.replace(' 20.0', ' 9.0')
+
+
+def test_named_stack_replaces_another_stack(mine: Path) -> None:
+    settings = dict(DEFAULTS)
+    for name in ('both', 'other'):
+        request_ = {'layer.library': str(mine), 'layer.name': name}
+        settings |= TWIN.change(settings, request_)
+        assert settings['layer.name'] == name
+        assert settings['layer.stack'] == library(mine).layers[name]['layer.stack'] != ''
+    assert rig_of(settings).layer.sheets[0].wave_speed == 20.0
+
+
+def test_damping_does_not_depend_on_earlier_harmonic_motion() -> None:
+    for way in ('underdamped', 'measured underdamped', 'measured harmonic measured'):
+        settings = dict(HARMONIC)
+        for motion in way.split():
+            settings |= TWIN.change(settings, {'engine.motion': motion})
+        assert settings['engine.damping_ratio'] == DEFAULTS['engine.damping_ratio']
+
+
+def test_stack_of_too_many_sheets_is_refused_by_their_number() -> None:
+    stack = ', '.join(['1e-4 9 1000'] * 201)
+    with pytest.raises(ParameterError, match='at most 200 sheets, got 201'):
+        TWIN.change(DEFAULTS, {'layer.stack': stack})
+
+
 @pytest.mark.parametrize('change', [{'layer.thickness': 0.02}, {'layer.name': 'gelatin_5.6mm'}])
-def test_another_layer_ends_a_stack(change: Any) -> None:
+def test_another_layer_replaces_a_stack(change: Any) -> None:
     settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
     assert TWIN.change(settings, change)['layer.stack'] == ''
 
@@ -151,6 +228,18 @@ def test_bad_stacks_are_refused_with_the_value(stack: str, complaint: str) -> No
         TWIN.change(DEFAULTS, {'layer.stack': stack})
 
 
-def test_stack_and_another_thickness_at_once_are_refused() -> None:
+def test_stack_with_another_thickness_is_refused() -> None:
     with pytest.raises(ParameterError, match=r'thickness of the stack is 0\.01, got 0\.02'):
         TWIN.change(DEFAULTS, {'layer.stack': STACK, 'layer.thickness': 0.02})
+
+
+def test_motion_without_an_engine_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"engine\.motion must be one of .* got 'sine'"):
+        rig_of({**TWIN.defaults(), 'engine.motion': 'sine'})
+
+
+def test_row_of_a_motion_makes_its_engine(monkeypatch) -> None:
+    lift = SampledMotion(np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]]))
+    row = {**twin_module.MOTIONS, 'lift': lambda _settings, _motion_of: Engine(motion=lift)}
+    monkeypatch.setattr(twin_module, 'MOTIONS', row)
+    assert rig_of({**TWIN.defaults(), 'engine.motion': 'lift'}).engine.motion is lift

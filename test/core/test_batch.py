@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What holds for many throws at once, however they are computed."""
+"""Properties of throws in batches, for every method of computation."""
 
 from functools import partial
 import math
@@ -72,7 +72,7 @@ def test_arguments_are_broadcast(first_throws):
 
 
 @first_throws
-def test_projectile_that_does_not_leave_is_named_or_nan(first_throws):
+def test_projectile_that_does_not_leave_raises_an_error_or_is_nan(first_throws):
     case = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'gravity_ratio': [0.0, 9.0]}
     with pytest.raises(ThrowUnresolvedError, match='gravity_ratio 9'):
         first_throws(**case)

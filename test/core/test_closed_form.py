@@ -39,10 +39,11 @@ def digits():
 
 def speed_of_projectile(time, mass_ratio, speed_ratio, damping_ratio, derivative=0):
     """
-    Compute V_m, or a derivative, as if attached for ever: time in t_s, speed in velocity factors.
+    Compute V_m, or a derivative, of a projectile that never leaves the layer.
 
-    By residues of the Laplace series, in which every k adds 2 e^{-(2 k + 1) s} r(s)^k V_p(s) /
-    (1 + mu s): at s = lambda, and at s = (eta - 1) / mu with eta = 0, a pole of order k + 1.
+    Time is in crossings t_s, speed in velocity factors. The Laplace series has the terms
+    2 e^{-(2 k + 1) s} r(s)^k V_p(s) / (1 + mu s). The result is the sum of their residues: at
+    s = lambda, and at s = (eta - 1) / mu with eta = 0, a pole of order k + 1.
     """
     mu, turn, zeta = mp.mpf(mass_ratio), 2 * mp.pi / mp.mpf(speed_ratio), mp.mpf(damping_ratio)
     lam = turn * mp.mpc(-zeta, mp.sqrt(1 - zeta**2))
@@ -52,7 +53,7 @@ def speed_of_projectile(time, mass_ratio, speed_ratio, damping_ratio, derivative
     for k in range(math.ceil((time - 1) / 2)):
         since = time - 2 * k - 1
         at_lambda = reflection**k / below * mp.exp(lam * since) * lam**derivative
-        # coefficients of eta^0 ... eta^k in (eta - 2)^k e^{eta since / mu} ((eta - 1) / mu)^...
+        # coefficients of eta^0 to eta^k in (eta - 2)^k e^{eta since / mu} ((eta - 1) / mu)^d
         power = [mp.binomial(k, i) * mp.mpf(-2) ** (k - i) for i in range(k + 1)]
         wave = [mp.mpf(1)]
         for i in range(1, k + 1):
@@ -60,7 +61,7 @@ def speed_of_projectile(time, mass_ratio, speed_ratio, damping_ratio, derivative
         series = [mp.fsum(power[i] * wave[n - i] for i in range(n + 1)) for n in range(k + 1)]
         for _ in range(derivative):
             series = [((series[n - 1] if n else 0) - series[n]) / mu for n in range(k + 1)]
-        # ... and of 1 / (eta - below)
+        # coefficients of 1 / (eta - below)
         at_pole = -mp.fsum(series[n] / below ** (k - n + 1) for n in range(k + 1))
         total += 2 * (at_lambda + mp.exp(-since / mu) * at_pole).imag
     return total
@@ -73,7 +74,7 @@ def gravity_on(gravity_ratio, speed_ratio, damping_ratio):
 
 
 def exact_release_near(phase, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
-    """Compute t_e f and alpha of the release next to a phase, by Newton's method."""
+    """Compute t_e f and alpha of the release nearest to a phase, by Newton's method."""
     case = mass_ratio, speed_ratio, damping_ratio
     gravity = gravity_on(gravity_ratio, speed_ratio, damping_ratio)
     time = mp.mpf(phase) * speed_ratio
@@ -85,7 +86,7 @@ def exact_release_near(phase, mass_ratio, speed_ratio, damping_ratio, gravity_ra
 
 
 def assert_exact(release, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
-    """Compare a release with the exact one next to it."""
+    """Assert that a release agrees with the nearest exact release."""
     case = mass_ratio, speed_ratio, damping_ratio, gravity_ratio
     phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
     assert release.ejection_phase == pytest.approx(float(phase), rel=0.0, abs=1e-12)
@@ -130,14 +131,14 @@ def test_release_is_exact(case):
 def test_releases_agree_with_the_laplace_series(gravity):
     cases = random_cases(40, seed=1, gravity=gravity)
     releases = releases_of(cases, unresolved='nan')
-    early = releases.ejection_phase * cases[1] < 41.0  # the series takes the square of it
+    early = releases.ejection_phase * cases[1] < 41.0  # the series costs its square
     assert np.count_nonzero(early) > 30
     for i in np.flatnonzero(early):
         release = [values[i] for values in releases]
         assert_exact(closed_form.FirstRelease(*release), *(float(case[i]) for case in cases))
 
 
-# Where the steady wave has grown to 34, most of all in the promised range, and to 4666 outside
+# The steady wave has amplitudes of 34, the largest in the promised range, and of 4666 outside it.
 @pytest.mark.parametrize(
     ('case', 'accuracy'), [((45.6, 120.0, 0.3), 1e-13), ((20.0, 100.0, 0.8), 1e-10)]
 )
@@ -229,7 +230,7 @@ def test_release_is_exact_on_both_sides_of_a_jump(crossings, mass_ratio, damping
         (0.43907184514008996, 83.95559092286346, 0.0, 0.8890571708046072),
     ],
 )
-def test_release_is_the_first_and_exact(case):
+def test_release_is_the_first_one_and_exact(case):
     release = release_of(*case)
     assert_exact(release, *case)
     weight = gravity_on(case[3], case[1], case[2])
@@ -276,7 +277,7 @@ def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, grav
         ((100.0, 2000.0, 0.9, 0.0), 'cannot be computed to 1e-9 .* damping_ratio 0.9'),
     ],
 )
-def test_unresolved_release_is_named(case, claim):
+def test_unresolved_release_raises_an_error(case, claim):
     with pytest.raises(ThrowUnresolvedError, match=claim):
         release_of(*case)
     with pytest.raises(ThrowUnresolvedError, match=claim):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Whether kernels do the same to the last bit, however they came into the process."""
+"""Compiled kernels and kernels from the cache agree to the last bit."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ from soft_throw_ros.core.wave_stepper import WaveStepper
 
 digest = hashlib.sha256()
 gels = [
-    Rig(layer=Layer(elasticity='neo_hookean', loss_tangent=0.05, loss=loss))
+    Rig(layer=Layer(stress_strain_law='neo_hookean', loss_tangent=0.05, loss=loss))
     for loss in ('kelvin_voigt', 'constant')
 ]
 for stepper in (WaveStepper(Rig()), *map(CellStepper, gels), CellStepper(gels[0], cells=50)):
@@ -40,7 +40,7 @@ print(digest.hexdigest())
 """
 
 
-def test_compiled_kernels_do_the_same_as_kernels_from_the_cache(tmp_path) -> None:
+def test_compiled_and_cached_kernels_agree_bit_by_bit(tmp_path) -> None:
     hashes = [
         subprocess.run(
             [sys.executable, '-c', HASH],

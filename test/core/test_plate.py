@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How the plate moves."""
+"""Motions of the plate."""
 
 import math
 
@@ -20,6 +20,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import PLATE_POSITION
+from soft_throw_ros.core.throw import make_stepper
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 TIMES = np.linspace(0.0, 0.05, 251)
@@ -84,7 +87,7 @@ def test_sampled_motion_stays_where_it_ends():
         ([0.0, math.inf, 2.0, 3.0], [0.0] * 4, r'times must be finite, got inf at index 1'),
     ],
 )
-def test_samples_that_make_no_motion_are_refused_with_the_value(times, values, message):
+def test_invalid_samples_of_a_motion_are_refused_with_the_value(times, values, message):
     with pytest.raises(ValueError, match=message):
         SampledMotion.from_positions(times, values)
 
@@ -99,52 +102,6 @@ def test_underdamped_refuses_bad_numbers_and_quotes_them(name, bad):
         Underdamped(**values)
 
 
-# recorded motions
-
-
-@pytest.mark.parametrize('start', [0.0, 0.02, 0.02003, 0.0201, 0.02017])
-def test_record_agrees_with_the_motion_that_it_samples(start):
-    """At 5 kHz, wherever between two samples it starts; the height at rest does not matter."""
-    times = np.arange(0.0, 0.12, 2e-4)
-    motion = SampledMotion.from_record(times, PLATE.position(times - start) + 3e-3)
-    assert motion.start_time == 0.0
-    inside = np.linspace(0.0, 0.095, 4001)
-    misfit = motion.velocity(inside) - PLATE.velocity(inside)
-    assert np.abs(misfit).max() < 1e-3 * PLATE.peak_velocity
-    assert np.sqrt(np.mean(misfit**2)) < 1e-4 * PLATE.peak_velocity
-    np.testing.assert_allclose(motion.position(inside), PLATE.position(inside), atol=1e-6)
-
-
-def test_record_converges_with_the_promised_order():
-    errors, counts = [], (97, 145, 193)
-    inside = np.linspace(0.0, 0.03, 2001)
-    for count in counts:
-        times = np.linspace(0.0, 0.05, count)
-        motion = SampledMotion.from_record(times, PLATE.position(times))
-        errors.append(np.sqrt(np.mean((motion.position(inside) - PLATE.position(inside)) ** 2)))
-    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 3.65
-
-
-@pytest.mark.parametrize(('noise', 'error'), [(1e-6, 0.01), (5e-6, 0.02), (2e-5, 0.05)])
-@pytest.mark.parametrize('seed', range(2))
-def test_noise_of_a_record_is_smoothed(noise, error, seed):
-    times = np.arange(0.0, 0.15, 2e-4)
-    heights = PLATE.position(times - 0.02007)
-    heights += noise * np.random.default_rng(seed).standard_normal(times.size)
-    motion = SampledMotion.from_record(times, heights)
-    inside = np.linspace(0.0, 0.02, 501)
-    misfit = motion.velocity(inside) - PLATE.velocity(inside)
-    assert np.sqrt(np.mean(misfit**2)) < error * PLATE.peak_velocity
-
-
-def test_record_takes_times_that_are_not_even():
-    random = np.random.default_rng(3)
-    times = np.arange(0.0, 0.12, 2e-4) + 5e-5 * random.uniform(size=600)
-    motion = SampledMotion.from_record(times, PLATE.position(times - 0.03))
-    inside = np.linspace(0.0, 0.08, 2001)
-    np.testing.assert_allclose(motion.velocity(inside), PLATE.velocity(inside), atol=1e-3)
-
-
 def test_scaled_motion_is_the_same_in_other_units():
     motion = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
     scaled = motion.scaled(time=2.0, height=3.0)
@@ -152,15 +109,18 @@ def test_scaled_motion_is_the_same_in_other_units():
     assert scaled.peak_velocity == pytest.approx(1.5 * motion.peak_velocity)
 
 
-@pytest.mark.parametrize(
-    ('heights', 'message'),
-    [
-        (np.zeros(20), 'from 0 to 0 m'),
-        (np.arange(20.0) ** 2, r'got \d.* m/s at the last sample'),
-        (PLATE.position(TIMES[:7]), 'at least 8, got 7'),
-        (np.where(np.arange(20) > 15, 1.0, 0.0), 'after the start must be at least 8, got'),
-    ],
-)
-def test_record_of_no_motion_is_refused(heights, message):
-    with pytest.raises(ValueError, match=message):
-        SampledMotion.from_record(np.arange(float(heights.size)), heights)
+def test_steppers_accept_any_class_with_the_attributes_of_a_motion():
+    class Lift:
+        times, states = np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]])
+        start_time, end_time, peak_velocity = 0.0, 0.01, 0.1875
+
+    mine, known = (
+        make_stepper(Rig(), motion)
+        for motion in (Lift(), SampledMotion(Lift.times, Lift.states))
+    )
+    for stepper in (mine, known):
+        stepper.advance_to(0.02)
+    assert mine.state.tolist() == known.state.tolist()
+    assert mine.state[PLATE_POSITION] == pytest.approx(1e-3)
+    with pytest.raises(ValueError, match="attributes of Underdamped or SampledMotion, got 'sine'"):
+        make_stepper(Rig(), 'sine')

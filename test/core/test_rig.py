@@ -11,15 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The parts of a rig: what is derived from them, and what they refuse."""
+"""The components of a rig: their derived quantities and refused values."""
 
 import math
 
+import numpy as np
 import pytest
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.material import relaxation
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 
 
-def test_derived_quantities_are_those_of_the_papers_rig():
+def test_derived_quantities_agree_with_the_rig_of_the_paper():
     rig = Rig(layer=Layer(thickness=16.8e-3, wave_speed=7.8))
     assert rig.mass_ratio == pytest.approx(1.3 * 8.2 / 16.8)
     assert rig.speed_ratio == pytest.approx(7.8 / (16.8e-3 * 63.2))
@@ -48,7 +51,7 @@ def test_derived_quantities_are_those_of_the_papers_rig():
         (Projectile, 'youngs_modulus'),
     ],
 )
-def test_parts_refuse_what_is_not_positive_and_quote_it(part, name, bad):
+def test_components_refuse_and_quote_values_that_are_not_positive(part, name, bad):
     with pytest.raises(ValueError, match=f'{part.__name__.lower()}.{name}.*got {bad}'):
         part(**{name: bad})
 
@@ -64,6 +67,38 @@ def test_parts_refuse_what_is_not_positive_and_quote_it(part, name, bad):
         (lambda: Layer(thickness=True), r'layer\.thickness must be a number, got True'),
     ],
 )
-def test_parts_refuse_other_nonsense_and_quote_it(make, message):
+def test_components_refuse_and_quote_other_bad_values(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ('loss', 'relaxed'), [('kelvin_voigt', 1.0), ('constant', relaxation(0.2).relaxed)]
+)
+def test_soft_thick_layer_rests_on_its_relaxed_modulus(loss, relaxed):
+    layer = Layer(thickness=0.05, wave_speed=3.0, loss_tangent=0.2, loss=loss)
+    rig = Rig(layer=layer)
+    sag = rig.projectile.mass * rig.gravity / (relaxed * layer.stiffness)
+    assert rig.static_sag == pytest.approx(sag, rel=1e-12)
+    assert rig.rest_height == pytest.approx(0.05 - sag, rel=1e-12)
+    assert relaxed in (1.0, pytest.approx(0.673, abs=1e-3))
+
+
+def test_neo_hookean_layer_carries_the_weight_at_rest():
+    layer = Layer(thickness=0.05, wave_speed=3.0, stress_strain_law='neo_hookean')
+    weight = 0.1 * layer.youngs_modulus * layer.section
+    stretch = 1.0 - layer.static_strain(weight)
+    assert (stretch**-2 - stretch) / 3.0 == pytest.approx(0.1, rel=1e-12)
+    assert Stack(sheets=(layer, layer)).static_strain(weight) == pytest.approx(1.0 - stretch)
+
+
+def test_waves_become_shocks_after_c_over_a_except_in_linear_layers():
+    layer = Layer(stress_strain_law='neo_hookean')
+    acceleration = 2e-3 * (2.0 * math.pi * 63.2) ** 2
+    assert Rig().shock_time == math.inf
+    assert Rig(layer=layer).shock_time == pytest.approx(7.8 / acceleration)
+    assert Rig(layer=Stack(sheets=(layer, layer))).shock_time == pytest.approx(7.8 / acceleration)
+    plate, times = Underdamped.of(Engine(damping_ratio=0.0)), np.arange(0.0, 0.05, 2e-4)
+    motion = SampledMotion.from_positions(times, plate.position(times))
+    found = Rig(engine=Engine(motion=motion), layer=layer).shock_time
+    assert found == pytest.approx(7.8 / acceleration, rel=0.05)

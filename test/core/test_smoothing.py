@@ -36,7 +36,7 @@ def test_even_samples_give_the_filter_of_savitzky_and_golay():
             assert fit.errors[0] == pytest.approx(NOISE * np.linalg.norm(weights), rel=1e-9)
 
 
-def test_uneven_samples_with_velocities_are_fitted_as_by_least_squares():
+def test_uneven_samples_with_velocities_agree_with_least_squares():
     random = np.random.default_rng(2)
     times = np.sort(random.uniform(0.0, 1.0, 15))
     positions, velocities = random.standard_normal((2, 15))
@@ -72,7 +72,7 @@ def test_error_of_the_velocity_is_of_third_order_in_the_window():
     assert np.polyfit(np.log(windows), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.3)
 
 
-def test_noise_of_the_velocity_is_what_it_says_and_that_in_the_middle():
+def test_velocity_has_its_stated_noise():
     random = np.random.default_rng(3)
     times = 2e-4 * np.arange(4000)
     positions = NOISE * random.standard_normal(times.size)
@@ -83,7 +83,7 @@ def test_noise_of_the_velocity_is_what_it_says_and_that_in_the_middle():
     assert fit.errors.mean() == pytest.approx(NOISE * np.linalg.norm(in_the_middle), rel=0.05)
 
 
-def test_too_few_samples_or_on_one_side_only_are_unknown():
+def test_too_few_or_one_sided_samples_give_unknown():
     times = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
     fit = smooth([0.4, 0.7, 1.7], times, np.zeros(5), window=1.0, position_noise=1.0)
     assert np.isnan(fit.states[0]).all()  # three
@@ -102,7 +102,7 @@ def test_too_few_samples_or_on_one_side_only_are_unknown():
         ({'position_noise': -1.0}, r'position_noise must be finite and positive, got -1\.0'),
     ],
 )
-def test_what_does_not_fit_is_refused(arguments, complaint):
+def test_inconsistent_samples_are_refused(arguments, complaint):
     good = {'at': [0.1], 'times': [0.0, 0.1, 0.2], 'positions': [0.0] * 3}
     with pytest.raises(ValueError, match=complaint):
         smooth(**{**good, 'window': 1.0, 'position_noise': 1.0, **arguments})

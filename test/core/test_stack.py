@@ -33,7 +33,7 @@ SHARED = (
 )
 
 
-def test_equal_sheets_are_the_layer_of_one_material():
+def test_equal_sheets_agree_with_a_layer_of_one_material():
     layer = Layer(thickness=0.012, wave_speed=9.0, density=1100.0, loss_tangent=0.03)
     stack = Stack(sheets=(replace(layer, thickness=0.004),) * 3)
     for name in SHARED:
@@ -61,7 +61,7 @@ def test_sheets_add_up(thicknesses, speed):
     assert stack.impedance == pytest.approx(sheets[-1].impedance)
 
 
-def test_rig_takes_a_stack_and_waves_refuse_it():
+def test_rig_accepts_a_stack_and_the_wave_model_refuses_it():
     rig = Rig(layer=Stack(sheets=(Layer(), Layer(wave_speed=20.0))))
     assert rig.mass_ratio == pytest.approx(rig.projectile.mass / rig.layer.mass)
     assert rig.static_sag == pytest.approx(rig.projectile.mass * 9.81 / rig.layer.stiffness)
@@ -82,7 +82,7 @@ def test_bad_sheets_are_refused_with_the_value(sheets, message):
         Stack(sheets=sheets)
 
 
-def test_best_stacks_of_the_page_throw_as_it_says():
+def test_best_stacks_throw_as_stated_on_the_page():
     rows = re.findall(
         r'^\| (\d) \| .* \| `(.*)` \| ([\d.]+) \| (\d+) % \|', PAGE.read_text(), re.MULTILINE
     )

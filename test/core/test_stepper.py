@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What every stepper promises, whatever it is a model of."""
+"""Promises of the stepper interface, tested for all models."""
 
 from functools import partial
 import math
@@ -45,7 +45,7 @@ from soft_throw_ros.core.wave_stepper import WaveStepper
 LOSSY = Rig(layer=Layer(loss_tangent=0.05))
 CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1)
 STACKED = Rig(layer=Stack(sheets=(Layer(thickness=8e-3), CAP)))
-GEL = Rig(layer=Layer(loss_tangent=0.05, elasticity='neo_hookean', loss='constant'))
+GEL = Rig(layer=Layer(loss_tangent=0.05, stress_strain_law='neo_hookean', loss='constant'))
 SOFT = Rig(projectile=Projectile(youngs_modulus=1e6))
 LAYERS_ON_THE_PLATE = [
     partial(WaveStepper, Rig()),
@@ -55,8 +55,8 @@ LAYERS_ON_THE_PLATE = [
 ]
 OTHERS = [
     partial(CellStepper, STACKED),
-    partial(CellStepper, SOFT, model='finite_difference_elastic'),
-    partial(CellStepper, LOSSY, model='finite_difference_glued'),
+    partial(CellStepper, SOFT, model='cells_elastic'),
+    partial(CellStepper, LOSSY, model='cells_glued'),
     partial(CellStepper, LOSSY, model='spring_mass'),
 ]
 steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE)
@@ -72,7 +72,7 @@ def plate_states(times):
 
 
 def observe(model):
-    """Return all there is to see, as bits."""
+    """Return all outputs of a stepper as bytes."""
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
     numbers = [
@@ -83,7 +83,7 @@ def observe(model):
 
 
 @all_steppers
-def test_results_do_not_depend_on_the_times_asked_for(make):
+def test_results_do_not_depend_on_the_requested_times(make):
     direct, wandering = make(), make()
     for time in np.sort(np.random.default_rng(2).uniform(0.0, 0.35, 40)):
         wandering.advance_to(time)
@@ -107,14 +107,14 @@ def test_reset_repeats_the_throw_bit_for_bit(make):
 
 
 @all_steppers
-def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
+def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     model = make('measured')
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
     model.advance_to(0.5)
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
     weight = model.rig.projectile.mass * model.rig.gravity
-    is_glued = getattr(model, 'model', '') == 'finite_difference_glued'
+    is_glued = getattr(model, 'model', '') == 'cells_glued'
     load = weight + (model.rig.layer.mass * model.rig.gravity if is_glued else 0.0)
     assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == 0.0
     assert model.state[PROJECTILE_POSITION] == pytest.approx(model.rest_position)
@@ -127,8 +127,18 @@ def test_at_rest_nothing_moves_and_the_weight_is_carried(make):
     assert layer[1] == pytest.approx(0.0)
 
 
+@all_steppers
+def test_projectile_rests_at_the_height_of_the_rig(make):
+    model = make()
+    rig = model.rig
+    height = rig.rest_height
+    if getattr(model, 'model', '') == 'cells_glued':  # the layer carries its own weight, too
+        height -= 0.5 * rig.layer.mass * rig.gravity / rig.layer.stiffness
+    assert model.rest_position == pytest.approx(height, abs=1e-12)
+
+
 @steppers
-def test_measured_plate_throws_as_the_engine_does(make):
+def test_measured_plate_throws_like_the_engine(make):
     times = np.arange(0.0, 0.04, 4e-4)
     model, engine = make('measured'), make()
     model.append_plate_states(times, plate_states(times))
@@ -140,7 +150,7 @@ def test_measured_plate_throws_as_the_engine_does(make):
 
 
 @steppers
-def test_appending_states_one_by_one_changes_no_bit(make):
+def test_appending_single_states_changes_no_bit(make):
     times = np.arange(0.0, 0.02, 5e-4)
     states = plate_states(times)
     at_once, one_by_one = make('measured'), make('measured')
@@ -153,7 +163,7 @@ def test_appending_states_one_by_one_changes_no_bit(make):
 
 
 @steppers
-def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
+def test_fork_predicts_the_projectile_for_one_crossing(make):
     times = np.arange(0.0, 0.02, 2e-4)
     states = plate_states(times)
     model, engine = make('measured'), make()
@@ -172,7 +182,7 @@ def test_fork_knows_the_projectile_for_a_crossing_of_the_wave(make):
 
 
 @steppers
-def test_plate_of_a_long_throw_is_forgotten_before_the_next(make):
+def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
     model = make('measured')
     ahead = model.fork()
     for begin in np.arange(0.0, 0.5, 0.01):
@@ -187,7 +197,7 @@ def test_plate_of_a_long_throw_is_forgotten_before_the_next(make):
 
 
 @steppers
-def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
+def test_unknown_plate_is_refused_and_changes_nothing(make):
     model = make('measured')
     with pytest.raises(HorizonError, match=r'0\.1'):
         model.advance_to(0.1)
@@ -209,7 +219,7 @@ def test_plate_that_is_not_known_is_refused_and_changes_nothing(make):
         (np.arange(5000.0), np.zeros((5000, 3)), 'ahead.*5000'),
     ],
 )
-def test_states_that_cannot_be_are_refused_as_a_whole(make, times, states, complaint):
+def test_impossible_states_are_refused_as_a_whole(make, times, states, complaint):
     model = make('measured')
     with pytest.raises(ValueError, match=complaint):
         model.append_plate_states(times, states)
@@ -222,7 +232,7 @@ def test_states_that_cannot_be_are_refused_as_a_whole(make, times, states, compl
 
 @all_steppers
 @pytest.mark.parametrize('time', [-1.0, float('nan'), float('inf')])
-def test_times_that_cannot_be_are_refused(make, time):
+def test_impossible_times_are_refused(make, time):
     model = make()
     model.advance_to(0.001)
     with pytest.raises(ValueError, match=f'{time}'):
@@ -231,7 +241,7 @@ def test_times_that_cannot_be_are_refused(make, time):
 
 
 @steppers
-def test_arrays_that_do_not_fit_are_refused(make):
+def test_arrays_of_wrong_shape_are_refused(make):
     model = make()
     for bad in (np.zeros((3, 5)), np.zeros((3, 64), np.float32), None):
         with pytest.raises(ValueError, match='out'):
@@ -241,7 +251,7 @@ def test_arrays_that_do_not_fit_are_refused(make):
 
 
 @pytest.mark.parametrize('stepper', [WaveStepper, partial(CellStepper, cells=64)])
-def test_endless_events_end_in_a_named_error(stepper):
+def test_endless_events_raise_an_error(stepper):
     times = np.arange(0.0, 10.0, 1.25e-4)
     shaken = SampledMotion.from_positions(times, 1e-5 * (1.0 - np.cos(2e3 * math.pi * times)))
     model = stepper(Rig(layer=Layer(thickness=5e-3)), shaken)
@@ -262,7 +272,7 @@ def test_advancing_allocates_nothing(make):
             model.advance_to(time)
             model.read_layer(layer)
 
-    run()  # freed floats stay with the interpreter, up to some number of them
+    run()  # fills the interpreter's bounded list of freed floats
     model.reset()
     tracemalloc.start()
     try:
@@ -286,9 +296,9 @@ def test_advancing_allocates_nothing(make):
     mass=log_uniform(1e-5, 1.0),
     youngs_modulus=log_uniform(1e6, 1e12),
     gravity=st.sampled_from([0.0, 9.81, 30.0]),
-    model=st.sampled_from(MODELS),
+    model=st.sampled_from(tuple(MODELS)),
 )
-def test_whole_range_of_parameters_gives_finite_throws_or_says_what_would_do(
+def test_whole_range_of_parameters_gives_finite_throws_or_a_remedy(
     frequency, amplitude, damping_ratio, thickness, wave_speed, loss, mass, youngs_modulus,
     gravity, model,
 ):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Aiming, against throws that are followed afterwards."""
+"""Aiming, compared with simulations of the results."""
 
 from dataclasses import replace
 import math
@@ -20,10 +20,11 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import Engine, LARGEST_STRAIN, Layer, Projectile, Rig
+from soft_throw_ros.core.material import LARGEST_STRAIN
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.throws import last_release, rig_with
 from soft_throw_ros.design.aiming import aim, Target
-from soft_throw_ros.design.evaluate import last_release, rig_with
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.prediction import predict
 
@@ -32,7 +33,7 @@ EXACT = 1e-4
 
 
 def some_rig(random):
-    """Draw a rig whose throws are not long compared with its waves, which take their time."""
+    """Draw a rig whose throws take few crossings of its waves, to save computing time."""
     return Rig(
         engine=Engine(
             frequency=random.uniform(50.0, 150.0),
@@ -44,9 +45,9 @@ def some_rig(random):
 
 
 def rise(throw):
-    """Return how far a simulated throw rises above where the projectile rests on the layer."""
+    """Return the rise of a simulated throw above the resting projectile."""
     rig = throw.rig
-    return throw.apex_height - rig.layer.thickness + rig.static_sag
+    return throw.apex_height - rig.rest_height
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -75,7 +76,7 @@ def test_amplitude_for_a_speed_reaches_it_when_simulated(seed, gravity):
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
-def test_layer_and_amplitude_together_take_the_least_amplitude(vary):
+def test_layer_and_amplitude_together_need_the_least_amplitude(vary):
     rig, height = Rig(), 0.3
     found = aim(rig, Target(height=height), vary=vary)
     assert found.is_reached
@@ -92,7 +93,7 @@ def test_layer_and_amplitude_together_take_the_least_amplitude(vary):
 
 
 def test_amplitude_is_the_smallest_even_where_later_swings_throw():
-    """Under strong gravity what is reached jumps with the amplitude."""
+    """Under strong gravity, the height is a discontinuous function of the amplitude."""
     rig = Rig(engine=Engine(frequency=15.0))
     found = aim(rig, Target(height=0.03))
     assert found.height == pytest.approx(0.03, rel=1e-6)
@@ -115,16 +116,13 @@ def test_limits_of_the_loads_are_kept(vary):
     assert found.is_reached or vary != 'both'
 
 
-def test_target_out_of_reach_gives_the_most_and_says_what_would_reach_it():
+def test_target_out_of_reach_gives_the_maximum_and_its_limit():
     rig, limits = Rig(), Limits(max_strain=0.15)
     found = aim(rig, Target(height=0.5), limits=limits)
     assert not found.is_reached
+    assert found.limited_by == 'max_strain'
     assert found.peak_strain == pytest.approx(0.15, rel=1e-4)
-    needed = aim(rig, Target(height=0.5)).peak_strain
-    assert f'{1e2 * needed:.3g} % instead of at most 15 %' in found.summary
-    other = aim(rig, Target(height=0.5), vary='both', limits=limits)
-    assert other.is_reached
-    assert f'{1e3 * other.thickness:.4g} mm and {other.wave_speed:.4g} m/s' in found.summary
+    assert aim(rig, Target(height=0.5), vary='both', limits=limits).is_reached
     # a little less is within reach, and a little more is not
     less, more = (
         aim(rig, Target(height=factor * found.height), limits=limits) for factor in (0.999, 1.001)
@@ -133,19 +131,19 @@ def test_target_out_of_reach_gives_the_most_and_says_what_would_reach_it():
 
 
 @pytest.mark.parametrize('limits', [Limits(), Limits(max_strain=10.0)])
-def test_layer_is_never_compressed_beyond_what_any_model_of_it_knows(limits):
+def test_layer_is_never_compressed_beyond_its_models(limits):
     assert aim(Rig(), Target(speed=4.0), limits=limits).is_reached
     found = aim(Rig(), Target(speed=25.0), limits=limits)
     assert not found.is_reached
     assert found.peak_strain <= LARGEST_STRAIN * (1.0 + 1e-4)
-    assert '% instead of at most 50 %' in found.summary
+    assert found.limited_by == 'max_strain'
 
 
-def test_layer_of_the_library_is_picked_by_the_least_amplitude():
+def test_library_layer_with_the_least_amplitude_is_chosen():
     few = {name: MATERIALS[name] for name in ('gelatin', 'sorbothane_30', 'ecoflex_00-30')}
     found = aim(Rig(), Target(height=0.2), vary='library', materials=few)
     assert found.is_reached
-    assert found.layer in found.summary
+    assert found.layer.startswith(tuple(few))
     for name, material in few.items():
         other = aim(Rig(), Target(height=0.2), vary='library', materials={name: material})
         assert other.amplitude >= found.amplitude * (1.0 - 1e-6)
@@ -161,7 +159,7 @@ def test_layer_of_the_library_is_picked_by_the_least_amplitude():
         (lambda: aim(Rig(), Target(height=1.0), vary='mass'), "vary .* got 'mass'"),
         (lambda: aim(Rig(), Target(height=1.0), max_amplitude=0.0), r'max_amplitude .* got 0\.0'),
         (lambda: aim(Rig(gravity=0.0), Target(height=1.0)), 'got gravity 0'),
-        (lambda: aim(Rig(), Target(height=1.0), vary='library'), 'nothing is thrown .* 1 m high'),
+        (lambda: aim(Rig(), Target(height=1.0), vary='library'), 'no throw .* 1 m high'),
     ],
 )
 def test_bad_requests_are_refused_with_the_value(make, message):
@@ -169,9 +167,9 @@ def test_bad_requests_are_refused_with_the_value(make, message):
         make()
 
 
-def test_layer_with_loss_is_aimed_with_at_its_last_release():
+def test_aim_with_a_lossy_layer_counts_its_last_release():
     rig = Rig(layer=Layer(loss_tangent=0.1))
     found = aim(rig, Target(height=0.1))
-    throw = simulate(found.rig, model='finite_difference')
+    throw = simulate(found.rig, model='cells')
     assert rise(throw) == pytest.approx(0.1, rel=2e-3)
     assert found.amplitude > aim(Rig(), Target(height=0.1)).amplitude

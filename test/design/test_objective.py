@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is asked of a layer, and its score."""
+"""Objectives of a design, and the scores of layers."""
 
 from dataclasses import replace
 import math
@@ -20,8 +20,11 @@ import numpy as np
 import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.evaluate import rig_with
-from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
+from soft_throw_ros.core.throws import rig_with
+from soft_throw_ros.design.objective import LayerScore, Limits
+from soft_throw_ros.design.objectives.peak import Peak
+from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.uncertainty import Uncertainties
 
@@ -31,7 +34,7 @@ def score_of(rig, objective, limits=None):
 
 
 def random_transfers(rig, uncertainties, seed):
-    """Return the energy transfers of 3000 rigs that are off by random parts."""
+    """Return the energy transfers of 3000 rigs with random relative errors."""
     random = np.random.default_rng(seed)
     variants = uncertainties.variants(rig, random.uniform(-1.0, 1.0, (3000, 5)))
     score = LayerScore(rig, Peak())
@@ -45,7 +48,7 @@ def random_transfers(rig, uncertainties, seed):
 
 
 @pytest.mark.parametrize('gravity', [0.0, 9.81])
-def test_peak_is_the_energy_of_the_throw(gravity):
+def test_peak_is_the_energy_transfer_of_the_throw(gravity):
     rig = Rig(gravity=gravity)
     assert score_of(rig, Peak()) == pytest.approx(exact_release(rig).energy_transfer, rel=1e-9)
 
@@ -63,7 +66,7 @@ def test_versatile_is_the_worst_of_each_projectile_at_each_frequency():
 
 
 @pytest.mark.parametrize('thickness', [16.8e-3, 6e-3])
-def test_robust_is_the_worst_that_random_errors_find(thickness):
+def test_robust_is_the_worst_case_of_random_errors(thickness):
     rig, uncertainties = Rig(layer=Layer(thickness=thickness), gravity=0.0), Uncertainties()
     worst = score_of(rig, Robust(uncertainties=uncertainties))
     assert worst < score_of(rig, Peak())
@@ -78,17 +81,13 @@ def test_quantile_is_that_of_random_throws():
 
 
 @pytest.mark.parametrize('objective', [Robust(), Robust(quantile=0.1)])
-def test_scores_do_not_depend_on_what_was_computed_before_or_with_them(objective):
+def test_scores_do_not_depend_on_other_computations(objective):
     score = LayerScore(Rig(), objective)
     thicknesses = np.linspace(2e-3, 40e-3, 60)
     together = score(thicknesses, 7.8)
     alone = [score_of(replace(Rig(), layer=Layer(thickness=each)), objective)
              for each in thicknesses[::7]]
     assert together[::7] == pytest.approx(alone, rel=1e-12)
-    least = np.median(together)
-    some = score(thicknesses, 7.8, least=least)
-    assert some[together >= least] == pytest.approx(together[together >= least], rel=1e-12)
-    assert np.all(some[together < least] == 0.0)
 
 
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.1])
@@ -110,7 +109,7 @@ def test_limits_hold_for_every_throw_of_a_versatile_layer():
         assert (score_of(rig, objective, limits) > 0.0) is is_within
 
 
-def test_layer_that_may_be_off_by_all_of_itself_throws_nothing():
+def test_layer_with_an_error_of_100_percent_throws_nothing():
     score = LayerScore(Rig(), Robust(uncertainties=Uncertainties(thickness=1e-3)))
     assert score(0.9e-3, 7.8)[0] == 0.0
 

@@ -11,33 +11,31 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The search for the best layer, on landscapes whose highest point is known."""
+"""The search for the best layer, on landscapes with a known maximum."""
 
 import numpy as np
 import pytest
-from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
+from soft_throw_ros.design.optimise import find_best_layer, LayerRange
 
 LAYERS = LayerRange(thickness=(1e-3, 50e-3), wave_speed=(1.0, 50.0))
 
 
-def hill(thickness, wave_speed, *, least=0.0, place=(0.02, 9.0), width=0.5):
-    """Fall off from 1 at a place."""
+def hill(thickness, wave_speed, *, place=(0.02, 9.0), width=0.5):
+    """Return a hill of height 1 around a point."""
     x, y = np.log(thickness / place[0]), np.log(wave_speed / place[1])
-    value = np.exp(-(x**2 + (y - x) ** 2) / width**2)
-    return np.where(value >= least, value, 0.0)
+    return np.exp(-(x**2 + (y - x) ** 2) / width**2)
 
 
-def cliff(thickness, wave_speed, *, least=0.0):
-    """Rise up to the edge of a cliff, a line of equal c_s / L_s, along which it rises as well."""
+def cliff(thickness, wave_speed):
+    """Return a slope up to a cliff, a line of equal c_s / L_s along which the edge rises."""
     ratio, x = wave_speed / thickness, np.log(thickness / 0.03)
-    value = np.where(ratio < 500.0, (ratio / 500.0) ** 2, 0.3) * np.exp(-(x**2))
-    return np.where(value >= least, value, 0.0)
+    return np.where(ratio < 500.0, (ratio / 500.0) ** 2, 0.3) * np.exp(-(x**2))
 
 
 @pytest.mark.parametrize('place', [(0.02, 9.0), (2.3e-3, 41.0)])
 def test_top_of_a_hill_is_found(place):
-    def score(*layers, least):
-        return hill(*layers, least=least, place=place)
+    def score(*layers):
+        return hill(*layers, place=place)
 
     best = find_best_layer(score, LAYERS, step=0.1)
     assert best[:2] == pytest.approx(place, rel=1e-4)
@@ -51,7 +49,7 @@ def test_edge_of_a_cliff_is_found_from_above():
 
 
 def test_narrow_hill_that_is_higher_than_a_wide_one_is_found():
-    def score(*layers, least):
+    def score(*layers):
         wide = 0.95 * hill(*layers)
         return np.maximum(wide, hill(*layers, place=(4e-3, 30.0), width=0.15))
 
@@ -59,7 +57,7 @@ def test_narrow_hill_that_is_higher_than_a_wide_one_is_found():
 
 
 @pytest.mark.parametrize('fixed', [0, 1])
-def test_what_is_fixed_stays(fixed):
+def test_fixed_value_is_unchanged(fixed):
     layers = LAYERS._replace(**{LAYERS._fields[fixed]: ((0.02, 9.0)[fixed],) * 2})
     best = find_best_layer(hill, layers, step=0.01)
     assert best[fixed] == (0.02, 9.0)[fixed]
@@ -76,8 +74,7 @@ def test_hill_beyond_the_range_is_climbed_to_the_limit():
 
 
 def test_nothing_is_found_where_all_scores_are_0():
-    def score(*layers, least):
+    def score(*layers):
         return 0.0 * layers[0]
 
-    start = (Optimum(0.01, 10.0, 0.0),)
-    assert find_best_layer(score, LAYERS, step=0.2, starts=start) is None
+    assert find_best_layer(score, LAYERS, step=0.2, starts=[(0.01, 10.0)]) is None

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The layer that is recommended, and what is said about it."""
+"""The recommended layer and its description."""
 
 import dataclasses
 from dataclasses import replace
@@ -24,7 +24,10 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
-from soft_throw_ros.design.objective import LayerScore, Limits, Peak, Robust, Versatile
+from soft_throw_ros.design.objective import LayerScore, Limits
+from soft_throw_ros.design.objectives.peak import Peak
+from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import (
     best_ratios,
     predict,
@@ -32,13 +35,13 @@ from soft_throw_ros.design.recommendation import (
     recommend,
 )
 from soft_throw_ros.design.search_space import search_spaces
-from soft_throw_ros.design.sensitivity import TOLERATED, WITHIN
+from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 MATERIALS = library().materials
 KINDS = ('peak', 'robust', 'quantile', 'versatile', 'limits', 'library')
 LOST = 0.005
-"""Part of the best score that a recommendation may lose."""
+"""Fraction of the best score that a recommendation may lose."""
 
 
 def random_rig(random, *, loss_tangent=0.0):
@@ -60,7 +63,7 @@ def random_rig(random, *, loss_tangent=0.0):
 
 
 def random_request(kind, random, *, loss_tangent=0.0):
-    """Return a rig, and what is asked of its layer, as keyword arguments of `recommend`."""
+    """Return a rig and a random request, as keyword arguments of `recommend`."""
     rig = random_rig(random, loss_tangent=loss_tangent)
     vary = 'library' if kind == 'library' else str(random.choice(['both', 'thickness']))
     limits = Limits(
@@ -99,8 +102,8 @@ def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
             uncertainties = replace(objective.uncertainties, wave_speed=spread)
             objective = replace(objective, uncertainties=uncertainties)
         score = LayerScore(space.rig, objective, limits)
-        for wave_speed in wave_speeds:  # what is below the best so far need not be known
-            best = max(best, score(thicknesses, wave_speed, least=best).max())
+        for wave_speed in wave_speeds:
+            best = max(best, score(thicknesses, wave_speed).max())
     return best
 
 
@@ -138,7 +141,7 @@ def test_recommendation_under_strong_gravity_is_as_good_as_brute_force(
         rig, vary='both', objective=Peak(), limits=limits, materials={}, size=60
     )
     assert best.score >= (1.0 - LOST) * brute
-    assert f'gravity is {rig.gravity_ratio:.2g} of' in best.remarks
+    assert best.rig.gravity_ratio == rig.gravity_ratio
 
 
 # Computed with 40-digit closed forms, checked by a second method
@@ -162,7 +165,7 @@ def test_best_ratios_are_exact(
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
 @pytest.mark.parametrize('seed', range(3))
-def test_recommended_layer_gives_what_is_promised(seed, vary):
+def test_recommended_layer_has_its_promised_energy_transfer(seed, vary):
     rig = random_rig(np.random.default_rng(seed))
     best = recommend(rig, vary=vary)
     there = predict(replace(rig, layer=best.rig.layer))
@@ -174,24 +177,25 @@ def test_recommended_layer_gives_what_is_promised(seed, vary):
     assert best.plate_work > best.kinetic_energy
     assert best.thickness == rig.layer.thickness or vary != 'wave_speed'
     assert best.wave_speed == rig.layer.wave_speed or vary != 'thickness'
-    # the present layer is within the limits, so nothing recommended is worse, ...
+    # The present layer is within the limits, so no recommendation is worse
     assert best.gain >= 0.0
-    # and what may vary in two ways is not worse than what may vary in one
-    single = max(best.by_thickness.energy_transfer, best.by_wave_speed.energy_transfer)
-    assert best.by_both.energy_transfer >= single
+    # Two free parameters give no worse layer than one
+    if vary == 'both':
+        single = max(best.by_thickness.energy_transfer, best.by_wave_speed.energy_transfer)
+        assert best.energy_transfer >= single
     again = recommend(best.rig, vary=vary)
     assert again.energy_transfer == pytest.approx(best.energy_transfer, rel=1e-5)
 
 
 def test_layer_for_several_light_projectiles_is_thick_and_gives_each_nearly_alpha_4():
-    """As the paper says of layers with fast waves."""
+    """The paper states this value for layers with fast waves."""
     light = Versatile(masses=(0.3e-3, 0.6e-3, 1.2e-3), frequencies=(63.2,))
     best = recommend(Rig(gravity=0.0), objective=light, limits=Limits(thickness_max=0.1))
     assert best.score > 3.8
     assert best.thickness > 1.5 * Rig().layer.thickness
 
 
-def test_robust_layer_is_better_in_the_worst_case_and_no_better_as_planned():
+def test_robust_layer_is_better_in_the_worst_case_only():
     rig = Rig()
     robust = Robust(uncertainties=Uncertainties(wave_speed=1.5, thickness=1e-3))
     peak = recommend(rig, vary='thickness')
@@ -199,7 +203,7 @@ def test_robust_layer_is_better_in_the_worst_case_and_no_better_as_planned():
     assert safe.score > LayerScore(peak.rig, robust)(peak.thickness, peak.wave_speed)[0]
     assert safe.energy_transfer <= peak.energy_transfer * (1.0 + 1e-9)
     assert safe.now_score < safe.now.energy_transfer
-    assert safe.by_both is None
+    assert safe.by_wave_speed is None
 
 
 def test_layer_of_the_library_counts_with_its_own_properties():
@@ -230,8 +234,8 @@ def score_after(rig, name, values):
 
 
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.1])
-def test_elasticities_are_the_derivatives_of_the_model(loss_tangent):
-    """Away from an optimum, where they are not 0."""
+def test_sensitivities_are_the_derivatives_of_the_model(loss_tangent):
+    """The rig is not at an optimum, where all derivatives would be 0."""
     rig = Rig(layer=Layer(loss_tangent=loss_tangent), gravity=0.0)
     limits = Limits(thickness_min=16e-3, thickness_max=17e-3)
     best = recommend(rig, vary='thickness', limits=limits)
@@ -239,43 +243,42 @@ def test_elasticities_are_the_derivatives_of_the_model(loss_tangent):
     for item in best.sensitivities:
         ends = item.value * np.exp([-1e-3, 1e-3])
         low, high = np.log(score_after(best.rig, item.name, ends))
-        assert item.elasticity == pytest.approx((high - low) / 2e-3, rel=1e-2, abs=1e-4)
+        assert item.sensitivity == pytest.approx((high - low) / 2e-3, rel=1e-2, abs=1e-4)
 
 
-def test_intervals_end_where_the_energy_has_fallen_so_far():
+def test_tolerances_end_at_the_tolerated_loss_of_energy():
     best = recommend(Rig(gravity=0.0), vary='both')
     assert {item.name for item in best.sensitivities} == {
         'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio',
     }
+    least = (1.0 - TOLERATED_LOSS) * best.score
     for item in best.sensitivities:
-        inside = score_after(best.rig, item.name, np.linspace(item.low, item.high, 50))
-        assert inside.min() > (1.0 - WITHIN) * best.score * (1.0 - 1e-9)
-        for end, farthest in ((item.low, 0.5), (item.high, 2.0)):
-            if end != pytest.approx(farthest * item.value, rel=1e-3):
-                beyond = end * (1.0 + math.copysign(2e-3, end - item.value))
-                assert score_after(best.rig, item.name, beyond) < (1.0 - WITHIN) * best.score
-        ends = [item.value - item.tolerance, item.value + item.tolerance]
-        assert score_after(best.rig, item.name, ends).min() > (1.0 - TOLERATED) * best.score
-        assert item.tolerance <= max(item.high - item.value, item.value - item.low)
+        ends = item.value + item.tolerance * np.linspace(-1.0, 1.0, 50)
+        assert score_after(best.rig, item.name, ends).min() > least * (1.0 - 1e-9)
+        if item.tolerance != 0.5 * item.value:
+            beyond = item.value + (item.tolerance + 2e-3 * item.value) * np.array([-1.0, 1.0])
+            assert score_after(best.rig, item.name, beyond).min() < least
 
 
-def test_edge_is_told_with_its_side():
-    """At the highest point of a cliff, where a little less of it is held by gravity for longer."""
+def test_layer_at_an_edge_has_no_tolerance():
+    """At an edge, a slightly smaller value lets gravity hold the projectile for longer."""
     omega = math.sqrt(STANDARD_GRAVITY / (2e-3 * 1.404))
     engine = Engine(frequency=omega / (2.0 * math.pi))
     rig = Rig(engine=engine, projectile=Projectile(mass=3.96e-3))
     best = recommend(rig, limits=Limits(thickness_min=2e-3, wave_speed_max=30.0))
-    assert any(item.edge for item in best.sensitivities)
+    edges = 0
     for item in best.sensitivities:
-        less, more = score_after(best.rig, item.name, item.value * np.array([0.999, 1.001]))
-        assert ('less' in item.edge) == (less < 0.99 * best.score)
-        assert ('more' in item.edge) == (more < 0.99 * best.score)
+        changed = score_after(best.rig, item.name, item.value * np.array([0.999, 1.001]))
+        is_edge = changed.min() < (1.0 - TOLERATED_LOSS) * best.score
+        assert (item.tolerance < 1e-3 * item.value) == is_edge
+        edges += is_edge
+    assert edges
 
 
-# what is said
+# contents of the recommendation
 
 
-def test_every_result_in_the_table_is_part_of_a_recommendation_or_an_aim():
+def test_every_result_in_the_table_belongs_to_a_recommendation_or_an_aim():
     best = recommend(Rig())
     results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
     for name in results:
@@ -290,31 +293,9 @@ def test_values_are_flat_and_complete():
     assert values['wave_speed'] == values['by_wave_speed.wave_speed'] == best.wave_speed
     assert values['now.energy_transfer'] == predict(Rig()).energy_transfer
     assert values['optimum.mass_ratio'] == best_ratios(0.064).mass_ratio
-    assert values['thickness.low'] < best.thickness < values['thickness.high']
+    assert 0.0 < values['thickness.tolerance'] < best.thickness
     assert all(isinstance(value, (float, str)) for value in values.values())
     assert {item.name for item in dataclasses.fields(PredictedThrow)} <= values.keys()
-
-
-@pytest.mark.parametrize(
-    ('vary', 'changes', 'parts'),
-    [
-        ('thickness', {}, ['16.8 -> 13.4', '5.4 % more', '3.64 -> 3.83', '+-2.1 mm']),
-        ('wave_speed', {}, ['7.8 -> 10.07 m/s', '60.84 -> 101.3 kPa', '3.64 -> 3.97']),
-        ('both', {'thickness_max': 0.02}, ['-> 20 mm (the largest allowed)', '-> 11.62 m/s']),
-        ('thickness', {'thickness_min': 16.8e-3, 'thickness_max': 30e-3}, ['(alpha 3.64)']),
-    ],
-)
-def test_summary_says_what_changes_and_what_is_gained(vary, changes, parts):
-    summary = recommend(Rig(), vary=vary, limits=Limits(**changes)).summary
-    assert [part for part in parts if part not in summary] == []
-
-
-def test_remarks_have_the_best_ratios_and_warn_of_large_strain():
-    remarks = recommend(Rig(engine=Engine(damping_ratio=0.0))).remarks
-    assert all(number in remarks for number in ('0.234', '8.242', '4.123'))
-    violent = recommend(Rig(engine=Engine(amplitude=0.1)))
-    assert violent.peak_strain > 1.0
-    assert f'{100.0 * violent.peak_strain:.0f} %' in violent.remarks
 
 
 @pytest.mark.parametrize(
@@ -328,6 +309,6 @@ def test_remarks_have_the_best_ratios_and_warn_of_large_strain():
          r'strain of at most 0\.01 .* without these limits has 0\.125'),
     ],
 )
-def test_what_cannot_be_recommended_is_named(rig, options, message):
+def test_impossible_recommendation_is_refused_with_a_reason(rig, options, message):
     with pytest.raises(ValueError, match=message):
         recommend(rig, **options)

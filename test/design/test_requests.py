@@ -11,34 +11,41 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What the twin's settings ask, and the answer."""
+"""Design requests made from the settings of the twin, and their results."""
 
+from dataclasses import replace
 import math
+import sys
+import types
 
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.configuration.objectives import OBJECTIVES
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import aim, Target
-from soft_throw_ros.design.evaluate import SearchCancelledError
-from soft_throw_ros.design.objective import Limits, Peak, Robust, Versatile
+from soft_throw_ros.design.objective import Limits, Objective
+from soft_throw_ros.design.objectives.peak import Peak
+from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import recommend
-from soft_throw_ros.design.requests import answer, limits_of, objective_of, uncertainties_of
-from soft_throw_ros.design.uncertainty import Uncertainties
+from soft_throw_ros.design.requests import answer, limits_of, objective_of
+from soft_throw_ros.design.uncertainty import Uncertainties, Variants
 
 
 def changed(**changes):
-    """Return settings with changes, `__` for the dot."""
+    """Return the default settings with changes; `__` in a name stands for a dot."""
     request = {name.replace('__', '.'): value for name, value in changes.items()}
     settings = TWIN.defaults()
     return {**settings, **TWIN.change(settings, request)}
 
 
-def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
+def test_defaults_request_the_peak_without_limits():
     settings = TWIN.defaults()
     assert objective_of(settings) == Peak()
     assert limits_of(settings) == Limits()
-    assert uncertainties_of(settings) == Uncertainties()
+    assert Uncertainties.from_settings(settings) == Uncertainties()
     assert answer(settings) == recommend(Rig())
 
 
@@ -53,7 +60,7 @@ def test_defaults_ask_for_the_peak_with_nothing_in_the_way():
          Versatile(masses=(1e-3, 3e-3), frequencies=(50.0,))),
     ],
 )
-def test_every_objective_is_asked_for(changes, objective):
+def test_every_objective_can_be_requested(changes, objective):
     settings = changed(**changes, recommendation__vary='thickness')
     assert objective_of(settings) == objective
     assert answer(settings) == recommend(Rig(), vary='thickness', objective=objective)
@@ -67,7 +74,7 @@ def test_every_objective_is_asked_for(changes, objective):
     ],
 )
 @pytest.mark.parametrize('vary', ['amplitude', 'both'])
-def test_aim_is_asked_for(changes, target, vary):
+def test_aim_can_be_requested(changes, target, vary):
     settings = changed(
         **changes, recommendation__objective='aim', recommendation__vary=vary,
         recommendation__max_amplitude=2.5e-3,
@@ -75,10 +82,10 @@ def test_aim_is_asked_for(changes, target, vary):
     assert answer(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
 
 
-def test_layer_is_picked_from_the_library_that_is_set(tmp_path):
+def test_layer_is_chosen_from_the_set_library(tmp_path):
     path = tmp_path / 'mine.yaml'
     path.write_text(
-        'jelly:\n  description: what is left\n  source: the kitchen\n'
+        'jelly:\n  description: kitchen leftovers\n  source: the kitchen\n'
         '  density: 1000\n  wave_speed: 8\n  loss_tangent: 0\n'
     )
     settings = changed(
@@ -100,7 +107,7 @@ def test_layer_is_picked_from_the_library_that_is_set(tmp_path):
         ({'objective': 'versatile', 'masses': [1e-3] * 17}, 'masses .* 16'),
     ],
 )
-def test_what_cannot_be_done_is_refused(changes, message):
+def test_impossible_requests_are_refused(changes, message):
     request = {f'recommendation__{name}': value for name, value in changes.items()}
     with pytest.raises(ValueError, match=message):
         answer(changed(**request))
@@ -108,7 +115,7 @@ def test_what_cannot_be_done_is_refused(changes, message):
 
 @pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
 @pytest.mark.parametrize('batches', [0, 3])
-def test_answer_is_given_up_when_cancelled_between_batches(objective, batches):
+def test_search_ends_when_cancelled_between_batches(objective, batches):
     asked = []
 
     def cancelled():
@@ -128,3 +135,31 @@ def test_every_limit_counts():
     settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
     assert limits_of(settings) == Limits(**limits)
     assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf
+
+
+class Heavy(Objective):
+    """Example of an objective: the most energy of a projectile of twice the mass."""
+
+    name = 'heavy'
+
+    @classmethod
+    def from_settings(cls, _settings):
+        return cls()
+
+    def variants(self, rig):
+        variants = Variants.of(rig)
+        return variants._replace(mass=2.0 * variants.mass)
+
+
+def test_objective_is_added_by_one_file(monkeypatch):
+    name = 'soft_throw_ros.design.objectives.heavy'
+    monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(Heavy=Heavy))
+    settings = changed(recommendation__vary='thickness')
+    best = answer({**settings, 'recommendation.objective': 'heavy'})
+    rig = replace(Rig(), projectile=replace(Rig().projectile, mass=2.0 * Rig().projectile.mass))
+    assert best.score == pytest.approx(recommend(rig, vary='thickness').score, rel=1e-6)
+
+
+@pytest.mark.parametrize('name', OBJECTIVES)
+def test_every_objective_in_the_table_has_its_file(name):
+    assert objective_of(changed(recommendation__objective=name)).name == name

@@ -11,15 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How far a prediction may be off."""
+"""Uncertainties of predictions."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.evaluate import first_throws, rig_with
+from soft_throw_ros.core.throws import rig_with, throw_many
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.uncertainty import (
     COVERAGE,
@@ -32,7 +33,7 @@ NAMES = ('ejection_time', 'ejection_speed', 'energy_transfer')
 
 
 def off(rig, **errors):
-    """Return the rig with its values off by so much, the mass by a part."""
+    """Return a rig with errors of its values; the error of the mass is relative."""
     values = {**vars(rig.engine), **vars(rig.layer), 'mass': rig.projectile.mass}
     errors['mass'] = rig.projectile.mass * errors.get('mass', 0.0)
     return rig_with(rig, {name: values[name] + error for name, error in errors.items()})
@@ -42,11 +43,11 @@ def off(rig, **errors):
     ('loss_tangent', 'gravity', 'error'),
     [(0.0, 0.0, 1e-12), (0.0, 9.81, 1e-9), (0.05, 9.81, 2e-3)],
 )
-def test_nothing_uncertain_leaves_the_prediction(loss_tangent, gravity, error):
+def test_zero_uncertainty_leaves_the_prediction_unchanged(loss_tangent, gravity, error):
     rig = Rig(layer=Layer(loss_tangent=loss_tangent), gravity=gravity)
     found, known = prediction_uncertainty(rig, NONE), predict(rig)
     assert not found.jumps
-    assert found.held == 0.0
+    assert found.stuck_fraction == 0.0
     for name in NAMES:
         interval = getattr(found, name)
         assert interval.low == interval.high == pytest.approx(getattr(known, name), rel=error)
@@ -57,7 +58,7 @@ def test_nothing_uncertain_leaves_the_prediction(loss_tangent, gravity, error):
     [('wave_speed', 0.01), ('thickness', 1e-5), ('mass', 1e-3), ('frequency', 0.01),
      ('damping_ratio', 1e-3)],
 )
-def test_small_uncertainty_of_one_value_is_what_a_derivative_says(name, value):
+def test_small_uncertainty_of_one_value_agrees_with_the_derivative(name, value):
     rig = Rig(gravity=0.0)
     found = prediction_uncertainty(rig, replace(NONE, **{name: value}))
     ends = [predict(off(rig, **{name: sign * COVERAGE * value})) for sign in (-1.0, 1.0)]
@@ -66,7 +67,7 @@ def test_small_uncertainty_of_one_value_is_what_a_derivative_says(name, value):
         assert getattr(found, result) == pytest.approx((low, high), abs=0.01 * (high - low))
 
 
-def test_interval_has_its_part_of_random_throws():
+def test_interval_has_its_nominal_share_of_random_throws():
     rig, uncertainties = Rig(), Uncertainties()
     found = prediction_uncertainty(rig, uncertainties)
     random = np.random.default_rng(0)
@@ -87,7 +88,7 @@ def test_jump_within_the_uncertainties_is_seen_on_both_sides():
     rig = Rig(layer=Layer(thickness=6.5e-3), gravity=0.0)
 
     thicknesses = np.linspace(1e-3, 30e-3, 2000)
-    times = first_throws(rig, {'thickness': thicknesses}).ejection_time
+    times = throw_many(rig, {'thickness': thicknesses}).ejection_time
     edge = int(np.argmax(np.abs(np.diff(times))))
     jump = abs(times[edge + 1] - times[edge])
     assert jump > 1e-4
@@ -95,17 +96,17 @@ def test_jump_within_the_uncertainties_is_seen_on_both_sides():
     found = prediction_uncertainty(rig, replace(NONE, thickness=2e-5))
     assert found.jumps
     assert found.ejection_time.high - found.ejection_time.low > 0.9 * jump
-    assert found.describe().endswith(', with a jump between')
+    assert uncertainty_text(found).endswith(', with a jump between')
     away = replace(rig, layer=replace(rig.layer, thickness=0.95 * rig.layer.thickness))
     assert not prediction_uncertainty(away, replace(NONE, thickness=2e-5)).jumps
 
 
-def test_part_that_gravity_holds_is_counted():
+def test_share_held_by_gravity_is_counted():
     rig = Rig(engine=Engine(frequency=9.0))
     found = prediction_uncertainty(rig, replace(NONE, frequency=6.0))
-    assert 0.0 < found.held < 1.0
-    assert 'of all cases it does not leave' in found.describe()
-    with pytest.raises(ThrowUnresolvedError, match='does not leave, whatever is uncertain'):
+    assert 0.0 < found.stuck_fraction < 1.0
+    assert 'no release in' in uncertainty_text(found)
+    with pytest.raises(ThrowUnresolvedError, match='does not leave within the uncertainties'):
         prediction_uncertainty(Rig(engine=Engine(frequency=3.0)), NONE)
 
 

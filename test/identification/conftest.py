@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tracks whose truth is known."""
+"""Tracks with known truth."""
 
 from __future__ import annotations
 
@@ -29,40 +29,40 @@ from soft_throw_ros.identification.tracks import ThrowTracks, Track
 DATA = Path(__file__).parents[1] / 'data'
 
 
-def _see(time, plate, projectile, *, noise=2e-5, seed=0) -> ThrowTracks:
-    """Look at heights, with noise."""
+def _measure(time, plate, projectile, *, noise=2e-5, seed=0) -> ThrowTracks:
+    """Return tracks of two bodies: their heights with noise."""
     rng = np.random.default_rng(seed)
     tracks = [
         Track(time=time, position=height + noise * rng.normal(size=time.size))
         for height in (plate, projectile)
     ]
-    return ThrowTracks(name='made', plate=tracks[0], projectile=tracks[1])
+    return ThrowTracks(name='simulated', plate=tracks[0], projectile=tracks[1])
 
 
 def _make_throw(
     rig: Rig, *, rate=5000.0, duration=0.1, start=0.0153, zeros=(0.0, 0.0), **options
 ) -> ThrowTracks:
-    """Throw by the exact model, and look at it from zeros of height."""
+    """Return the tracks of an exact throw, measured from given zeros of height."""
     time = np.arange(0.0, duration, 1.0 / rate)
     since = time - start
     plate = Underdamped.of(rig.engine).position(since)
     projectile = follow(rig, until=since[-1]).projectile_position(since)
-    return _see(time, plate - zeros[0], projectile - zeros[1], **options)
+    return _measure(time, plate - zeros[0], projectile - zeros[1], **options)
 
 
 @pytest.fixture
 def see() -> Callable[..., ThrowTracks]:
-    return _see
+    return _measure
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def make_throw() -> Callable[..., ThrowTracks]:
     return _make_throw
 
 
 @pytest.fixture(scope='session')
 def reference_throw() -> ThrowTracks:
-    """Give the 5 kHz tracks with noise of 20 um whose best fits are known."""
+    """Return the 5 kHz reference tracks with 20 um of noise, whose best fits are known."""
     with (DATA / 'reference_tracks.csv').open() as file:
         return ThrowTracks(
             name='reference', **read_csv(file, 'reference', ('plate', 'projectile'))

@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is fitted, and how that is said."""
+"""Descriptions of a fit: free, fixed and known parameters."""
 
 import re
 
 import pytest
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import FitDescription, USUAL
-from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.least_squares import Estimate, FitError
 
 RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
 
@@ -43,19 +43,19 @@ def test_parameter_is_free_or_held_or_known_with_an_error(text, known, value):
     assert treatment.is_varied is ((text == 'free' or known is not None) and 'seen' not in text)
     assert description.is_free('layer.thickness') is (text == 'free')
     assert treatment.is_per_throw is ('per throw' in text)
-    assert description.see('layer.thickness').treatment('layer.thickness').is_varied is (
-        treatment.is_varied or treatment.is_if_seen
+    assert description.activate('layer.thickness').treatment('layer.thickness').is_varied is (
+        treatment.is_varied or treatment.only_if_significant
     )
     assert all(description.treatment(name).is_varied for name in USUAL)
 
 
-def test_what_was_measured_has_the_errors_of_the_paper():
+def test_measured_quantities_have_the_errors_of_the_paper():
     description = FitDescription()
     assert description.known('layer.thickness', RIG, '') == Estimate(0.02, 1e-4)
     assert description.known('projectile.mass', RIG, '') == Estimate(1e-3, pytest.approx(1e-5))
 
 
-def test_throws_share_what_is_said_alike_for_them():
+def test_throws_share_equal_descriptions():
     description = FitDescription(
         throws={
             'heavy_*': {'projectile.mass': '0.002 +- 1 %'},
@@ -78,7 +78,32 @@ def test_throws_share_what_is_said_alike_for_them():
     assert description.prepare(RIG, 'light.csv').projectile.mass == 0.001
 
 
-def test_file_says_what_python_says(tmp_path):
+@pytest.mark.parametrize(
+    ('throw', 'patterns'),
+    [
+        ('heavy.csv', ['heavy.csv', 'heavy*', '*.csv']),
+        ('heavy_1.csv, throw 2', ['heavy_*.csv', 'heavy_1.csv', 'heavy_1.csv, throw 2', '*2']),
+        ('heavy_1.csv, part 1, throw 2', ['heavy_*.csv', '*, part 1', '*, part 1, throw 2']),
+    ],
+)
+def test_pattern_is_of_a_throw_or_of_its_file(throw, patterns):
+    for pattern in patterns:
+        description = FitDescription(throws={pattern: {'layer': 'old'}})
+        description.check_throws(['other.csv', throw])
+        assert description.conditions(throw) == {'layer': 'old'}
+        assert description.conditions('other') == {}
+
+
+@pytest.mark.parametrize('throws', [['light.csv, throw 1', 'light.csv, throw 2'], []])
+def test_pattern_that_matches_no_throw_is_refused_with_the_names_of_all(throws):
+    description = FitDescription(throws={'heavy_*.csv': {'projectile.mass': '0.002'}})
+    with pytest.raises(FitError) as refusal:
+        description.check_throws(throws)
+    for value in ('heavy_*.csv', *throws):
+        assert value in str(refusal.value)
+
+
+def test_file_agrees_with_the_python_description(tmp_path):
     path = tmp_path / 'fit.yaml'
     path.write_text(
         'parameters:\n  projectile.mass: 0.0012 +- 1 %\n  engine.amplitude: free per throw\n'
@@ -102,6 +127,7 @@ def test_file_says_what_python_says(tmp_path):
         ('parameters:\n  layer.thickness: held if seen', 2, "'held if seen'"),
         ('throws:\n  a.csv:\n    layer.thickness: often', 3, "'often'"),
         ('throws:\n  a.csv: 1', 2, '1'),
+        ('throws:\n  a.csv:\n    layer.loss_tangent: free if seen', 3, "'free if seen'"),
         ('heights: any', 1, "'any'"),
         ('reference: top', 1, "'top'"),
         ('depths: own', 1, "'depths'"),
@@ -109,7 +135,7 @@ def test_file_says_what_python_says(tmp_path):
         ('parameters: [', 1, 'expected'),
     ],
 )
-def test_file_that_is_wrong_is_refused_with_its_line(tmp_path, text, line, value):
+def test_bad_file_is_refused_with_its_line(tmp_path, text, line, value):
     path = tmp_path / 'fit.yaml'
     path.write_text(text)
     with pytest.raises(ValueError, match=re.escape(f'{path}:{line}: ') + f'.*{re.escape(value)}'):

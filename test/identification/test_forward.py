@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Where the projectile is, by the models that the twin runs."""
+"""Trajectories of the projectile by the models of the twin."""
 
 import re
 
@@ -19,6 +19,8 @@ import numpy as np
 import pytest
 from reference import method_of_steps
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.stepper import PROJECTILE_POSITION, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 
@@ -26,7 +28,7 @@ CAUGHT_UP = Rig(layer=Layer(thickness=2e-3), engine=Engine(frequency=31.1), grav
 
 
 @pytest.mark.parametrize('rig', [Rig(), CAUGHT_UP], ids=['usual', 'caught up'])
-def test_path_is_that_of_the_exact_model_at_times_in_any_order(rig):
+def test_trajectory_agrees_with_the_exact_model_at_times_in_any_order(rig):
     time = np.linspace(-0.01, 0.06, 300)
     exact = method_of_steps.follow(rig, until=0.06)
     path = ThrowSimulator().follow(rig, time[::-1])
@@ -35,6 +37,17 @@ def test_path_is_that_of_the_exact_model_at_times_in_any_order(rig):
     assert [event.kind == 'release' for event in path.events] == [
         event.kind == 'release' for event in exact.events
     ]
+
+
+def test_flights_are_the_states_of_the_stepper():
+    time = np.linspace(0.0, 0.4, 200)  # until after the landing
+    path = ThrowSimulator().follow(Rig(), time)
+    assert {event.kind for event in path.events} >= {'release', 'landing'}
+    stepper = make_stepper(Rig())
+    for moment, position, velocity in zip(time, path.position, path.velocity, strict=True):
+        stepper.advance_to(moment)
+        state = stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
+        assert (position, velocity) == pytest.approx(state, abs=1e-12)
 
 
 def test_landing_is_the_first_one_on_the_way_down():
@@ -46,7 +59,7 @@ def test_landing_is_the_first_one_on_the_way_down():
     assert ThrowSimulator().landing_time(CAUGHT_UP, 0.5) == np.inf  # it never falls
 
 
-def test_throw_that_would_take_too_long_is_refused():
+def test_throw_beyond_the_time_budget_is_refused():
     slow = Rig(engine=Engine(frequency=0.2), layer=Layer(thickness=1e-3, wave_speed=50.0))
     with pytest.raises(FitError, match=re.escape('30 s of a layer')):
         ThrowSimulator().follow(slow, np.array([0.0, 30.0]))

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Least squares, and what is said of a fit."""
+"""Least squares, and the report of a fit."""
 
 from dataclasses import replace
 import math
@@ -38,7 +38,7 @@ def decay(time, size, rate):
 
 
 def model_of(function, *names):
-    """Make a model of a function of time and values, which may be anything."""
+    """Return a model made of an arbitrary function of time and values."""
     free = np.full(len(names), np.inf)
     return FitModel.with_steps(
         names, lambda values: function(TIME, *values), -free, free, np.full(len(names), 1e-6)
@@ -74,7 +74,7 @@ def test_fit_agrees_with_curve_fit(known):
     assert found.dof == 198
 
 
-def test_fit_of_noise_alone_is_seldom_doubted():
+def test_fit_of_noise_alone_seldom_warns():
     doubted = [
         bool(fit_tracks(MODEL, TRUTH, [('decay', track(seed))]).warnings()) for seed in range(300)
     ]
@@ -89,12 +89,12 @@ def test_fit_of_noise_alone_is_seldom_doubted():
         (track(noise=0.02, known=0.01), r'residuals are (1\.9|2|2\.1) times the noise'),
     ],
 )
-def test_fit_that_is_not_to_be_trusted_says_why(data, message):
+def test_unreliable_fit_warns_with_a_reason(data, message):
     warnings = fit_tracks(MODEL, TRUTH, [('decay', data)]).warnings()
     assert any(re.search(message, warning) for warning in warnings), warnings
 
 
-def test_parameters_that_do_the_same_are_named():
+def test_equivalent_parameters_are_named():
     def grown(time, size, rate, growth):
         return decay(time, size * (1.0 + 0.01 * time * growth), rate)
 
@@ -103,11 +103,11 @@ def test_parameters_that_do_the_same_are_named():
     (warning,) = found.warnings()
     assert 'rate and growth can hardly be told apart' in warning
     assert found['growth'].error > 1.0
-    # errors are true none the less
+    # errors are correct nevertheless
     assert found['rate'].value == pytest.approx(TRUTH[1], abs=4.0 * found['rate'].error + 0.01)
 
 
-def test_parameter_that_does_nothing_is_not_known_at_all():
+def test_parameter_without_effect_has_infinite_error():
     model = model_of(lambda time, size, rate, idle: decay(time, size, rate), 'a', 'b', 'idle')
     found = fit_tracks(model, np.array([1.4, 0.7, 0.3]), [('decay', track())])
     assert found['idle'].error > 1e10
@@ -115,7 +115,7 @@ def test_parameter_that_does_nothing_is_not_known_at_all():
 
 
 @pytest.mark.parametrize('places', [[0], [1], [57, 58, 120], [199]])
-def test_outliers_are_left_out_by_name(places):
+def test_outliers_are_excluded_by_name(places):
     clean = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])
     spoilt = track().position.copy()
     spoilt[places] += 0.5
@@ -132,7 +132,7 @@ def test_model_that_does_not_fit_makes_no_outliers():
     assert residual.outliers == ()
 
 
-def test_what_is_known_with_an_error_counts_as_a_sample():
+def test_prior_counts_as_a_sample():
     known = Estimate(0.795, 3e-3)
     free = fit_tracks(MODEL, TRUTH, [('decay', track(known=0.01))])
     found = fit_tracks(replace(MODEL, known={1: known}), TRUTH, [('decay', track(known=0.01))])
@@ -143,7 +143,7 @@ def test_what_is_known_with_an_error_counts_as_a_sample():
     assert found.dof == free.dof + 1
 
 
-def test_what_contradicts_what_is_known_is_said():
+def test_contradiction_of_a_prior_is_reported():
     known = replace(MODEL, known={1: Estimate(0.7, 3e-3)})
     warnings = fit_tracks(known, TRUTH, [('decay', track())]).warnings()
     found = r'rate is found \d+\.\d errors from what is known of it, 0\.7000 \+- 0\.0030'
@@ -158,7 +158,7 @@ def test_other_minimum_is_named_and_spanned():
     assert any('rate may as well be 0.9' in warning for warning in found.warnings())
 
 
-def test_fit_that_leads_beyond_what_numbers_can_hold_is_refused():
+def test_overflowing_fit_is_refused():
     with pytest.raises(FitError, match='beyond what numbers can hold'):
         fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track(known=1e-160))])
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Planned throws against brute force: what fits of many simulated ones scatter by."""
+"""Planned errors against brute force: the scatter of fits of many simulated throws."""
 
 import itertools
 import re
@@ -22,6 +22,7 @@ from scipy.optimize import least_squares
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.identification.ejection import ejection_of
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
@@ -30,7 +31,8 @@ from soft_throw_ros.identification.fit_description import (
     LAYER,
 )
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plan import Condition, Planner, Sight
+from soft_throw_ros.identification.plan import Condition, Knowledge, Planner, Sight
+from soft_throw_ros.identification.rig_fit import fit_rig
 
 RIG = Rig(
     engine=Engine(frequency=63.2, damping_ratio=0.064, amplitude=1.2e-3),
@@ -62,7 +64,7 @@ def heights_of(values, conditions, time):
 
 
 def scatter(conditions, *, repeats=20):
-    """Fit simulated throws again and again; return by how much c_s and L_s scatter."""
+    """Fit repeated simulations of throws; return the scatter of c_s and L_s."""
     time = np.arange(-0.25 / 63.2, SIGHT.duration, 1.0 / SIGHT.rate)
     truth = np.array([63.2, 0.064, 7.8, 16.8e-3])
     for condition in conditions:
@@ -84,13 +86,35 @@ def scatter(conditions, *, repeats=20):
 
 
 @pytest.mark.parametrize('conditions', [(HEAVY,), (HEAVY, LIGHT)], ids=['one', 'two'])
-def test_planned_errors_are_what_fits_of_simulated_throws_scatter_by(conditions):
+def test_planned_errors_agree_with_the_scatter_of_fits_of_simulated_throws(conditions):
     planner = Planner(RIG, conditions, SIGHT, FREE)
     errors = planner.start().after(sum(planner.information)).errors()
     expected = scatter(conditions)
     # the spread of 20 fits is known to 16 %
     assert errors['layer.wave_speed'] == pytest.approx(expected[0], rel=0.4)
     assert errors['layer.thickness'] == pytest.approx(expected[1], rel=0.4)
+
+
+def test_planned_errors_agree_with_a_fit(make_throw):
+    sight = Sight(rate=5000.0, noise=2e-5, duration=0.0475)
+    planner = Planner(RIG, (USUAL,), sight, FitDescription())
+    (planned,) = planner.judge(planner.start())
+    throw = make_throw(RIG, start=0.25 / 63.2, duration=sight.duration + 0.25 / 63.2)
+    fit = fit_rig([throw], RIG)
+    alpha = ejection_of(fit).energy_transfer
+    assert planned.energy_transfer_error == pytest.approx(alpha.error / alpha.value, rel=0.25)
+    # both hold the loss unless the tracks show it
+    expected = {name: fit.estimate(name).error for name in planned.errors if name in LAYER}
+    assert expected == pytest.approx({name: planned.errors[name] for name in expected}, rel=0.1)
+    assert 'layer.loss_tangent' not in planned.errors
+
+
+def test_plan_after_a_throw_begins_with_the_errors_of_its_fit(make_throw):
+    fit = fit_rig([make_throw(RIG, rate=2500.0, duration=0.06)], RIG)
+    planner = Planner(RIG, (USUAL,), SIGHT, FitDescription(), Knowledge.of_fit(fit))
+    errors = planner.start().errors()
+    for name in ('layer.wave_speed', 'layer.thickness', 'layer.stiffening', 'engine.frequency'):
+        assert errors[name] == pytest.approx(fit.fit[name].error, rel=1e-6)
 
 
 def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
@@ -102,7 +126,7 @@ def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
     assert errors[-1][1] < 0.01
 
 
-def test_what_is_measured_already_counts_like_a_throw():
+def test_earlier_measurements_count_like_a_throw():
     planner = Planner(RIG, (HEAVY,), SIGHT, FREE)
     (first,) = planner.judge(planner.start())
     after = planner.start().after(planner.information[0])
@@ -112,7 +136,7 @@ def test_what_is_measured_already_counts_like_a_throw():
     )
 
 
-def test_mass_limits_what_many_throws_tell_of_wave_speed_and_thickness():
+def test_mass_uncertainty_limits_wave_speed_and_thickness_of_many_throws():
     # Throws show t_s and tau alone, so that c_s and L_s are known no better than the mass
     fit = FitDescription({**HELD, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
     planner = Planner(RIG, (USUAL,), SIGHT, fit)
@@ -131,7 +155,7 @@ def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
     assert errors[thin]['layer.thickness[0.008]'] < 1e-3
 
 
-def test_doubts_about_the_bench_are_in_what_is_planned():
+def test_bench_uncertainties_are_in_the_planned_errors():
     sure, doubtful = (
         Planner(RIG, (USUAL,), SIGHT, fit) for fit in (FitDescription(HELD), FitDescription())
     )
@@ -140,7 +164,7 @@ def test_doubts_about_the_bench_are_in_what_is_planned():
     assert errors[1].energy_transfer_error > 2.0 * errors[0].energy_transfer_error
 
 
-def test_plan_of_nothing_is_refused():
+def test_empty_plan_is_refused():
     with pytest.raises(FitError, match='no throw to choose'):
         Planner(RIG, (), SIGHT, FREE)
     with pytest.raises(FitError, match=r'one of layer\.wave_speed, '):

@@ -65,7 +65,7 @@ def test_plate_fit_gives_the_reference_values(reference_throw, offset, expected,
     assert found.warnings() == []
 
 
-def test_plate_fit_is_unbiased_and_knows_how_exact_it_is():
+def test_plate_fit_is_unbiased_and_its_errors_are_correct():
     time = np.arange(0.0, 0.1, 1.0 / 1500.0)
     motion = Underdamped(**TRUTH)
     truth = [63.2, 0.064, 2e-3, START, 0.0, motion.peak_velocity]
@@ -93,7 +93,7 @@ def test_plate_fit_needs_no_guess(frequency, damping_ratio, periods):
         assert found[name].value == pytest.approx(value, abs=4.5 * found[name].error), name
 
 
-def test_plate_fit_takes_gaps_and_jitter():
+def test_plate_fit_accepts_gaps_and_jitter():
     rng = np.random.default_rng(5)
     time = np.sort(rng.uniform(0.0, 0.1, 400))
     time = time[(time < 0.03) | (time > 0.037)]
@@ -103,7 +103,7 @@ def test_plate_fit_takes_gaps_and_jitter():
     assert found.start_time == pytest.approx(START, abs=4.0 * found.fit['start_time'].error)
 
 
-def test_plate_that_goes_down_or_whose_rise_was_missed_is_refused():
+def test_plate_that_falls_or_has_no_recorded_rise_is_refused():
     motion = Underdamped(**TRUTH)
     time = np.arange(0.0, 0.1, 2e-4)
     with pytest.raises(FitError, match=r'goes down by about 0\.002 m'):

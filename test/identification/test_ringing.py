@@ -55,7 +55,7 @@ def track_of(thickness, *, rate=10000.0, wave_speed=7.8, loss_time=1e-5, noise=5
 @pytest.mark.parametrize('thickness', [5.6e-3, 9.5e-3, 29.1e-3])
 @pytest.mark.parametrize('loss_time', [0.0, 2e-5, 1e-4])
 def test_period_and_loss_of_a_bar_are_found(thickness, loss_time):
-    # with all its modes, of which two are fitted
+    # The track contains all modes; the fit has two
     found = fit_ringing(track_of(thickness, loss_time=loss_time))
     period = 2.0 * thickness / 7.8
     loss = 2.0 * np.pi / period * loss_time
@@ -66,7 +66,7 @@ def test_period_and_loss_of_a_bar_are_found(thickness, loss_time):
     assert found.start_time == pytest.approx(0.0, abs=0.2 * period)
 
 
-def test_ringing_is_unbiased_and_knows_how_exact_it_is():
+def test_ringing_is_unbiased_and_its_errors_are_correct():
     truth = np.array([2.0 * 16.8e-3 / 7.8, 5e-5 * np.pi * 7.8 / 16.8e-3])
     pulls = []
     for seed in range(40):
@@ -90,7 +90,7 @@ def test_layer_that_does_not_ring_is_refused(position, message):
         fit_ringing(Track(time=time, position=position(time)))
 
 
-def test_change_of_length_is_taken_where_both_ends_are_seen():
+def test_change_of_length_is_measured_where_both_ends_are_seen():
     time = np.arange(40) * 1e-3
     bottom = Track(time=time[:30], position=time[:30], known_noise=3e-6)
     top = Track(time=time[10:], position=0.02 + 3.0 * time[10:], known_noise=4e-6)
@@ -102,7 +102,7 @@ def test_change_of_length_is_taken_where_both_ends_are_seen():
         change_of_length(bottom, Track(time=time + 1e-4, position=time))
 
 
-def test_wave_speed_knows_how_exact_it_is():
+def test_errors_of_the_wave_speed_are_correct():
     rng = np.random.default_rng(7)
     thicknesses = np.array([5.6e-3, 9.5e-3, 16.8e-3, 23.4e-3, 29.1e-3])
     pulls, agreements = [], []
@@ -118,7 +118,7 @@ def test_wave_speed_knows_how_exact_it_is():
 
 
 @pytest.mark.parametrize(('factor', 'agrees'), [(1.0, True), (1.5, False)])
-def test_losses_of_layers_agree_if_they_are_of_one_material(factor, agrees):
+def test_losses_agree_for_layers_of_one_material(factor, agrees):
     ringings = [
         fit_ringing(track_of(thickness, loss_time=loss_time, seed=seed))
         for seed, (thickness, loss_time) in enumerate([(9.5e-3, 1e-4), (16.8e-3, factor * 1e-4)])
@@ -129,6 +129,6 @@ def test_losses_of_layers_agree_if_they_are_of_one_material(factor, agrees):
     assert np.abs(truths - found.value.value).max() < 3.0 * found.value.error
 
 
-def test_loss_of_no_layer_is_refused():
+def test_loss_without_a_layer_is_refused():
     with pytest.raises(ValueError, match='none'):
         fit_loss_tangent([], frequency=63.2)

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Spots followed through rendered pictures whose truth is known to the last digit."""
+"""Spots followed through rendered pictures with exactly known positions."""
 
 import re
 
-from identification.rendering import CONTRAST, DIAMETER, disc, exposed, picture
 import numpy as np
 import pytest
+from rendering import CONTRAST, DIAMETER, disc, exposed, picture
 from scipy.ndimage import gaussian_filter
 from soft_throw_ros.identification.spots import (
     close_by_area,
@@ -49,7 +49,7 @@ def video(count=60, seed=0, **options):
 
 
 def errors_of(spots):
-    """Return what is left of each spot less the truth: rows and columns [px]."""
+    """Return the errors of all spots: rows and columns [px]."""
     left = []
     for place, spot in enumerate(spots):
         truth = np.array([places_of(number)[place] for number in spot.picture])
@@ -70,15 +70,15 @@ def errors_of(spots):
     ids=['usual', 'no noise', 'blurred', 'faint', 'large', 'uneven'],
 )
 def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
-    spots = follow_spots(video(**options))
+    spots = follow_spots(video(**options)).spots
     assert len(spots) == 3
     assert [spot.row.size for spot in spots[:2]] == [60, 60]
     for left in errors_of(spots):
         assert np.sqrt(np.mean(left**2, axis=0)).max() < most
 
 
-def test_spot_that_leaves_the_picture_is_followed_until_then():
-    spots = follow_spots(video())
+def test_spot_is_followed_until_it_leaves_the_picture():
+    spots = follow_spots(video()).spots
     seen = spots[2].row.size
     assert 30 < seen < 45
     # to within a picture or so of where its edge, with its blur, touches that of the picture
@@ -108,8 +108,8 @@ STEP = 80.0 - 18.0 * (1.0 - np.cos(0.11 * np.maximum(np.arange(70) - 10, 0)))
     [(STEP, 0.0), (124.0 - STEP, 0.0), (STEP, 0.3)],
     ids=['step', 'back', 'sloping'],
 )
-def test_spot_behind_a_wire_is_missing_or_right_and_found_again(rows, width, grey, slope):
-    (spot,) = follow_spots(behind(62.0, width, grey, rows, slope))
+def test_spot_behind_a_wire_is_missing_or_correct_and_found_again(rows, width, grey, slope):
+    (spot,) = follow_spots(behind(62.0, width, grey, rows, slope)).spots
     left = np.hypot(spot.row - rows[spot.picture], spot.column - 30.2)
     assert left.max() < 0.3
     assert spot.gaps
@@ -117,14 +117,14 @@ def test_spot_behind_a_wire_is_missing_or_right_and_found_again(rows, width, gre
     assert spot.picture.size > 25
 
 
-def test_spot_that_hides_for_good_is_missing_from_then_on():
+def test_permanently_hidden_spot_is_missing_to_the_end():
     rows = np.maximum(85.0 - 0.02 * np.arange(60) ** 2, 50.0)
-    (spot,) = follow_spots(behind(50.0, 16.0, 30.0, rows))
+    (spot,) = follow_spots(behind(50.0, 16.0, 30.0, rows)).spots
     assert spot.picture[-1] < 40
     assert np.abs(spot.row - rows[spot.picture]).max() < 0.2
 
 
-def test_spots_that_smear_while_a_picture_is_taken_are_followed():
+def test_motion_blurred_spots_are_followed():
     rng = np.random.default_rng(0)
     middle = 80.0 + 40.0 * np.cos(0.15 * np.arange(60))  # up to 6 pixels in a picture
     during = np.linspace(-0.5, 0.5, 8)
@@ -133,22 +133,64 @@ def test_spots_that_smear_while_a_picture_is_taken_are_followed():
         rows = 80.0 + 40.0 * np.cos(0.15 * (number + during))
         seen = sum(disc((160, 50), row, 25.0) for row in rows) / during.size
         pictures.append(exposed(200.0 - CONTRAST * seen, rng))
-    (spot,) = follow_spots(pictures)
+    (spot,) = follow_spots(pictures).spots
     assert spot.picture.size > 55
     assert np.abs(spot.row - middle[spot.picture]).max() < 0.3
 
 
 def test_light_spots_are_followed_like_dark_ones():
-    spots = follow_spots((255 - each for each in video()), light=True)
+    spots = follow_spots((255 - each for each in video()), light=True).spots
     assert [spot.row.size for spot in spots[:2]] == [60, 60]
     for left in errors_of(spots):
         assert np.sqrt(np.mean(left**2, axis=0)).max() < 0.03
 
 
-def test_spots_are_told_from_all_else_that_is_dark():
+@pytest.mark.parametrize('light', [False, True])
+@pytest.mark.parametrize('flicker', [0.1, 0.25])
+def test_flicker_of_lamps_loses_no_sample(flicker, light):
+    rng = np.random.default_rng(2)
+    pictures = []
+    for number in range(40):
+        levels = np.full(SHAPE, 40.0 if light else 190.0)
+        for row, column in places_of(number)[:2]:
+            levels += (CONTRAST if light else -CONTRAST) * disc(SHAPE, row, column)
+        gain = 1.0 + flicker * np.sin(2.0 * np.pi * 100.0 * number / 4000.0)
+        pictures.append(exposed(gain * levels, rng))
+    followed = follow_spots(pictures, light=light)
+    assert [spot.picture.size for spot in followed.spots] == [40, 40]
+    for left in errors_of(followed.spots):
+        assert np.sqrt(np.mean(left**2, axis=0)).max() < 0.04
+
+
+@pytest.mark.parametrize('grey', [20.0, 220.0])
+def test_spot_hidden_in_the_first_picture_is_found(grey):
+    rng = np.random.default_rng(4)
+    rows = np.append(np.full(12, 74.2), np.arange(72.0, 20.0, -1.5))
+    cover = np.abs(np.arange(SHAPE[0]) - 74.0)[:, None] < 6.0
+    pictures = [
+        np.where(cover, np.uint8(grey), picture(SHAPE, [(135.3, 24.8), (row, 25.0)], rng))
+        for row in rows
+    ]
+    followed = follow_spots(pictures)
+    assert followed.pictures == rows.size
+    assert len(followed.spots) == 1
+    number, late = followed.late
+    assert late[:2] == pytest.approx((rows[number], 25.0), abs=0.5)
+    assert follow_spots(picture(SHAPE, [(135.3, 24.8)], rng) for _ in rows).late is None
+
+
+def test_lost_spot_is_distinguished_from_a_spot_outside_the_picture():
+    low, _, high = follow_spots(video()).spots
+    assert (low.has_left, high.has_left) == (False, True)
+    rows = np.maximum(85.0 - 0.02 * np.arange(60) ** 2, 50.0)
+    (hidden,) = follow_spots(behind(50.0, 16.0, 30.0, rows)).spots
+    assert not hidden.has_left
+
+
+def test_spots_are_distinguished_from_other_dark_objects():
     rng = np.random.default_rng(1)
     levels = np.full((200, 160), 200.0)
-    levels[:60] = 30.0  # what is behind
+    levels[:60] = 30.0  # background
     levels[:, :20] = 30.0
     levels[100:104, 60:120] = 40.0  # a line
     levels[150:156, 30:36] -= 20.0  # a shadow, too faint
@@ -206,7 +248,7 @@ def test_spots_of_one_body_are_averaged():
     assert list(tracks_of([spot(9.0)], rate=1.0, scale=1.0)) == ['plate']
 
 
-def test_pictures_that_do_not_show_a_spot_are_missing_in_its_track():
+def test_pictures_without_the_spot_are_missing_in_its_track():
     hidden = np.delete(np.arange(20), [4, 5, 6])
     whole = spot(90.0)
     partly = Spot(
@@ -232,6 +274,6 @@ def test_pictures_that_do_not_show_a_spot_are_missing_in_its_track():
         ([spot(9.0, 0)], {}, 'the edge, on the plate, is seen in 0 '),
     ],
 )
-def test_tracks_of_spots_that_cannot_be_are_refused(spots, options, value):
+def test_impossible_tracks_of_spots_are_refused(spots, options, value):
     with pytest.raises(ValueError, match=re.escape(value)):
         tracks_of(spots, **{'rate': 1.0, 'scale': 1.0, **options})

@@ -20,6 +20,7 @@ import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import (
+    fall_acceleration,
     FEWEST,
     noise_of,
     split_at_breaks,
@@ -59,7 +60,7 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
     ],
     ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres', 'spreadsheet'],
 )
-def test_csv_is_read_whatever_separates_it(lines, unit):
+def test_csv_is_read_with_any_separator(lines, unit):
     tracks = read_csv(lines, 'file', BODIES, unit=unit)
     assert set(tracks) == set(BODIES)
     assert tracks['plate'].time == pytest.approx(TIME, abs=1e-12)
@@ -67,7 +68,7 @@ def test_csv_is_read_whatever_separates_it(lines, unit):
     assert tracks['projectile'].position == pytest.approx(TIME + 0.01, abs=1e-6)
 
 
-def test_csv_leaves_out_what_was_not_seen():
+def test_csv_skips_missing_positions():
     lines = rows()
     lines[3] = '0.0006,,0.5'
     lines[5] = '0.0010,0.5,nan'
@@ -88,6 +89,8 @@ def with_line(number, text):
     [
         (['# nothing'], 'file: is empty'),
         (with_line(5, '0.0006,x,0.01'), "file:5: plate must be a finite number, got 'x'"),
+        (with_line(5, '0.0006,1_0,0.01'), "file:5: plate must be a finite number, got '1_0'"),
+        (with_line(5, '0.0006,\u0661,0'), "file:5: plate must be a finite number, got '\u0661'"),
         (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),
         (with_line(5, 'nan,0,0'), "file:5: time must be a finite number, got 'nan'"),
         (with_line(5, '0.0006,1e9,0'), "file:5: plate must be within +- 1e+06, got '1e9'"),
@@ -104,7 +107,7 @@ def with_line(number, text):
         (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
-def test_csv_that_is_wrong_is_refused_with_its_line(lines, value):
+def test_bad_csv_is_refused_with_its_line(lines, value):
     with pytest.raises(TrackError, match=re.escape(value)):
         read_csv(lines, 'file', BODIES)
 
@@ -119,7 +122,7 @@ def test_csv_that_is_wrong_is_refused_with_its_line(lines, value):
         (TIME[::-1], TIME, 'time must increase'),
     ],
 )
-def test_track_refuses_what_is_none(time, position, message):
+def test_invalid_track_is_refused(time, position, message):
     with pytest.raises(TrackError, match=message):
         Track(time=time, position=position)
 
@@ -129,7 +132,7 @@ PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 
 @pytest.mark.parametrize('rate', [2000.0, 10000.0])
 @pytest.mark.parametrize('lost', [0.0, 0.03, 0.3])
-def test_noise_is_told_from_the_motion_with_slips_and_lost_samples(rate, lost):
+def test_noise_is_distinguished_from_motion_with_outliers_and_lost_samples(rate, lost):
     rng = np.random.default_rng(1)
     time = np.arange(0.0, 1.0, 1.0 / rate)
     position = PLATE.position(time - 0.1) + 2e-5 * rng.normal(size=time.size)
@@ -139,7 +142,7 @@ def test_noise_is_told_from_the_motion_with_slips_and_lost_samples(rate, lost):
 
 
 @pytest.mark.parametrize('noise', [0.0, 5e-6, 2e-5])
-def test_noise_of_rounded_heights_is_that_of_rounding_and_more(noise):
+def test_noise_of_rounded_heights_includes_the_rounding_error(noise):
     time = np.arange(0.0, 0.1, 2e-4)
     left = []
     for seed in range(8):
@@ -147,6 +150,36 @@ def test_noise_of_rounded_heights_is_that_of_rounding_and_more(noise):
         noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
         left.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
     assert np.mean(left) == pytest.approx(np.hypot(noise, 2e-5 / np.sqrt(12.0)), rel=0.05)
+
+
+@pytest.mark.parametrize('lost', [0.0, 0.03, 0.5])
+def test_late_stamps_are_isolated_unlike_neighbours_of_lost_samples(lost):
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 0.1, 2e-4)
+    time = time[rng.random(time.size) >= lost]
+    is_late = rng.random(time.size) < 0.05
+    stamps = np.where(is_late, time + 0.3, time)
+    order = np.argsort(stamps)
+    track = Track(time=stamps[order], position=PLATE.position(time - 0.03)[order])
+    np.testing.assert_array_equal(track.is_lone, is_late[order])
+
+
+def test_gaps_are_where_samples_are_missing():
+    time = np.delete(np.arange(30.0), [0, 7, 20, 21])
+    assert Track(time=time, position=time).gaps == [(6.0, 8.0), (19.0, 22.0)]
+
+
+@pytest.mark.parametrize(('factor', 'gravity'), [(1.0, 9.81), (2.0, 2.4525)])
+def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
+    time = np.arange(0.0, 0.05, 2e-4)
+    plate = PLATE.position(time - 0.01)
+    flight = np.maximum(time - 0.02, 0.0)
+    projectile = np.where(flight > 0.0, 3e-3 + 1.4 * flight - 0.5 * 9.81 * flight**2, plate)
+    heights = np.stack([plate, projectile])
+    heights += 1e-5 * np.random.default_rng(1).normal(size=heights.shape)
+    tracks = [Track(time=factor * time, position=each) for each in heights]
+    assert fall_acceleration(*tracks) == pytest.approx(gravity, rel=0.02)
+    assert fall_acceleration(tracks[0], tracks[0]) is None
 
 
 def test_noise_is_never_zero():
@@ -179,19 +212,19 @@ def test_record_is_cut_into_its_throws(noise):
 
 
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
-def test_throw_that_has_only_begun_when_the_record_ends_is_none(seen, count):
+def test_throw_cut_off_by_the_end_of_the_record_is_ignored(seen, count):
     whole = record(starts=[0.2, 0.7, 1.3])
     assert len(split_into_throws(whole.between(0.0, 1.3 + seen))) == count
 
 
-def test_long_record_is_cut_too():
+def test_long_record_is_cut():
     # Far more samples than swings: at 400 Hz the plate has ten in a period
     starts = [5.0, 300.0, 590.0]
     throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
 
 
-def test_record_is_cut_where_nothing_was_seen_for_long():
+def test_record_is_cut_at_long_gaps():
     first, second = record(starts=[0.2]), record(starts=[0.3])
     for pause in (2.0, 1.7e9):  # the second is a clock that was set
         time = np.append(first.plate.time, second.plate.time + pause)
@@ -213,5 +246,5 @@ def test_record_is_cut_where_nothing_was_seen_for_long():
         record(starts=[0.2], period=0.05, rate=200.0),  # few samples
     ],
 )
-def test_record_of_a_throw_that_settles_stays_whole(whole):
+def test_record_of_one_settling_throw_is_not_cut(whole):
     assert split_into_throws(whole) == [whole]

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Videos read from files, and edges followed along a line of them."""
+"""Videos read from files, and edges followed along a line of their pictures."""
 
 import re
 
-from identification.rendering import band, disc, exposed
 import numpy as np
 import pytest
+from rendering import band, disc, exposed
 from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.identification.video import (
     camera_rate,
@@ -38,7 +38,7 @@ def phantom_file(path, pictures, *, rate):
     count, rows, columns = pictures.shape
     size = pictures[0].nbytes
     setup = bytearray(0x163C + 8)
-    setup[140:144] = b'ST' + (0x163C).to_bytes(2, 'little')  # what follows is as long as this
+    setup[140:144] = b'ST' + (0x163C).to_bytes(2, 'little')  # length of the setup block
 
     def put(place, value):
         setup[place:place + 4] = value.to_bytes(4, 'little')
@@ -94,11 +94,24 @@ def test_file_that_is_no_video_is_refused(tmp_path, name, content, message):
         list(read_pictures(str(path)))
 
 
-def test_picture_that_claims_to_be_huge_is_refused(tmp_path):
+def test_picture_with_a_huge_declared_size_is_refused(tmp_path):
     path = tmp_path / 'huge.gif'
     path.write_bytes(b'GIF89a' + b'\xff' * 4 + b'\0\0\0,' + b'\0' * 4 + b'\xff' * 4 + b'\0\2\0;')
     with pytest.raises(TrackError, match=r'pixels'):
         list(read_pictures(str(path)))
+
+
+def test_stack_is_read_page_by_page(tmp_path, monkeypatch):
+    path = tmp_path / 'stack.tif'
+    imageio.imwrite(path, np.repeat(STACK, 40, axis=0))
+
+    def refuse(*_, **__):
+        raise MemoryError('the whole stack')
+
+    monkeypatch.setattr(imageio, 'imread', refuse)
+    pages = read_pictures(str(path))
+    np.testing.assert_array_equal(next(pages), STACK[0])
+    assert sum(1 for _ in pages) == 199
 
 
 def test_empty_folder_is_refused(tmp_path):
@@ -111,14 +124,14 @@ RATE, SCALE = 4000.0, 1e-4
 PERIOD = 2.0 * 8e-3 / 7.8
 TIME = np.arange(140) / RATE
 BOTTOM = 100.2 - 3.0 * np.sin(2.0 * np.pi * 63.2 * TIME)
-"""Row of the edge of the plate, which still shakes."""
+"""Row of the lower end of the layer, on a plate that still vibrates. [px]"""
 LENGTH = 80.0 + 6.0 * np.exp(-50.0 * TIME) * np.cos(2.0 * np.pi * TIME / PERIOD)
-"""Of the layer. [px]"""
+"""Length of the layer. [px]"""
 
 
 @pytest.fixture(scope='module')
 def layer_video():
-    """Take pictures of a bright layer with a spot on it, on a plate, before something dark."""
+    """Return pictures of a bright layer with a spot, on a plate, before a dark background."""
     rng = np.random.default_rng(5)
     pictures = []
     for bottom, length in zip(BOTTOM, LENGTH, strict=True):
@@ -159,6 +172,6 @@ def test_line_without_two_edges_is_refused():
         ({'column': 39}, 'column 39'),
     ],
 )
-def test_line_that_is_not_there_is_refused(layer_video, options, value):
+def test_line_outside_the_picture_is_refused(layer_video, options, value):
     with pytest.raises(TrackError, match=re.escape(value)):
         line_of(layer_video, **options)

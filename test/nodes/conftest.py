@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Nodes in this process, without launch: `ros` makes them, and they do nothing unless it spins.
+Nodes in this process, without launch: `ros` creates them, and runs their callbacks on request.
 
-Every test has a context of its own, every test process a domain of its own, and nothing leaves
-the machine.
+Every test has its own context, every test process its own domain, and no message leaves the
+machine.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from soft_throw_ros.configuration.interface import resolve, Service, Topic
 from soft_throw_ros.nodes.realtime import SystemClock
@@ -53,20 +53,20 @@ from std_srvs.srv import Trigger
 
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
-    import lark  # noqa: F401  rclpy imports it with the first node, and it what is obsolete
+    import lark  # noqa: F401  rclpy imports lark with the first node, and lark obsolete modules
 
-TIMEOUT = 20.0
-"""Longest wait for anything; reached only when something is wrong. [s]"""
+TIMEOUT = 60.0
+"""Longest wait for anything; a busy machine must not reach it. [s]"""
 
-PROCESS_TIMEOUT = 60.0
-"""Longest wait for another process, compilation included. [s]"""
+PROCESS_TIMEOUT = 110.0
+"""Longest wait for another process, including compilation. [s]"""
 
 OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
 """
-What Fast DDS writes on its own, whatever the log level of ROS.
+Prefix of messages that Fast DDS prints at every log level of ROS.
 
-It does so when two processes make their transports at the same moment: one cannot lock a port of
-shared memory ("open_and_lock_file failed"), and takes the next.
+Fast DDS prints such a message when two processes open their transports at the same moment: one
+process cannot lock a port of shared memory ("open_and_lock_file failed") and takes the next port.
 """
 
 COLOURS = re.compile(r'\x1b\[[0-9;]*m')
@@ -79,12 +79,12 @@ AnyNode = TypeVar('AnyNode', bound=Node)
 
 class Ros:
     """
-    A context, an executor that moves when told to, and the nodes made with them.
+    A context, an executor that runs only on request, and their nodes.
 
     Attributes
     ----------
     domain_id : int
-        Of the context, and of child processes, which find it in their environment.
+        Domain of the context and, by an environment variable, of child processes.
     context : Context
         Private to the test.
 
@@ -115,21 +115,21 @@ class Ros:
         self._executor.add_node(node)
         return node
 
-    def spin_until(self, done: Callable[[], bool], what: str = 'the condition') -> None:
-        """Move until `done()`, or fail after `TIMEOUT`."""
+    def spin_until(self, done: Callable[[], bool], event: str = 'the condition') -> None:
+        """Run the executor until `done()`; after `TIMEOUT` fail, and name the awaited event."""
         deadline = time.monotonic() + TIMEOUT
         while not done():
             if time.monotonic() > deadline:
-                pytest.fail(f'{what} did not come within {TIMEOUT:g} s')
+                pytest.fail(f'timeout after {TIMEOUT:g} s, waiting for {event}')
             self._executor.spin_once(timeout_sec=0.05)
 
     def result(self, future: Future) -> Any:
-        """Move until `future` is done, and return its result."""
-        self.spin_until(future.done, 'the answer')
+        """Run the executor until `future` is done, and return its result."""
+        self.spin_until(future.done, 'the response')
         return future.result()
 
     def call(self, client: Any, request: Any) -> Any:
-        """Call a service through `client` once it is there, and return the response."""
+        """Wait until the service of `client` is ready, call it, and return the response."""
         self.spin_until(client.service_is_ready, client.srv_name)
         return self.result(client.call_async(request))
 
@@ -144,7 +144,7 @@ class Ros:
         node.destroy_node()
 
     def close(self) -> None:
-        """Destroy the nodes, last made first, and the context."""
+        """Destroy the nodes in reverse order of their creation, and the context."""
         for node in reversed(self.nodes):
             self._executor.remove_node(node)
             node.destroy_node()
@@ -154,17 +154,17 @@ class Ros:
 
 def _destroy_unfinished(error: BaseException) -> None:
     """
-    Destroy a node whose making has failed.
+    Destroy a node whose construction has failed.
 
-    Else that happens when it is collected as garbage, at any time, and two participants of one
-    process that are destroyed and discovered at the same time can block each other for ever.
+    Otherwise the garbage collector destroys the node at an arbitrary time. Destroying and
+    discovering two participants of one process at the same time can block both for ever.
     """
     for frame, _ in traceback.walk_tb(error.__traceback__):
         node = frame.f_locals.get('self')
         if isinstance(node, Node):
             try:
                 node.destroy_node()
-            except AttributeError:  # rclpy's own part is not finished either
+            except AttributeError:  # rclpy's constructor has failed, too
                 handle = getattr(node, '_Node__node', None)
                 if handle is not None:
                     handle.destroy_when_not_in_use()
@@ -176,8 +176,8 @@ class Parameters:
 
     def __init__(self, ros: Ros, node: Node) -> None:
         self._ros = ros
-        asking = ros.node(Node, 'asking')
-        self._client = AsyncParameterClient(asking, node.get_fully_qualified_name())
+        client_node = ros.node(Node, 'parameter_client')
+        self._client = AsyncParameterClient(client_node, node.get_fully_qualified_name())
         ros.spin_until(self._client.services_are_ready, 'parameter services')
 
     def get(self, name: str) -> Any:
@@ -191,12 +191,12 @@ class Parameters:
         return descriptor
 
     def set(self, **values: Any) -> list[str]:  # noqa: A003
-        """Set one by one (`a__b` is a.b); return the reasons, empty where accepted."""
+        """Set parameters one by one (`a__b` is a.b); return the reasons, '' for accepted ones."""
         response = self._ros.result(self._client.set_parameters(_parameters(values)))
         return [_reason(result) for result in response.results]
 
     def set_atomically(self, **values: Any) -> str:
-        """Set all at once; return the reason, empty if accepted."""
+        """Set parameters atomically; return the reason, '' if accepted."""
         future = self._client.set_parameters_atomically(_parameters(values))
         return _reason(self._ros.result(future).result)
 
@@ -211,7 +211,7 @@ def _reason(result: Any) -> str:
 
 
 class GivenClock(SystemClock):
-    """A clock that shows what it is told to."""
+    """A clock whose time the test sets."""
 
     def __init__(self, now: int = SECOND, max_catch_up: int = 1000 * SECOND) -> None:
         self.epoch = 0
@@ -219,7 +219,7 @@ class GivenClock(SystemClock):
         self.max_catch_up = max_catch_up
 
     def adjust(self) -> None:
-        """Nothing is done to the time of day."""
+        """Leave the time of day unadjusted."""
 
     def now(self) -> int:
         return self.time
@@ -229,7 +229,7 @@ class GivenClock(SystemClock):
 
 
 class DrivenTwin(Twin):
-    """A twin that goes where the test sends it, and remembers what came out."""
+    """A twin on a clock set by the test, which keeps its outputs and journal lines."""
 
     def __init__(self, **kwargs: Any) -> None:
         self.clock = GivenClock()
@@ -247,7 +247,7 @@ class DrivenTwin(Twin):
         super().on_entry(line)
 
     def go(self, milliseconds: int) -> None:
-        """Let so much time pass, in moments of 10 ms."""
+        """Advance the clock in steps of 10 ms and run the due ticks."""
         end = self.clock.time + milliseconds * MILLISECOND
         while self.clock.time < end:
             self.clock.time = min(end, self.clock.time + 10 * MILLISECOND)
@@ -259,7 +259,7 @@ class DrivenTwin(Twin):
 
 
 class Listener(Node):
-    """Somebody who listens to a twin, and asks it for something."""
+    """A node that subscribes to topics of a twin and calls its services."""
 
     def __init__(self, ros: Ros, name: str, **kwargs: Any) -> None:
         super().__init__('listener', **kwargs)
@@ -268,30 +268,33 @@ class Listener(Node):
         self.heard: dict[str, list[Any]] = {}
 
     def listen(self, *listed: Topic) -> None:
-        """Take topics, and wait until they are connected."""
+        """Subscribe to topics and wait until they are connected."""
         for topic in listed:
             named = topic.at(self._name)
             create_subscription(self, named, self.heard.setdefault(topic.name, []).append)
-            self._ros.spin_until(lambda name=named.name: self.count_publishers(name) > 0, 'it')
-            self._ros.spin_until(self._is_matched(named.name), named.name)
+            self._ros.spin_until(
+                lambda name=named.name: self.count_publishers(name) > 0,
+                f'discovery of {named.name}',
+            )
+            self._ros.spin_until(self._is_matched(named.name), f'connection to {named.name}')
 
     def hear(self, topic: Topic, count: int = 1) -> list[Any]:
-        """Wait for so many messages in all."""
+        """Wait until `count` messages have been received in total, and return all."""
         heard = self.heard[topic.name]
         self._ros.spin_until(lambda: len(heard) >= count, f'{count} messages on {topic.name}')
         return heard
 
     def status(self, topic: Topic, task: str, done: Any = lambda _status: True) -> Any:
-        """Wait for a status of a task that is as wanted, and return the last such."""
-        found: list[Any] = []
+        """Wait for a status of a task that meets a condition, and return the latest."""
+        matching: list[Any] = []
 
-        def is_there() -> bool:
+        def is_published() -> bool:
             statuses = [item for message in self.heard[topic.name] for item in message.status]
-            found[:] = [s for s in statuses if s.name == f'{self._name}: {task}' and done(s)]
-            return bool(found)
+            matching[:] = [s for s in statuses if s.name == f'{self._name}: {task}' and done(s)]
+            return bool(matching)
 
-        self._ros.spin_until(is_there, task)
-        return found[-1]
+        self._ros.spin_until(is_published, task)
+        return matching[-1]
 
     def trigger(self, service: Service) -> Trigger.Response:
         """Call a service of the twin."""
@@ -299,15 +302,14 @@ class Listener(Node):
         return self._ros.call(client, Trigger.Request())
 
     def log(self) -> list[str]:
-        """Listen to the log from now on."""
+        """Listen to the log; latched lines arrive although a publisher is discovered late."""
         lines: list[str] = []
-        qos = QoSProfile(depth=1000)
+        qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(Log, '/rosout', lambda message: lines.append(message.msg), qos)
-        self._ros.spin_until(lambda: self.count_publishers('/rosout') > 1, '/rosout')
         return lines
 
     def _is_matched(self, topic: str) -> Callable[[], bool]:
-        """Return what tells whether every publisher in this process knows of a subscription."""
+        """Return a condition: all publishers in this process have matched the subscription."""
         publishers = [
             publisher
             for node in self._ros.nodes
@@ -319,17 +321,17 @@ class Listener(Node):
 
 @pytest.fixture(scope='session', autouse=True)
 def _kernels() -> None:
-    """Compile all kernels before, so that no node has to, nor has it done beside it."""
+    """Compile all kernels before the tests, so that no node compiles during a test."""
     load_kernels()
 
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
-    """Hold a ROS domain that no other test process holds, and give it to child processes too."""
+    """Lock a ROS domain that no other test process uses; child processes inherit the domain."""
     folder = Path(tempfile.gettempdir()) / f'soft_throw_ros_domains_{os.getuid()}'
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        for domain in range(1, 102):  # beyond, ports may be in use for outgoing connections
+        for domain in range(1, 102):  # ports of higher domains may be used for other connections
             with (folder / str(domain)).open('w') as lock:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -339,12 +341,12 @@ def domain_id() -> Iterator[int]:
                 patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
                 yield domain
                 return
-    raise RuntimeError('all 101 ROS domains are held by other test processes')
+    raise RuntimeError('all 101 ROS domains are in use by other test processes')
 
 
 @pytest.fixture
 def ros(domain_id: int) -> Iterator[Ros]:
-    """Give a test its nodes, and take them away again."""
+    """Yield the nodes of a test and destroy them at its end."""
     ros = Ros(domain_id)
     yield ros
     ros.close()
@@ -352,19 +354,19 @@ def ros(domain_id: int) -> Iterator[Ros]:
 
 @pytest.fixture
 def given_clock() -> type[GivenClock]:
-    """Give the class of clocks that show what they are told to."""
+    """Return the class of clocks whose time the test sets."""
     return GivenClock
 
 
 @pytest.fixture
 def start_twin(ros: Ros) -> Callable[..., DrivenTwin]:
-    """Start twins with ROS arguments."""
+    """Return a function that starts a twin with ROS arguments."""
     return lambda *ros_args: ros.node(DrivenTwin, ros_args=ros_args)
 
 
 @pytest.fixture
 def twin(start_twin: Any) -> DrivenTwin:
-    """Start a twin that throws only when asked."""
+    """Start a twin that throws only on request."""
     twin: DrivenTwin = start_twin('-p', 'throw.period:=0.0')
     return twin
 
@@ -383,26 +385,28 @@ def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
 
 
 class Process:
-    """A process, and what it has written; what Fast DDS wrote is left out."""
+    """A process and its output, without the messages of Fast DDS."""
 
     def __init__(self, command: list[str], **kwargs: Any) -> None:
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **kwargs
         )
         self.lines: list[str] = []
-        self._said = threading.Condition()
+        self._line_written = threading.Condition()
         self._is_over = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def wait_for(self, text: str) -> None:
-        """Wait until it has written a line with `text`."""
+        """Wait until the process has written a line that contains `text`."""
         self.wait_until(lambda lines: any(text in line for line in lines))
 
     def wait_until(self, is_enough: Callable[[list[str]], bool]) -> None:
-        """Wait until the lines that it has written are enough."""
-        with self._said:
-            self._said.wait_for(lambda: self._is_over or is_enough(self.lines), PROCESS_TIMEOUT)
+        """Wait until the lines written by the process meet a condition."""
+        with self._line_written:
+            self._line_written.wait_for(
+                lambda: self._is_over or is_enough(self.lines), PROCESS_TIMEOUT
+            )
         assert is_enough(self.lines), '\n'.join(self.lines)
 
     def end(self, number: int) -> int:
@@ -411,7 +415,7 @@ class Process:
         return self.wait()
 
     def wait(self) -> int:
-        """Wait for its end, and return the exit code."""
+        """Wait for the end of the process, and return the exit code."""
         code = self.process.wait(PROCESS_TIMEOUT)
         self._thread.join(PROCESS_TIMEOUT)
         return code
@@ -429,17 +433,17 @@ class Process:
         for line in self.process.stdout:
             if OF_FAST_DDS.match(COLOURS.sub('', line)):
                 continue
-            with self._said:
+            with self._line_written:
                 self.lines.append(line.rstrip())
-                self._said.notify_all()
-        with self._said:
+                self._line_written.notify_all()
+        with self._line_written:
             self._is_over = True
-            self._said.notify_all()
+            self._line_written.notify_all()
 
 
 @pytest.fixture
 def start(domain_id: int) -> Iterator[Callable[..., Process]]:
-    """Start processes, and end them in any case."""
+    """Start processes, and kill them after the test."""
     started: list[Process] = []
 
     def start(*command: str, **kwargs: Any) -> Process:

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The closed loop: a rig, a twin that follows its plate, and a calibrator, as processes."""
+"""The calibrator, and the closed loop of a rig, a twin and a calibrator as processes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import signal
 import statistics
@@ -28,6 +29,7 @@ from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.twin.results import ThrowResult
@@ -39,7 +41,7 @@ HIDDEN = {
     'layer.thickness': 29.1e-3,
     'layer.wave_speed': 7.3,
 }
-"""What the twin does not know of the rig."""
+"""True parameters of the rig that differ from those of the twin."""
 
 NEW_LAYER = 'layer.thickness is now '
 
@@ -50,19 +52,25 @@ def run(start: Any, name: str, **parameters: Any) -> Any:
     return start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *words)
 
 
-def listen(ros: Any, topic: Topic) -> list[DiagnosticStatus]:
-    heard: list[DiagnosticStatus] = []
+def listen(
+    ros: Any, topic: Topic, convert: Callable[[DiagnosticStatus], Any] = lambda status: status
+) -> list[Any]:
+    received: list[Any] = []
     node = ros.node(Node, f'listener_{len(ros.nodes)}')
     kept = replace(topic, depth=1000)  # until this process spins
-    create_subscription(node, kept, lambda message: heard.extend(message.status))
-    return heard
+    create_subscription(
+        node, kept, lambda message: received.extend(map(convert, message.status))
+    )
+    return received
 
 
 @pytest.mark.once
-def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alone(
+def test_calibration_finds_the_rig_improves_its_throw_and_stops(
     start, ros
 ) -> None:
-    told = listen(ros, CALIBRATOR_TOPICS.throw_result)
+    results: list[ThrowResult] = listen(
+        ros, CALIBRATOR_TOPICS.throw_result, msg_to_throw_result
+    )
     said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
     twin = run(
         start, 'twin',
@@ -80,11 +88,8 @@ def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alon
     (line,) = (line for line in rig.lines if NEW_LAYER in line)
     thickness = float(line.rpartition(NEW_LAYER)[2])
 
-    def results() -> list[ThrowResult]:
-        return list(map(msg_to_throw_result, told))
-
     def with_new_layer() -> list[ThrowResult]:
-        final = [item for item in results() if item.stage == 'final' and item.comparison]
+        final = [item for item in results if item.stage == 'final' and item.comparison]
         return [item for item in final if abs(item.rig.layer.thickness - thickness) < 1e-9]
 
     def identified() -> DiagnosticStatus | None:
@@ -103,7 +108,7 @@ def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alon
     assert sum('; identifying' in line for line in calibrator.lines) == 1
 
     true = rig_of(to_twin({**RIG.defaults(), **HIDDEN}))
-    before = [item for item in results() if item.rig.layer.thickness == 29.1e-3]
+    before = [item for item in results if item.rig.layer.thickness == 29.1e-3]
     leads = [item.lead for item in before if item.stage == 'predicted' and item.lead is not None]
     assert max(leads) > true.crossing_time / 4
     assert any(
@@ -120,3 +125,10 @@ def test_twin_finds_out_what_rig_it_is_has_it_throw_better_and_is_then_left_alon
     best = recommend(true, vary='thickness')
     assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
+
+
+def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
+    ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
+    said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    ros.spin_until(lambda: len(said) > 0, 'the status')
+    assert said[0].name == '/calibrator: identification'

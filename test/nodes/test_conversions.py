@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Messages and what they are made of."""
+"""Conversions between messages and Python values."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshol
         ),
     ],
 )
-def test_throw_result_comes_back_and_warns_beyond_the_linear_range_and_without_a_plate(
+def test_throw_result_is_converted_back_and_has_its_warnings(
     changes, level
 ) -> None:
     result = dataclasses.replace(RESULT, **changes)
@@ -84,14 +84,14 @@ def test_throw_result_comes_back_and_warns_beyond_the_linear_range_and_without_a
     assert message.level == level
 
 
-def test_values_come_back_under_the_full_name_of_the_node() -> None:
+def test_values_are_converted_back_under_the_full_name_of_the_node() -> None:
     values = {'a': 1, 'b': 0.1, 'c': True, 'd': 'text', 'e': -math.inf, 'f': 1e-300}
     message = status_to_msg('/rig1/twin', 'timing', '', values)
     assert msg_to_values(message) == values
     assert (message.name, message.hardware_id) == ('/rig1/twin: timing', '/rig1/twin')
 
 
-def test_quality_of_service_comes_back_also_as_others_write_it() -> None:
+def test_quality_of_service_is_read_as_any_recorder_writes_it() -> None:
     for topic in TWIN_TOPICS:
         profile = qos_profile(topic)
         text = dump_yaml([profile_to_dict(profile)])
@@ -108,11 +108,11 @@ def test_quality_of_service_comes_back_also_as_others_write_it() -> None:
     [('', 0), ('[]', 0), ('[{depth: 3}]', 1), ('[{}, {depth: 1}]', 2), ('{', 0), ('depth', 0),
      ('[3]', 0), ('[{depth: many}]', 0), ('[{deadline: {sec: 1}}]', 0), ('[' * 1000, 0)],
 )
-def test_text_that_tells_of_no_quality_of_service_gives_none(text, count) -> None:
+def test_text_without_quality_of_service_gives_none(text, count) -> None:
     assert len(text_to_profiles(text)) == count
 
 
-def test_quality_of_service_that_is_not_known_in_full_can_be_offered() -> None:
+def test_incomplete_quality_of_service_can_be_offered() -> None:
     text = (
         '[{history: unknown, depth: 3, durability: transient_local, reliability: telepathic, '
         'liveliness: manual_by_node, deadline: {sec: 99999999999, nsec: 0}}]'

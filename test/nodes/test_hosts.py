@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A twin, a recorder and a subscriber on three hosts, and what a bad cable does to them."""
+"""A twin, a recorder and a subscriber on three hosts with an unreliable network."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def hosts():
         host.close()
 
 
-def test_states_of_another_host_are_all_there_or_counted(hosts, start, tmp_path):
+def test_states_of_another_host_arrive_or_are_counted(hosts, start, tmp_path):
     # Memory is shared between namespaces, and would go round the cable.
     profile = (Path(soft_throw_ros.__path__[0]) / 'config' / 'fastdds.xml').read_text('utf-8')
     shared = '<transport_id>soft_throw_shared_memory</transport_id>\n          '
@@ -70,7 +70,7 @@ def test_states_of_another_host_are_all_there_or_counted(hosts, start, tmp_path)
         outcome = system.end()
     (states,) = outcome.bags
     assert missing(states) == outcome.missing
-    # What the twin keeps is sent once more after the cut; what is older is lost, and counted.
+    # After the cut, the twin sends its history again; older messages count as lost.
     assert 1000 < states.lost < 12_000
     # Hosts that are gone do not hold up the twin.
     assert outcome.ticks_skipped < 1000

@@ -17,22 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import math
-from pathlib import Path
-import runpy
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rigs import aged, measured_throw
 from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to_msg
-from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.sample_buffer import Sample
 
-rigs: Any = runpy.run_path(str(Path(__file__).parents[1] / 'twin' / 'rigs.py'))
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
 SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
@@ -40,7 +38,7 @@ BATCH = 10  # [ms]
 
 
 class Sensors(Node):
-    """What measures a rig; a twin in this process gets what it sends before it goes on."""
+    """Sensors of a rig, which wait until a twin in this process has received their samples."""
 
     def __init__(self, ros: Any, twin: Any = None, **kwargs: Any) -> None:
         super().__init__('sensors', **kwargs)
@@ -64,10 +62,10 @@ class Sensors(Node):
             counts = self._twin.session.sample_counts
             return counts.taken + sum(counts.refused.values()) >= self._sent
 
-        self._ros.spin_until(is_taken, 'what was sent')
+        self._ros.spin_until(is_taken, 'receipt of all samples')
 
     def throw(self, samples: Iterable[Sample], *, behind_ns: int = 0) -> None:
-        """Send what is measured as the twin goes on, stamped by a clock that is behind."""
+        """Send samples as the twin advances, stamped by a clock that is behind."""
         waiting = list(samples)
         while waiting:
             until = self._twin.clock.time + BATCH * MILLISECOND
@@ -91,7 +89,7 @@ def sensors(ros: Any, twin: Any) -> Sensors:
 
 def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
     listener.listen(TWIN_TOPICS.predicted_joint_states, TWIN_TOPICS.residual)
-    sensors.throw(rigs['measured_throw'](Rig(), begin_ns=twin.clock.time, noise=5e-6))
+    sensors.throw(measured_throw(Rig(), begin_ns=twin.clock.time, noise=5e-6))
     predicted = next(result for result in twin.results if result.stage == 'predicted')
     assert predicted.first.ejection_speed == pytest.approx(
         simulate(Rig()).ejection_speed, rel=0.01
@@ -114,10 +112,10 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
         assert list(message.velocity) == list(message.effort) == []
 
 
-def test_clock_that_is_behind_is_corrected_and_told(twin, sensors, listener) -> None:
+def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener) -> None:
     listener.listen(TWIN_TOPICS.diagnostics)
     begin_ns = twin.clock.time
-    samples = rigs['measured_throw'](Rig(), begin_ns=begin_ns, onset=0.35, duration=0.4)
+    samples = measured_throw(Rig(), begin_ns=begin_ns, onset=0.35, duration=0.4)
     sensors.throw(samples, behind_ns=300 * MILLISECOND)
     release = next(result for result in twin.results if result.stage == 'release')
     exact = simulate(Rig())
@@ -129,6 +127,22 @@ def test_clock_that_is_behind_is_corrected_and_told(twin, sensors, listener) -> 
     )
     assert status.level == DiagnosticStatus.WARN
     assert msg_to_values(status)['clock_offset'] == pytest.approx(0.29, abs=0.02)
+
+
+def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, sensors) -> None:
+    step_ns = 25 * MILLISECOND  # `/clock` at 40 Hz
+    samples = measured_throw(Rig(), begin_ns=twin.clock.time, onset=0.35, duration=0.4)
+    while samples:
+        until = twin.clock.time + step_ns
+        for sample in [item for item in samples if item.stamp_ns <= until]:
+            sensors.send(sample)
+        samples = [item for item in samples if item.stamp_ns > until]
+        sensors.wait()
+        twin.clock.time = until
+        twin.ticker.run_due()
+    assert twin.measurement.clock.offset_ns == 0
+    release = next(result for result in twin.results if result.stage == 'release')
+    assert release.lead > 0.0
 
 
 def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> None:
@@ -158,10 +172,33 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> No
     assert values['samples_out_of_order'] == 1
 
 
+def test_message_that_is_too_large_is_refused_before_it_is_decoded(twin, sensors) -> None:
+    now = twin.clock.time
+    sensors.send(Sample(now, 0.0, math.nan, 0.0), ('plate', *map(str, range(2000))))
+    sensors.send(Sample(now, 0.0, math.nan, 0.0))
+    sensors.wait()
+    assert twin.session.sample_counts.taken == 1
+    assert twin.session.sample_counts.refused == {'too large': 1}
+
+
+def test_tick_takes_no_more_than_its_budget(ros, twin, sensors) -> None:
+    names = ('plate', *map(str, range(2000)))  # larger than the budget of a tick
+    for _ in range(5):
+        sensors.send(Sample(twin.clock.time, 0.0, math.nan, 0.0), names)
+    refused = twin.session.sample_counts.refused
+
+    def is_taken() -> bool:
+        before = refused['too large']
+        twin.measurement.take()
+        assert refused['too large'] <= before + 1
+        return refused['too large'] == 5
+
+    ros.spin_until(is_taken, 'the messages')
+
+
 def test_aged_layer_warns_in_diagnostics(twin, sensors, listener) -> None:
     listener.listen(TWIN_TOPICS.diagnostics)
-    aged = rigs['aged'](Rig(), 0.93)
-    sensors.throw(rigs['measured_throw'](aged, begin_ns=twin.clock.time))
+    sensors.throw(measured_throw(aged(Rig(), 0.93), begin_ns=twin.clock.time))
     twin.session.reset()
     twin.go(2)
     final = next(result for result in twin.results if result.stage == 'final')
@@ -170,11 +207,17 @@ def test_aged_layer_warns_in_diagnostics(twin, sensors, listener) -> None:
     assert msg_to_values(status)['position_rms'] == final.comparison.position_rms
 
 
-def test_without_measurement_nothing_is_told_of_it(ros, start_twin, listen_to) -> None:
+def test_without_measurement_nothing_is_reported_about_it(ros, start_twin, listen_to) -> None:
     twin = start_twin()
     listener = listen_to(twin)
     listener.listen(TWIN_TOPICS.diagnostics)
     ros.node(Sensors, ros).send(Sample(twin.clock.time, 0.0, math.nan, 0.0))
+
+    def is_dropped() -> bool:
+        twin.go(10)
+        return twin.measurement.count()['messages'] == 1
+
+    ros.spin_until(is_dropped, 'the sample')
     listener.status(TWIN_TOPICS.diagnostics, 'layer')
     statuses = listener.heard[TWIN_TOPICS.diagnostics.name][0].status
     assert not {'/twin: measurement', '/twin: model'} & {status.name for status in statuses}

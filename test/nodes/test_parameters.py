@@ -16,6 +16,7 @@
 from functools import partial
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 import pytest
@@ -23,13 +24,13 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import files, ParameterError, RECORDER, Table, TWIN
-from soft_throw_ros.nodes.parameters import NodeParameters, shown
+from soft_throw_ros.nodes.parameters import MAX_REQUEST, NodeParameters, shown
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
 
 
 class Watched(RunnableNode):
-    """A node that has parameters and nothing else."""
+    """A node with parameters only."""
 
     def __init__(
         self, *, check: Any = lambda settings: None, table: Table = TWIN, **kwargs: Any
@@ -50,7 +51,7 @@ def twin(ros: Any) -> Watched:
 
 @pytest.fixture
 def client(ros: Any, twin: Watched) -> Any:
-    """Give what sets and reads the parameters of the twin."""
+    """Return a client that sets and reads the parameters of the twin."""
     return ros.parameters(twin)
 
 
@@ -64,7 +65,7 @@ def unchanged(twin: Watched) -> bool:
     return not twin.changes and dict(twin.parameters.settings) == TWIN.defaults()
 
 
-# what there is
+# declared parameters
 
 
 def test_start_declares_the_whole_table(twin, client) -> None:
@@ -76,7 +77,7 @@ def test_start_declares_the_whole_table(twin, client) -> None:
         assert value == entry.default or (entry.is_result and math.isnan(value))
 
 
-def test_descriptor_tells_tools_type_range_and_unit(client) -> None:
+def test_descriptor_has_type_range_and_unit(client) -> None:
     thickness = client.describe('layer.thickness')
     assert thickness.type == ParameterType.PARAMETER_DOUBLE
     assert '[m]' in thickness.description
@@ -90,7 +91,7 @@ def test_descriptor_tells_tools_type_range_and_unit(client) -> None:
     assert 'gelatin_2.0mm' in client.describe('layer.name').additional_constraints
 
 
-# what is set
+# changes of parameters
 
 
 def test_set_is_accepted_and_handed_on(twin, client) -> None:
@@ -103,7 +104,7 @@ def test_set_is_accepted_and_handed_on(twin, client) -> None:
     assert before == TWIN.defaults()
 
 
-def test_number_is_taken_in_whatever_form_it_comes(twin, client) -> None:
+def test_number_is_accepted_as_every_parameter_type(twin, client) -> None:
     for name, given, value in (
         ('gravity', 0, 0.0),
         ('measured.position_noise', '6e-06', 6e-6),  # as a tool that reads YAML 1.1 gives it
@@ -114,6 +115,16 @@ def test_number_is_taken_in_whatever_form_it_comes(twin, client) -> None:
         assert twin.changes.pop() == {name: value}
         got = client.get(name)
         assert (tuple(got) if isinstance(value, tuple) else got) == value
+
+
+def test_former_names_set_the_present_parameters_with_a_warning(twin, client, capfd) -> None:
+    assert client.set(**{'layer.elasticity': 'neo_hookean'}) == ['']
+    assert client.get('layer.stress_strain_law') == 'neo_hookean'
+    assert client.set(model='finite_difference') == ['']
+    assert twin.parameters.settings['model'] == client.get('model') == 'cells'
+    words = capfd.readouterr().err
+    assert 'layer.elasticity is deprecated' in words
+    assert "model 'finite_difference' is deprecated" in words
 
 
 def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
@@ -144,13 +155,13 @@ def test_bad_request_changes_nothing(twin, client) -> None:
     assert unchanged(twin)
 
 
-def test_set_accepts_what_is_not_ours(twin, client) -> None:
+def test_set_accepts_parameters_of_others(twin, client) -> None:
     assert client.set_atomically(use_sim_time=True, gravity=0.0) == ''
     assert twin.get_clock().ros_time_is_active
     assert twin.changes == [{'gravity': 0.0}]
 
 
-def test_results_are_set_from_inside_only(twin, client) -> None:
+def test_results_are_read_only(twin, client) -> None:
     twin.parameters.set_results({'thickness': 0.04, 'mass_ratio': 1})
     assert client.set(recommended__thickness=0.01, recommended__layer='soft') == ['', '']
     assert client.get('recommended.thickness') == 0.04
@@ -159,6 +170,42 @@ def test_results_are_set_from_inside_only(twin, client) -> None:
     assert math.isnan(client.get('recommended.wave_speed'))
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))
+    assert unchanged(twin)
+
+
+def test_set_of_a_result_is_logged_with_its_name_and_value(twin, client, capfd) -> None:
+    assert client.set(recommended__thickness=0.01) == ['']
+    assert 'recommended.thickness keeps its value, since it is a result; got 0.01' in (
+        capfd.readouterr().err
+    )
+    twin.parameters.set_results({'thickness': 0.04})
+    assert 'keeps its value' not in capfd.readouterr().err
+
+
+def test_too_long_request_is_refused_by_its_length(twin, client) -> None:
+    many = {f'a{number}': 1.0 for number in range(MAX_REQUEST + 1)}
+    assert f'got {MAX_REQUEST + 1}' in client.set_atomically(**many)
+    reasons = client.set(**many)
+    assert len(reasons) == MAX_REQUEST + 1
+    assert all(f'at most {MAX_REQUEST} parameters' in reason for reason in reasons)
+    assert client.set(gravity=1.0) == ['']
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('layer__stack', '8e-3 gelatin,' * 80_000),
+        ('layer__name', 'x' * 1_000_000),
+        ('recommendation__masses', [0.001] * 1_000_000),
+        ('x' * 100_000, 1.0),
+        ('gravity', [0.001] * 1_000_000),
+    ],
+    ids=['stack', 'text', 'numbers', 'name', 'numbers for one'],
+)
+def test_refusal_of_a_huge_value_is_short(twin, client, name, value) -> None:
+    reason = client.set_atomically(**{name: value})
+    assert 0 < len(reason) < 300
+    assert re.search(r'got 1000000$|got 1040000$|\(100000 characters\)$', reason)
     assert unchanged(twin)
 
 
@@ -201,7 +248,7 @@ def test_texts_lists_and_switches_are_parameters_too(ros) -> None:
 # arguments and files
 
 
-def test_start_takes_arguments_over_a_file(start) -> None:
+def test_start_prefers_arguments_to_a_file(start) -> None:
     path = str(files.default_file())
     twin = start(
         '--params-file', path, '-p', 'gravity:=0', '-p', 'layer.thickness:=0.01',
@@ -279,5 +326,5 @@ def test_files_types_a_value_as_ros_does(ros, tmp_path: Path) -> None:
     ('value', 'text'),
     [(7.3 * 0.93, '6.789'), (200.0, '200.0'), (5e-06, '5e-06'), (20, '20'), ('peak', 'peak')],
 )
-def test_people_are_shown_no_digits_that_say_nothing(value, text) -> None:
+def test_values_are_shown_without_meaningless_digits(value, text) -> None:
     assert shown(value) == text

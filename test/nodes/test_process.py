@@ -15,13 +15,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
 from typing import Any
 
+import pytest
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes.help_texts import HELP
 from soft_throw_ros.nodes.twin import main
+
+pytestmark = pytest.mark.timeout(300)
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -35,9 +41,8 @@ def assert_ends_well(process: Any, number: int) -> None:
 def test_nodes_end_well_by_a_signal(start) -> None:
     fast = ('--ros-args', '-p', 'throw.period:=0.05')
     expected = (
-        ('twin', INT, 'throw 3: left'),  # while it throws
-        ('twin', HUP, 'ready'),
-        ('rig', INT, 'ready'),
+        ('twin', INT, 'throw 1: released'),  # while it throws
+        ('rig', HUP, 'ready'),
         ('calibrator', TERM, 'ready'),
     )
     started = [
@@ -55,7 +60,7 @@ def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> 
 
 
 def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
-    # whatever is imported first tells that importing has begun, and takes long
+    # The first import prints a line and then takes a minute
     telling = (
         'import builtins, sys, time, types; import soft_throw_ros.__main__ as umbrella\n'
         'class Slow:\n'
@@ -71,9 +76,114 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
         assert twin.lines == ['importing']
 
 
+HANGING = """
+import ctypes, sys, threading
+from soft_throw_ros.nodes import process
+
+process.REACTION_TIME = 0.2
+
+def hang(library):  # as the middleware may: a lock that is locked twice
+    mutex = ctypes.create_string_buffer(64)
+    library.pthread_mutex_lock(mutex)
+    library.pthread_mutex_lock(mutex)
+
+class Hanging(process.RunnableNode):
+    def __init__(self, **_):
+        super().__init__('hanging')
+
+    def start(self):
+        print('started', flush=True)
+        if sys.argv[1] == 'callback':
+            hang(ctypes.CDLL(None))
+
+    def destroy_node(self):
+        if sys.argv[1] == 'destroy':
+            hang(ctypes.PyDLL(None))  # which keeps the lock of Python
+        super().destroy_node()
+        late = threading.Thread(target=lambda: self.create_publisher(None, '', 0))
+        late.start()
+        late.join()
+
+sys.exit(process.run('hanging', Hanging, []))
+"""
+
+
+@pytest.mark.parametrize(('place', 'code'), [('callback', 1), ('destroy', 0), ('', 0)])
+def test_node_ends_although_the_middleware_hangs(start, place, code) -> None:
+    node = start(sys.executable, '-c', HANGING, place)
+    node.wait_for('started')
+    assert node.end(TERM) == code
+    assert sum('no reaction to a signal' in line for line in node.lines) == code
+    assert not any('Traceback' in line for line in node.lines), node.lines
+
+
+ENDING = """
+import sys
+from soft_throw_ros.nodes import process
+from std_msgs.msg import String
+
+class Ending(process.RunnableNode):
+    def __init__(self, **_):
+        super().__init__('ending')
+        self.publisher = self.create_publisher(String, '/talk', 1)
+        for name in ('first', 'second'):
+            self.at_end(self.note, name)
+
+    def note(self, name):
+        self.publisher.publish(String())  # an error without the publisher
+        print(name, flush=True)
+
+    def start(self):
+        print('started', flush=True)
+
+    def close(self):
+        self.note('close')
+
+sys.exit(process.run('ending', Ending, []))
+"""
+
+
+def test_node_ends_in_the_documented_order(start) -> None:
+    node = start(sys.executable, '-c', ENDING)
+    node.wait_for('started')
+    assert node.end(TERM) == 0
+    assert node.lines[-3:] == ['close', 'second', 'first']
+
+
+DYING = """
+import sys, threading
+from soft_throw_ros.nodes import process
+
+class Dying(process.RunnableNode):
+    def __init__(self, **_):
+        super().__init__('dying')
+
+    def start(self):
+        thread = threading.Thread(target=lambda: 1 / 0, name='heart')
+        thread.start()
+        thread.join()
+
+    def close(self):
+        print('closed')
+
+sys.exit(process.run('dying', Dying, []))
+"""
+
+
+def test_node_whose_thread_dies_reports_it_and_ends_in_order(start) -> None:
+    node = start(sys.executable, '-c', DYING)
+    assert node.wait() == 1
+    (line,) = (line for line in node.lines if 'the node ends' in line)
+    assert "'heart'" in line
+    assert 'ZeroDivisionError' in line
+    assert 'closed' in node.lines
+    assert sum('discovery range LOCALHOST' in line for line in node.lines) == 1
+
+
 SUBSCRIBER = """
 import rclpy
 from rclpy.node import Node
+import pytest
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.topics import create_subscription
 
@@ -85,16 +195,16 @@ rclpy.spin(node)
 """
 
 
-def test_twin_outlives_subscribers_that_are_stopped_or_killed(start, listen_to) -> None:
+def test_twin_outlives_a_subscriber_that_is_stopped_and_killed(start, listen_to) -> None:
     twin = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'throw.period:=0.1')
-    numbers = (signal.SIGSTOP, signal.SIGKILL)
-    subscribers = [start(sys.executable, '-c', SUBSCRIBER) for _ in numbers]
-    for subscriber, number in zip(subscribers, numbers, strict=True):
-        subscriber.wait_for('heard')
-        subscriber.process.send_signal(number)
+    subscriber = start(sys.executable, '-c', SUBSCRIBER)
     listener = listen_to()
     listener.listen(TWIN_TOPICS.diagnostics)
-    listener.hear(TWIN_TOPICS.diagnostics, 3)  # it goes on for seconds
+    subscriber.wait_for('heard')
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        subscriber.process.send_signal(number)
+        reports = len(listener.heard[TWIN_TOPICS.diagnostics.name])
+        listener.hear(TWIN_TOPICS.diagnostics, reports + 2)  # the twin continues for seconds
     assert_ends_well(twin, TERM)
 
 
@@ -103,6 +213,26 @@ BAD_FILE = """/**:
     layer:
       thickness: 16.8
 """
+FORKING = """
+import json, os, sys
+from soft_throw_ros import __main__ as umbrella
+from soft_throw_ros.nodes import calibrator, recorder, rig, twin  # imported once for all
+
+for line in sys.stdin:
+    pipe, printed = os.pipe()
+    if os.fork() == 0:
+        for stream in (1, 2):
+            os.dup2(printed, stream)
+        code = umbrella.main(json.loads(line))
+        sys.stderr.flush()
+        os._exit(code)  # without the cleanup of libraries that do not expect a fork
+    os.close(printed)
+    with os.fdopen(pipe, encoding='utf-8') as output:
+        text = output.read()
+    _, status = os.wait()
+    print(json.dumps([os.waitstatus_to_exitcode(status), text]), flush=True)
+"""
+
 REFUSED = (
     ('twin', '-p layer.thickness:=-1.0', ['-p layer.thickness:=-1.0', 'got -1.0']),
     ('twin', '-p engine.frequency:=1000.0 -p layer.wave_speed:=1.0 -p layer.thickness:=0.1',
@@ -123,18 +253,31 @@ REFUSED = (
 def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:
     file = tmp_path / 'bad.yaml'
     file.write_text(BAD_FILE)
-    for refused in (REFUSED[:4], REFUSED[4:8], REFUSED[8:]):  # four at a time
-        nodes = [
-            start(*SOFT_THROW, name, '--ros-args', *arguments.format(file=file).split())
-            for name, arguments, _ in refused
-        ]
-        for node, (name, _, words) in zip(nodes, refused, strict=True):
-            assert node.wait() == 2, node.lines
-            (line,) = node.lines
-            assert line.startswith(f'{name}: ')
-            assert all(word in line for word in words), line
+    commands = [
+        [name, '--ros-args', *arguments.format(file=file).split()]
+        for name, arguments, _ in REFUSED
+    ]
+    done = subprocess.run(
+        [sys.executable, '-c', FORKING],
+        input=''.join(f'{json.dumps(command)}\n' for command in commands),
+        stdout=subprocess.PIPE,
+        check=True,
+        text=True,
+    )
+    node = start(*SOFT_THROW, *commands[0])  # one without a fork
+    assert node.wait() == 2
+    results = [json.loads(line) for line in done.stdout.splitlines()]
+    assert results[0] == [2, ''.join(f'{line}\n' for line in node.lines)]
+    for (code, printed), (name, _, words) in zip(results, REFUSED, strict=True):
+        assert code == 2, printed
+        (line,) = printed.splitlines()
+        assert line.startswith(f'{name}: ')
+        assert all(word in line for word in words), line
 
 
-def test_help_says_how(capsys) -> None:
+def test_help_has_usage_description_parameters_and_an_example(capsys) -> None:
     assert main(['--help']) == 0
-    assert capsys.readouterr().out.startswith('usage: twin [--ros-args')
+    printed = capsys.readouterr().out
+    assert printed.startswith('usage: twin [--ros-args')
+    for text in (HELP['twin'].description, 'throw.period', '(default 1 s)', HELP['twin'].example):
+        assert text in printed

@@ -11,13 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Raw messages from real publishers, and the count of those that did not come."""
+"""Raw messages from real publishers, and the counts of lost messages."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -26,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes import raw_subscriptions
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg
 from soft_throw_ros.nodes.raw_subscriptions import (
     fitting_profile,
@@ -52,7 +52,7 @@ def listener(ros: Any) -> Node:
 
 @pytest.fixture
 def subscribe(listener: Node) -> Iterator[Callable[..., RawSubscriptions]]:
-    """Give a function that subscribes to topics, until the test is over."""
+    """Yield a function that subscribes to topics until the end of the test."""
     made: list[RawSubscriptions] = []
 
     def subscribe(*wanted: str, node: Node = listener) -> RawSubscriptions:
@@ -65,7 +65,7 @@ def subscribe(listener: Node) -> Iterator[Callable[..., RawSubscriptions]]:
 
 
 def take(ros: Any, subscriptions: RawSubscriptions, count: int) -> list[Message]:
-    """Find topics and drain them until so many messages have come."""
+    """Discover topics and drain them until `count` messages have arrived."""
     taken: list[Message] = []
 
     def is_enough() -> bool:
@@ -100,7 +100,7 @@ def test_messages_are_the_bytes_that_were_published(ros, talker, listener, subsc
     assert channel.is_latched
 
 
-def test_history_of_our_own_topics_is_known(ros, talker, subscribe) -> None:
+def test_history_depth_of_our_topics_is_known(ros, talker, subscribe) -> None:
     journal = TWIN_TOPICS.journal
     talker.create_publisher(String, '/rig1/twin/journal', qos_profile(journal)).publish(String())
     (message,) = take(ros, subscribe('/rig1'), 1)
@@ -108,46 +108,54 @@ def test_history_of_our_own_topics_is_known(ros, talker, subscribe) -> None:
     assert (profile.history, profile.depth) == (HistoryPolicy.KEEP_LAST, journal.depth)
 
 
-@pytest.mark.parametrize('joins_late', [True, False])
-def test_loss_and_joining_late_are_counted_by_the_numbers_of_the_publisher(
-    ros, talker, listener, joins_late
-) -> None:
-    began = time.time_ns()
-    publisher = talker.create_publisher(String, '/talk', 100)
+CHANNEL = Channel(topic='/twin/phase', type='std_msgs/msg/String', schema='string data')
+
+
+def wait_for_both(ros: Any, publisher: Any, node: Node) -> None:
+    """Wait until a publisher and the only subscription of its topic have found each other."""
+    ros.spin_until(
+        lambda: publisher.get_subscription_count() == 1
+        and node.count_publishers(publisher.topic_name) == 1,
+        'publisher and subscription',
+    )
+
+
+def drain(ros: Any, subscription: RawSubscription, count: int) -> list[Message]:
+    """Drain a subscription until `count` messages have arrived."""
+    taken: list[Message] = []
+    ros.spin_until(
+        lambda: taken.extend(subscription.drain()) or len(taken) >= count, f'{count} messages'
+    )
+    return taken
+
+
+def test_gaps_are_lost_and_messages_before_the_first_one_are_not(ros, talker, listener) -> None:
+    publisher = talker.create_publisher(String, CHANNEL.topic, 100)
     for _ in range(7):
         publisher.publish(String(data='too early'))
-    channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
-    subscription = RawSubscription(
-        listener, channel, QoSProfile(depth=5), began_ns=None if joins_late else began
-    )
-    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
+    subscription = RawSubscription(listener, CHANNEL, QoSProfile(depth=3))
+    wait_for_both(ros, publisher, listener)
     taken: list[Message] = []
-    while not taken:
+    while not taken:  # the publisher may be matched before the subscription is
         publisher.publish(String(data='first'))
         taken += subscription.drain()
-    for number in range(100):  # and nobody takes them
+    for number in range(100):  # the subscription keeps the last three
         publisher.publish(String(data=str(number)))
-    last = taken[-1].sequence + 100
-
-    def is_over() -> bool:
-        publisher.publish(String(data='last'))
-        taken.extend(subscription.drain())
-        return taken[-1].sequence > last
-
-    ros.spin_until(is_over, 'the last one')
+    while taken[-1].sequence < taken[0].sequence + 100:
+        taken += drain(ros, subscription, 1)
+    subscription.poll_losses()
     assert subscription.received == len(taken)
-    before = taken[0].sequence - 1
-    assert before >= 7
-    assert subscription.earlier == before * joins_late
-    since = taken[-1].sequence - before * joins_late
-    assert subscription.lost == since - len(taken) > 0
+    assert subscription.missed_before_join == taken[0].sequence - 1 >= 7
+    missing = taken[-1].sequence - taken[0].sequence + 1 - len(taken)
+    assert subscription.lost == missing > 0
     subscription.close()
 
 
-def test_publisher_that_begins_anew_has_lost_nothing(ros, talker, listener, subscribe) -> None:
-    subscriptions = subscribe('/talk')
+@pytest.mark.parametrize('topic', [CHANNEL.topic, '/talk'])
+def test_restarted_publisher_has_lost_nothing(ros, talker, subscribe, topic) -> None:
+    subscriptions = subscribe(topic)
     for _ in range(2):
-        publisher = talker.create_publisher(String, '/talk', LATCHED)
+        publisher = talker.create_publisher(String, topic, LATCHED)
         for number in range(3):
             publisher.publish(String(data=str(number)))
         assert len(take(ros, subscriptions, 3)) == 3
@@ -156,83 +164,34 @@ def test_publisher_that_begins_anew_has_lost_nothing(ros, talker, listener, subs
     assert subscription.lost == 0
 
 
-def test_numbers_of_several_publishers_are_not_taken_for_losses(
-    ros, talker, listener, subscribe
+@pytest.mark.parametrize('topic', [CHANNEL.topic, '/talk'])
+def test_sequence_numbers_of_simultaneous_publishers_are_not_losses(
+    ros, talker, listener, subscribe, topic
 ) -> None:
-    first = talker.create_publisher(String, '/talk', LATCHED)
+    first = talker.create_publisher(String, topic, LATCHED)
     for _ in range(8):
         first.publish(String())
-    second = talker.create_publisher(String, '/talk', LATCHED)
-    subscriptions = subscribe('/talk')
-    ros.spin_until(lambda: len(listener.get_publishers_info_by_topic('/talk')) == 2, 'both')
+    second = talker.create_publisher(String, topic, LATCHED)
+    ros.spin_until(lambda: listener.count_publishers(topic) == 2, 'both')
+    subscriptions = subscribe(topic)
     take(ros, subscriptions, 8)
     for _ in range(3):
         second.publish(String())
+        take(ros, subscriptions, 1)
         first.publish(String())
-    take(ros, subscriptions, 6)
+        take(ros, subscriptions, 1)
+    subscriptions.discover()
     (subscription,) = subscriptions
     assert subscription.lost == 0
 
 
-@pytest.mark.parametrize(
-    ('topic', 'first', 'pause', 'lost'),
-    [
-        ('/twin/phase', 9, 0.0, 7),
-        ('/twin/phase', 3, 1.2, 7),  # the other one begins above its last number
-        ('/talk', 9, 0.0, 0),  # where many may publish at a time
-    ],
-)
-def test_publisher_that_comes_after_another_one_is_counted_by_itself(
-    ros, talker, listener, topic, first, pause, lost
-) -> None:
-    # both are there all the time, as one that was killed is for a while
-    publishers = [talker.create_publisher(String, topic, 100) for _ in range(2)]
-    began = time.time_ns()
-    for _ in range(7):
-        publishers[1].publish(String())
-    channel = Channel(topic=topic, type='std_msgs/msg/String', schema='string data')
-    subscription = RawSubscription(listener, channel, QoSProfile(depth=100), began_ns=began)
-    ros.spin_until(lambda: all(p.get_subscription_count() > 0 for p in publishers), 'it')
-    taken: list[Message] = []
-    for publisher, number in zip(publishers, (first, 9), strict=True):
-        for _ in range(number):
-            publisher.publish(String())
-        count = len(taken) + number
-        ros.spin_until(
-            lambda count=count: taken.extend(subscription.drain()) or len(taken) == count
-        )
-        time.sleep(pause)
-    subscription.look_for_losses()
-    is_told = None not in subscription._runs  # by publisher, from Kilted on
-    assert subscription.lost == (7 if is_told else lost)
-    assert subscription.earlier == 0
-    subscription.close()
-
-
-def test_loss_before_and_after_a_pause_is_that_of_one_publisher(ros, talker, listener) -> None:
-    publisher = talker.create_publisher(String, '/twin/phase', 100)
-    channel = Channel(topic='/twin/phase', type='std_msgs/msg/String', schema='string data')
-    began = time.time_ns()
-    subscription = RawSubscription(listener, channel, QoSProfile(depth=3), began_ns=began)
-    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
-    taken: list[Message] = []
-    for pause in (1.2, 0.0):
-        for _ in range(10):  # of which the last three are kept
-            publisher.publish(String())
-        count = len(taken) + 3
-        ros.spin_until(
-            lambda count=count: taken.extend(subscription.drain()) or len(taken) == count
-        )
-        time.sleep(pause)
-    subscription.look_for_losses()
-    assert subscription.lost + subscription.earlier == 14
-    subscription.close()
-
-
-def test_no_more_is_asked_for_than_every_publisher_offers(ros, talker, listener) -> None:
+def test_requested_quality_is_offered_by_every_publisher(ros, talker, listener) -> None:
     for profile in (LATCHED, BEST_EFFORT):
         talker.create_publisher(String, '/talk', profile)
-    ros.spin_until(lambda: len(listener.get_publishers_info_by_topic('/talk')) == 2, 'both')
+    ros.spin_until(
+        lambda: len(listener.get_publishers_info_by_topic('/talk')) == 2,
+        'discovery of both publishers',
+    )
     publishers = listener.get_publishers_info_by_topic('/talk')
     both = fitting_profile(publishers)
     assert both.reliability is ReliabilityPolicy.BEST_EFFORT
@@ -257,19 +216,22 @@ rclpy.spin(node)
 """
 
 
-def test_topic_of_two_types_is_refused_and_told_once(
+def test_topic_of_two_types_is_refused_and_reported_once(
     ros, start, talker, listener, subscribe
 ) -> None:
     talker.create_publisher(String, '/talk', 1)
     start(sys.executable, '-c', OTHER_TYPE)
-    ros.spin_until(lambda: dict(listener.get_topic_names_and_types()).get('/talk', [''])[1:], 'it')
+    ros.spin_until(
+        lambda: dict(listener.get_topic_names_and_types()).get('/talk', [''])[1:],
+        'discovery of the second type',
+    )
     subscriptions = subscribe('/talk')
     assert subscriptions.discover() == ['/talk']
     assert 'several types' in subscriptions.refused['/talk']
     assert subscriptions.discover() == []
 
 
-def test_messages_that_are_not_installed_are_refused() -> None:
+def test_uninstalled_message_types_are_refused() -> None:
     for name in (
         'no_such_msgs/msg/Thing',
         'std_msgs/msg/Thing',
@@ -280,7 +242,7 @@ def test_messages_that_are_not_installed_are_refused() -> None:
             load_type(name)
 
 
-def test_nothing_is_taken_before_the_clock_goes(ros, talker, subscribe) -> None:
+def test_no_message_is_read_before_the_clock_starts(ros, talker, subscribe) -> None:
     listener = ros.node(Node, 'follower', ros_args=('-p', 'use_sim_time:=true'))
     publisher = talker.create_publisher(String, '/talk', LATCHED)
     publisher.publish(String())
@@ -292,3 +254,23 @@ def test_nothing_is_taken_before_the_clock_goes(ros, talker, subscribe) -> None:
     clock.publish(Clock(clock=time_to_msg(5 * 10**9)))
     (message,) = take(ros, subscriptions, 1)
     assert (message.log_time, message.publish_time) == (5 * 10**9, 5 * 10**9)
+
+
+def test_publisher_faster_than_the_loop_does_not_block_a_drain(
+    ros, talker, listener, monkeypatch
+) -> None:
+    monkeypatch.setattr(raw_subscriptions, 'DEPTH', 4)
+    subscription = RawSubscription(listener, CHANNEL, QoSProfile(depth=100))
+    publisher = talker.create_publisher(String, CHANNEL.topic, 100)
+    wait_for_both(ros, publisher, listener)
+    for _ in range(10):
+        publisher.publish(String())
+    drained: list[int] = []
+
+    def is_empty() -> bool:
+        drained.append(len(subscription.drain()))
+        return sum(drained) == 10
+
+    ros.spin_until(is_empty, 'ten messages')
+    assert max(drained) <= 4
+    subscription.close()

@@ -11,35 +11,40 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recorder in this process; what it writes is read by somebody else."""
+"""The recorder in this process; an independent reader reads its bags."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+import json
 from pathlib import Path
+import socket
 import sys
 from typing import Any
 
+from bags import saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
+from sensor_msgs.msg import JointState
+from soft_throw_ros.configuration import ParameterError, RECORDER
+from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, TWIN_TOPICS
+from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.recorder import Recorder
+from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording.bag_reader import BagReader, read_stream
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording import child_process, writer_thread
+from soft_throw_ros.recording.bag_reader import BagReader
 from std_msgs.msg import String
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 def read(path: Path) -> dict[str, list[Any]]:
-    """Return the messages of a bag by their topics, as another program reads them."""
+    """Return the messages of a bag by topic, read by an independent program."""
     messages: dict[str, list[Any]] = {}
     with Reader(path) as reader:
         for connection, _time, data in reader.messages():
@@ -54,7 +59,7 @@ def texts(path: Path, topic: str = '/talk') -> list[str]:
 
 @pytest.fixture
 def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
-    """Start a recorder of `/talk` and what is in it."""
+    """Return a function that starts a recorder of `/talk` and the topics below it."""
 
     def start(*words: str, **parameters: Any) -> Recorder:
         given = {'folder': tmp_path, 'topics': ['/talk'], **parameters}
@@ -97,7 +102,7 @@ def test_bag_is_named_by_the_time_and_never_overwritten(
     assert [texts(path) for path in bags] == [['0'], ['1'], ['2'], []]
 
 
-def test_recorder_waits_to_be_started_and_tells_so(recorder, listen_to, tmp_path) -> None:
+def test_recorder_waits_for_its_start_and_reports_it(recorder, listen_to, tmp_path) -> None:
     node = recorder(start='false', name='bag')
     listener = listen_to(node)
     listener.listen(RECORDER_TOPICS.status)  # latched
@@ -117,7 +122,7 @@ def test_recorder_waits_to_be_started_and_tells_so(recorder, listen_to, tmp_path
     assert [msg_to_values(status)['is_recording'] for status in told] == [False, True, False]
 
 
-def test_what_was_lost_is_in_diagnostics_and_bag(
+def test_losses_are_in_diagnostics_and_bag(
     ros, recorder, talker, listen_to, monkeypatch
 ) -> None:
     node = recorder(name='bag')
@@ -140,6 +145,23 @@ def test_what_was_lost_is_in_diagnostics_and_bag(
     with BagReader(path) as bag:
         notes = {item.name: item.metadata for item in bag.metadata}
     assert notes['losses'] == {'total': '2', '/talk': '2'}
+
+
+def test_silence_of_twins_that_are_present_is_reported(
+    ros, recorder, talker, listen_to, monkeypatch
+) -> None:
+    monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
+    topic = TWIN_TOPICS.joint_states.at('/twin')
+    node = recorder(name='bag', topics='[/twin]')
+    listener = listen_to(node)
+    listener.listen(RECORDER_TOPICS.diagnostics)
+    publisher = talker.create_publisher(JointState, topic.name, qos_profile(topic))
+    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
+    publisher.publish(JointState())
+    reported = listener.status(RECORDER_TOPICS.diagnostics, 'reception', lambda _: True)
+    assert reported.level == DiagnosticStatus.ERROR
+    talker.destroy_publisher(publisher)
+    ros.spin_until(lambda: not node.recording.silence, 'no publisher')
 
 
 def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, tmp_path) -> None:
@@ -166,7 +188,7 @@ def test_recorder_that_could_not_record_is_refused(recorder, tmp_path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ['there']
 
 
-def test_recorder_takes_the_twin_in_its_own_namespace(ros, recorder, tmp_path) -> None:
+def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path) -> None:
     namespace, words = '/rig1', ('-r', '__ns:=/rig1')
     node = recorder(*words, name='bag', topics='[twin, /rosout]')
     twin = ros.node(Twin, ros_args=(*words, '-p', 'throw.period:=0.2'))
@@ -205,10 +227,10 @@ def test_recorder_takes_the_twin_in_its_own_namespace(ros, recorder, tmp_path) -
     assert notes[f'parameters of {name}']['throw.period'] == '0.2'
     assert notes[f'versions of {name}']['python'] == sys.version.split()[0]
     assert 'period: 0.2' in files[f'{name[1:].replace("/", "_")}.yaml']
-    assert 'name: bag' in files['recorder.yaml']
+    assert "name: 'bag'" in files['recorder.yaml']
 
 
-def test_topic_that_nobody_publishes_is_told(ros, recorder, talker, tmp_path, capfd) -> None:
+def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, capfd) -> None:
     node = recorder(name='bag', topics=['/talk', '/silence'])
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
     told: list[str] = []
@@ -222,7 +244,7 @@ def test_topic_that_nobody_publishes_is_told(ros, recorder, talker, tmp_path, ca
     assert '/talk' not in told[0]
 
 
-def test_journal_of_somebody_else_does_no_harm(ros, recorder, talker, tmp_path) -> None:
+def test_foreign_journal_is_harmless(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='bag')
     publisher = talker.create_publisher(String, '/talk/journal', 100)
     throw = '{"kind":"throw","step":1,"settings":5,"versions":[]}'
@@ -245,15 +267,99 @@ def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypat
     ros.spin_until(lambda: node.exit_code == 1, 'the exit code')
 
 
-def test_stream_is_shown_without_writing(ros, recorder, talker, tmp_path) -> None:
-    shown = tmp_path / 'shown'
+def test_viewer_of_the_recorder_gets_its_topics_and_sink(
+    ros, recorder, tmp_path
+) -> None:
+    told = tmp_path / 'told'
     viewer = tmp_path / 'viewer'
-    viewer.write_text(f'#!/bin/sh\nexec cat > {shown}\n')
+    viewer.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {told}.part\nmv {told}.part {told}\n')
     viewer.chmod(0o755)
-    node = recorder(storage='none', rerun__sink='viewer', rerun__python=viewer)
-    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
+    node = recorder(
+        '-r', '__ns:=/rig1', storage='none', topics=['talk', '/a'], rerun__sink='file',
+        rerun__python=viewer,
+    )
+    ros.spin_until(told.exists, 'the command of the viewer')
+    words = told.read_text().splitlines()
+    assert words[:4] == ['-m', 'soft_throw_ros', 'viewer', '--ros-args']
+    assert words[words.index('-r') + 1] == '__node:=recorder_viewer'
+    assert '__ns:=/rig1' in words
+    rules = dict(word.split(':=') for word in words if ':=' in word)
+    assert json.loads(rules['topics']) == ['/rig1/talk', '/a']
+    assert json.loads(rules['sink']) == 'file'
+    assert json.loads(rules['file']).startswith(f'{tmp_path}/soft_throw_')
+    assert json.loads(rules['file']).endswith('.rrd')
     node.close()
-    with shown.open('rb') as stream:
-        messages = [item for item in read_stream(stream) if isinstance(item, Message)]
-    assert [deserialize_message(item.data, String).data for item in messages] == ['a', 'b', 'c']
-    assert sorted(tmp_path.iterdir()) == [shown, viewer]
+    assert sorted(tmp_path.iterdir()) == [told, viewer]
+
+
+def test_end_saves_all_messages_before_anything_that_takes_time(
+    ros, recorder, talker, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(writer_thread, 'FLUSH_PERIOD', 1e6)
+    node = recorder(name='bag')
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
+    subscriptions = node.recording.subscriptions
+    close = subscriptions.close
+
+    def is_saved() -> bool:
+        return len(saved(tmp_path / 'bag')) == 3
+
+    def close_late() -> None:
+        ros.spin_until(is_saved, 'the messages in the bag')
+        close()
+
+    monkeypatch.setattr(subscriptions, 'close', close_late)
+    node.close()
+    assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
+
+
+def test_abandoned_viewer_is_reported_once(
+    ros, recorder, talker, tmp_path, monkeypatch, capfd
+) -> None:
+    monkeypatch.setattr(child_process, 'RESTART_TIME', 0.0)
+    node = recorder(name='bag', rerun__sink='viewer', rerun__python='/bin/false')
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
+    ros.spin_until(lambda: bool(node.recording.viewer.failure), 'the failures')
+    for _ in range(3):
+        node._on_second()
+    told = [line for line in capfd.readouterr().err.splitlines() if 'not started any more' in line]
+    assert len(told) == 1
+    assert 'exit code 1' in told[0]
+    node.close()
+    assert texts(tmp_path / 'bag') == ['a']
+
+
+def test_recorder_without_rerun_warns_on_rosout_and_starts_no_viewer(
+    ros, recorder, listen_to, monkeypatch
+) -> None:
+    monkeypatch.setitem(sys.modules, 'rerun', None)  # as if it were not installed
+    node = recorder(start='false', rerun__sink='serve')
+    listener = listen_to(node)
+    log = listener.log()
+    assert listener.trigger(RECORDER_SERVICES.start).success
+    assert node.recording.viewer is None
+    ros.spin_until(lambda: any('soft_throw_ros[rerun]' in line for line in log), 'the hint')
+
+
+def test_recorder_without_a_screen_names_the_command_for_a_picture(monkeypatch) -> None:
+    monkeypatch.delenv('DISPLAY', raising=False)
+    monkeypatch.delenv('WAYLAND_DISPLAY', raising=False)
+    monkeypatch.delenv('WAYLAND_SOCKET', raising=False)
+    with socket.socket() as unused:  # bound, so that no viewer listens there
+        unused.bind(('127.0.0.1', 0))
+        settings = {**RECORDER.defaults(), 'rerun.python': sys.executable}
+        settings |= {'rerun.sink': 'viewer', 'rerun.port': unused.getsockname()[1]}
+        hint = viewer_hint(settings, Path('bags/today'))
+        assert 'soft-throw inspect bags/today --screenshot' in hint
+        assert viewer_hint(settings | {'rerun.sink': 'serve'}, None) == ''
+        monkeypatch.setenv('DISPLAY', ':0')
+        assert viewer_hint(settings, None) == ''
+
+
+def test_program_to_run_can_be_set_at_the_start_only(ros, recorder) -> None:
+    client = ros.parameters(recorder(start='false', rerun__python='/usr/bin/python3'))
+    (reason,) = client.set(rerun__python='/tmp/evil')
+    assert 'rerun.python' in reason
+    assert '/tmp/evil' in reason
+    assert client.set(rerun__python='/usr/bin/python3') == ['']
+    assert client.get('rerun.python') == '/usr/bin/python3'

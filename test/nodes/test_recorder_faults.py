@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A recorder and a publisher as processes, one of which is stopped, killed or comes late."""
+"""Losses between a publisher and a recorder when one process is paused, killed or starts late."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ node = RunnableNode('twin')
 reliable = sys.argv[1] == 'reliable'
 topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_states
 publishers = Publishers(node, [topic])
-(publisher,) = (each for each in node.publishers if 'joint_states' in each.topic_name)
+(publisher,) = (item for item in node.publishers if 'joint_states' in item.topic_name)
 values = (0.0,) * (6 if reliable else 2)
 while line := sys.stdin.readline():
     count, period, waits = line.split()
@@ -56,21 +56,28 @@ while line := sys.stdin.readline():
         time.sleep(0.01)
     for number in range(int(count)):
         publishers.send(topic, time.time_ns(), values)
-        if select.select([sys.stdin], [], [], float(period))[0]:  # there is something else to do
+        if select.select([sys.stdin], [], [], float(period))[0]:  # the next request
             count = number + 1
             break
     print(f'published {count}', flush=True)
 """
 
 A_SECOND = 5000
-"""Messages of a second at 5 kHz, the highest rate of a twin."""
-
-LONGEST_STOP = 2.5
-"""A process that is stopped for longer is given up by Fast DDS, with all that waits for it. [s]"""
+"""Number of messages per second at the highest rate of a twin."""
 
 
 class Publisher:
-    """A process that publishes when it is told to."""
+    """
+    A process that publishes on request.
+
+    Parameters
+    ----------
+    start : callable
+        The fixture that starts processes.
+    kind : str
+        Reliability of the publisher, 'reliable' or 'best effort'.
+
+    """
 
     def __init__(self, start: Any, kind: str) -> None:
         self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'
@@ -79,20 +86,20 @@ class Publisher:
 
     @property
     def count(self) -> int:
-        """How many messages have been published."""
+        """Number of published messages."""
         return sum(int(line.split()[-1]) for line in self.process.lines if 'published' in line)
 
     def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
-        """Have so many messages published, if `waits` not before somebody subscribes."""
+        """Publish `count` messages; if `waits`, wait for a subscriber first."""
         before = len(self.process.lines)
-        self._order(f'{count} {period} {"wait" if waits else "now"}')
+        self._request(f'{count} {period} {"wait" if waits else "now"}')
         self.process.wait_until(lambda lines: f'published {count}' in lines[before:])
 
-    def begin(self, *, period: float) -> None:
-        """Have messages published until the next order."""
-        self._order(f'1000000 {period} now')
+    def begin(self, *, period: float, waits: bool = False) -> None:
+        """Publish messages until the next request; if `waits`, wait for a subscriber first."""
+        self._request(f'1000000 {period} {"wait" if waits else "now"}')
 
-    def _order(self, line: str) -> None:
+    def _request(self, line: str) -> None:
         stdin = self.process.process.stdin
         stdin.write(f'{line}\n')
         stdin.flush()
@@ -100,7 +107,7 @@ class Publisher:
 
 @pytest.fixture
 def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
-    """Start a recorder of the topic of a publisher into `bag`."""
+    """Return a function that records the topic of a publisher into the bag `bag`."""
 
     def record(publisher: Publisher) -> Any:
         rules = [f'folder:={tmp_path}', 'name:=bag', f'topics:=[{publisher.topic}]']
@@ -112,32 +119,42 @@ def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
 
 
 def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tuple[int, int, int]:
-    """End a recorder; return what it says: messages, lost, and those before it joined late."""
+    """
+    End a recorder, and read the counts in its last log line.
+
+    Returns
+    -------
+    tuple of int
+        Numbers of recorded messages, of lost messages, and of messages before the recorder joined.
+
+    """
     assert recorder.end(number) == code
     line = recorder.lines[-1]
-    found = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
-    assert found is not None, line
+    counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
+    assert counts is not None, line
     late = re.search(r'joined late, after (\d+) messages', line)
-    return int(found[1]), int(found[2]), int(late[1]) if late else 0
+    return int(counts[1]), int(counts[2]), int(late[1]) if late else 0
 
 
 def numbers(path: Path) -> list[int]:
-    """Read what numbers the publisher gave to messages of a bag, which may be being written."""
-    found: list[int] = []
+    """Read the publisher's sequence numbers from a bag, which may still be open for writing."""
+    sequence_numbers: list[int] = []
     with (path / 'bag_0.mcap').open('rb') as file, contextlib.suppress(EndOfFile):
         records = StreamReader(file).records
-        found.extend(record.sequence for record in records if isinstance(record, Message))
-    return found
+        messages = (record for record in records if isinstance(record, Message))
+        sequence_numbers.extend(message.sequence for message in messages)
+    return sequence_numbers
 
 
 def wait_for(recorder: Any, path: Path, count: int) -> None:
-    """Wait until so many messages are in a bag; a reliable publisher sends again what is late."""
+    """Wait until a bag has `count` messages; DDS needs time to resend reliable messages."""
     while len(numbers(path)) < count:
         assert recorder.process.poll() is None
         time.sleep(0.05)
 
 
 def count(path: Path) -> int:
+    """Count the messages of a closed bag with the reader of rosbags."""
     with Reader(path) as bag:
         assert sum(1 for _ in bag.messages()) == bag.message_count
         return int(bag.message_count)
@@ -151,12 +168,8 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     recorder = record(publisher)
     publisher.publish(10)
     recorder.process.send_signal(signal.SIGSTOP)
-    began = time.monotonic()
     publisher.publish(A_SECOND)
-    stopped = time.monotonic() - began
     recorder.process.send_signal(signal.SIGCONT)
-    if stopped > LONGEST_STOP:
-        pytest.skip(f'this machine is too busy, the recorder was stopped for {stopped:.1f} s')
     publisher.publish(10, period=0.1)
     wait_for(recorder, tmp_path / 'bag', A_SECOND + 20)
     assert last_line(recorder) == (A_SECOND + 20, 0, 0)
@@ -164,25 +177,25 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
 
 
 @pytest.mark.parametrize('joins_late', [True, False])
-def test_loss_and_joining_late_are_told_apart(start, record, tmp_path, joins_late) -> None:
+def test_loss_and_joining_late_are_distinguished(start, record, tmp_path, joins_late) -> None:
     publisher = Publisher(start, 'best effort')
     if joins_late:
         publisher.publish(1, waits=False)
         publisher.begin(period=0.005)
     recorder = record(publisher)
     if not joins_late:
-        publisher.begin(period=0.005)
-    wait_for(recorder, tmp_path / 'bag', 100)  # which tell how often it publishes
-    publisher.publish(0)  # no more for now
+        publisher.begin(period=0.005, waits=True)
+    wait_for(recorder, tmp_path / 'bag', 100)
+    publisher.publish(0)  # pause the publisher
     recorder.process.send_signal(signal.SIGSTOP)
-    publisher.publish(10 * A_SECOND)  # more than there is room for
+    publisher.publish(10 * A_SECOND)  # more than the queues can store
     recorder.process.send_signal(signal.SIGCONT)
     publisher.publish(10, period=0.1)
     received, lost, late = last_line(recorder)
     assert count(tmp_path / 'bag') == received
     first = numbers(tmp_path / 'bag')[0]
-    assert late == (first - 1) * joins_late
-    assert first > 1 or not joins_late
+    assert late == first - 1
+    assert late > 0 or not joins_late
     assert lost == publisher.count - late - received > 0
 
 
@@ -219,7 +232,7 @@ def test_recorder_that_is_killed_while_it_is_stopped_leaves_what_it_had_flushed(
 ) -> None:
     publisher = Publisher(start, 'reliable')
     recorder = record(publisher)
-    publisher.publish(1000, period=0.002)  # which takes longer than until the next flush
+    publisher.publish(1000, period=0.002)  # for 2 s, with at least one flush
     recorder.process.send_signal(signal.SIGSTOP)
     publisher.publish(1000)
     assert recorder.end(signal.SIGKILL) == -signal.SIGKILL

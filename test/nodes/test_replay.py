@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`replay`: what it refuses, what it says of bags that it checks, and how it plays and ends."""
+"""Tests of `replay`: refused arguments, checks of bags, playback and its end."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from typing import Any
 
 from bags import BEGIN, channel, text, write
 import pytest
+from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from soft_throw_ros.configuration import TWIN
@@ -35,9 +36,17 @@ from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.timeout(300)
+
+
+def last_throw(lines: list[str]) -> int:
+    """Return the number of the last throw in the log of a twin."""
+    found = (re.search(r'throw (\d+): released', line) for line in lines)
+    return max((int(match[1]) for match in found if match), default=0)
+
 
 def messages_of_a_twin(steps: int) -> list[Message]:
-    """Make what a twin publishes in a run of so many steps."""
+    """Return the messages that a twin publishes in `steps` steps."""
     journal = channel('/twin/journal')
     states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
     made: list[Message] = []
@@ -62,7 +71,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp('good') / 'bag', messages_of_a_twin(500))
 
 
-# what is refused
+# refused arguments
 
 
 @pytest.mark.parametrize(
@@ -77,7 +86,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (['BAG', '--speed', '2'], '--speed'),
     ],
 )
-def test_argument_that_is_wrong_is_refused(bag, capsys, arguments, words) -> None:
+def test_wrong_argument_is_refused(bag, capsys, arguments, words) -> None:
     with pytest.raises(SystemExit) as exit_:
         main([str(bag) if argument == 'BAG' else argument for argument in arguments])
     assert exit_.value.code == 2
@@ -85,7 +94,7 @@ def test_argument_that_is_wrong_is_refused(bag, capsys, arguments, words) -> Non
 
 
 @pytest.mark.parametrize('mode', [[], ['--check']])
-def test_bag_that_is_none_is_one_line_and_exit_code_2(tmp_path, capsys, mode) -> None:
+def test_invalid_bag_is_one_line_and_exit_code_2(tmp_path, capsys, mode) -> None:
     (tmp_path / 'text').write_text('no bag')
     (tmp_path / 'empty').mkdir()
     for name in ('missing', 'text', 'empty'):
@@ -95,7 +104,7 @@ def test_bag_that_is_none_is_one_line_and_exit_code_2(tmp_path, capsys, mode) ->
         assert str(tmp_path / name) in line
 
 
-def test_topic_or_start_that_is_not_there_is_refused_with_what_is(bag, capsys) -> None:
+def test_missing_topic_or_start_is_refused_with_those_present(bag, capsys) -> None:
     for arguments, words in (
         (['--topics', '/twin/joint_state'], ['/twin/joint_state;', '/twin/joint_states']),
         (['--start', '3'], ['0.499 s', '--start 3']),
@@ -105,17 +114,17 @@ def test_topic_or_start_that_is_not_there_is_refused_with_what_is(bag, capsys) -
         assert all(word in line for word in words), line
 
 
-# what is checked
+# checks of bags
 
 
-def test_bag_that_is_right_is_checked_with_exit_code_0(bag, capsys) -> None:
+def test_check_of_a_correct_bag_has_exit_code_0(bag, capsys) -> None:
     assert main(['--check', str(bag), '--ros-args', '-r', '__node:=other']) == 0
     said = capsys.readouterr()
     assert said.err == ''
     assert ' 0 are different' in said.out
 
 
-def test_bag_that_is_not_right_is_checked_with_exit_code_1(tmp_path, capsys) -> None:
+def test_check_of_a_wrong_bag_has_exit_code_1(tmp_path, capsys) -> None:
     made = messages_of_a_twin(1300)
     index = next(
         n
@@ -130,13 +139,13 @@ def test_bag_that_is_not_right_is_checked_with_exit_code_1(tmp_path, capsys) -> 
     assert '/twin' in capsys.readouterr().out
 
 
-def test_bag_that_is_damaged_or_without_a_journal_has_its_exit_code(tmp_path, capsys) -> None:
+def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(tmp_path, capsys) -> None:
     made = messages_of_a_twin(500)
     (file,) = write(tmp_path / 'bag', made, compression='none').glob('*.mcap')
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 2])
     assert main(['--check', str(tmp_path / 'bag')]) == 1
-    assert str(file) in capsys.readouterr().out
+    assert f'{file}: ' in capsys.readouterr().err
     silent = [message for message in made if not message.channel.topic.endswith('journal')]
     assert main(['--check', str(write(tmp_path / 'silent', silent))]) == 2
     assert 'journal' in capsys.readouterr().err
@@ -156,7 +165,7 @@ print([main(['--check', sys.argv[1]]), main([sys.argv[1]])])
 """
 
 
-def test_check_needs_no_ros_and_playing_says_that_it_does(bag) -> None:
+def test_check_needs_no_ros_and_playback_names_the_missing_ros(bag) -> None:
     done = subprocess.run(
         [sys.executable, '-c', WITHOUT_ROS, str(bag)],
         capture_output=True,
@@ -178,7 +187,7 @@ COMMAND = [sys.executable, '-c', MAIN]
 
 @pytest.fixture(scope='module')
 def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a bag of one second, with a message every millisecond."""
+    """Return the path of a one-second bag with a message every millisecond."""
     texts = channel('/texts', depth=1000)
     times = range(BEGIN, BEGIN + 1_000_000_001, 1_000_000)
     made = [Message(texts, text(str(n)), time, time) for n, time in enumerate(times)]
@@ -186,11 +195,25 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def resume(ros: Any, replay: Any) -> None:
-    """Have a paused player go on: it answers, or plays to its end when it has not found us yet."""
-    client = ros.node(Node, 'asking').create_client(Trigger, '/replay/resume')
-    ros.spin_until(client.service_is_ready, client.srv_name)
-    answer = client.call_async(Trigger.Request())  # the middleware drops answers to the unknown
-    ros.spin_until(lambda: answer.done() or replay.process.poll() is not None, 'the player')
+    """
+    Resume a paused player that has discovered all subscriptions of this process.
+
+    The player discovers them in the order of their creation, and the middleware drops responses to
+    clients that are not discovered yet.
+    """
+    node = ros.node(Node, 'asking')
+    first = node.create_client(ListParameters, '/replay/list_parameters')
+    client = node.create_client(Trigger, '/replay/resume')
+    ros.spin_until(lambda: first.service_is_ready() and client.service_is_ready(), 'services')
+    responses = []
+
+    def is_discovered() -> bool:
+        responses.append(first.call_async(ListParameters.Request()))
+        return any(response.done() for response in responses)
+
+    ros.spin_until(is_discovered, 'a response')
+    response = client.call_async(Trigger.Request())
+    ros.spin_until(lambda: response.done() or replay.process.poll() is not None, 'the player')
 
 
 def test_replay_ends_by_itself_after_the_last_message(start, ros, texts) -> None:
@@ -203,7 +226,8 @@ def test_replay_ends_by_itself_after_the_last_message(start, ros, texts) -> None
     ros.spin_until(lambda: '1000' in heard, 'the last message')
     assert replay.wait() == 0
     assert heard == [str(number) for number in range(1001)]
-    assert replay.lines == ['replay: 1001 messages of 1 topics played']
+    said = [line for line in replay.lines if line.startswith('replay: ')]
+    assert said == ['replay: 1001 messages of 1 topics played']
 
 
 SUBSCRIBER = """
@@ -219,7 +243,7 @@ rclpy.spin(node)
 """
 
 
-def test_stopped_subscriber_does_not_hold_up_the_end(start, ros, texts) -> None:
+def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
     subscriber = start(sys.executable, '-c', SUBSCRIBER)
     subscriber.wait_for('ready')
     by_itself = start(*COMMAND, str(texts), '--rate', '0.3')  # so slow that it is found
@@ -237,8 +261,8 @@ def test_stopped_subscriber_does_not_hold_up_the_end(start, ros, texts) -> None:
         assert not any('Traceback' in line or 'rror' in line for line in replay.lines)
 
 
-def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
-    start, ros, tmp_path
+def test_recorded_and_replayed_twin_agree_with_the_journal(
+    start, ros, tmp_path, capsys
 ) -> None:
     def run(name: str, *options: str) -> Any:
         command = [sys.executable, '-m', 'soft_throw_ros', name, '--ros-args']
@@ -250,17 +274,16 @@ def test_recorded_twin_is_what_its_journal_gives_also_when_it_is_replayed(
         return recorder
 
     def check(name: str) -> list[str]:
-        checking = start(*COMMAND, '--check', str(tmp_path / name))
-        assert checking.wait() == 0, checking.lines
-        return checking.lines
+        assert main(['--check', str(tmp_path / name)]) == 0
+        return list(capsys.readouterr().out.splitlines())
 
     twin = run('twin', 'throw.period:=0.3')
     twin.wait_for('ready')
     recorder = record('first')
     observer = ros.node(Node, 'observer')
     ros.spin_until(lambda: observer.count_subscribers('/twin/joint_states') > 0, 'the recorder')
-    thrown = sum(': left' in line for line in twin.lines)
-    twin.wait_for(f'throw {thrown + 5}: left')
+    thrown = last_throw(twin.lines)
+    twin.wait_until(lambda lines: last_throw(lines) >= thrown + 5)
     assert recorder.end(signal.SIGINT) == 0
     assert ' 0 lost, in ' in recorder.lines[-1]
     assert twin.end(signal.SIGINT) == 0

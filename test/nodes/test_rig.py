@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig that is played, in this process; its clock is the test's."""
+"""The simulated rig in this process, on a clock set by the test."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUIET = ('-p', 'noise:=0.0', '-p', 'jitter:=0.0')
 
 
 class Driven(SimulatedRig):
-    """A rig that goes where the test sends it, and remembers what its sensors told."""
+    """A simulated rig on a clock set by the test, which keeps the samples of its sensors."""
 
     def __init__(self, clock: Any, **kwargs: Any) -> None:
         self.clock = clock
@@ -55,12 +55,12 @@ def start(ros: Any, given_clock: Any) -> Any:
 
 
 def exact(rig: Driven) -> np.ndarray:
-    """Return where plate and projectile are, and how fast, at every step."""
+    """Return positions and velocities of plate and projectile at every step."""
     session = Session(to_twin(rig.parameters.settings))
     return np.array([session.advance().state[:4] for _ in rig.stamps])
 
 
-def test_perfect_sensors_tell_where_everything_is(start) -> None:
+def test_perfect_sensors_measure_the_true_positions(start) -> None:
     rig = start(*QUIET)
     rig.go(1.5)
     assert set(np.diff(rig.stamps)) == {SECOND // RATE}
@@ -68,7 +68,7 @@ def test_perfect_sensors_tell_where_everything_is(start) -> None:
     assert (np.array(rig.positions) == exact(rig)[:, :2]).all()
 
 
-def test_sensors_are_as_bad_as_they_should_be(start) -> None:
+def test_sensors_have_the_specified_errors(start) -> None:
     rig = start('-p', 'noise:=1e-4', '-p', 'jitter:=5e-5')
     rig.go(1.5)
     states = exact(rig)
@@ -80,7 +80,7 @@ def test_sensors_are_as_bad_as_they_should_be(start) -> None:
     assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1e-5)
 
 
-def test_faulty_sensors_lose_samples_and_tell_outliers(start) -> None:
+def test_faulty_sensors_lose_samples_and_send_outliers(start) -> None:
     rig = start(
         *QUIET, '-p', 'faults.missing_rate:=0.1', '-p', 'faults.outlier_rate:=0.02',
         '-p', 'faults.outlier_size:=1e-2', '-p', 'faults.projectile_scale:=1.01',
@@ -93,7 +93,7 @@ def test_faulty_sensors_lose_samples_and_tell_outliers(start) -> None:
     assert np.median(projectile) == pytest.approx(1.01 * rest[1])
 
 
-def test_imperfect_rig_does_what_the_model_does_not(start) -> None:
+def test_imperfect_rig_deviates_from_the_model(start) -> None:
     imperfect = ('-p', 'faults.second_mode:=0.02', '-p', 'faults.sticking:=3e-4')
     rig = start(*QUIET, '-p', 'throw.period:=0.8', *imperfect)
     rig.go(1.0)
@@ -139,7 +139,7 @@ def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
     assert f'{namespace}/{RIG_TOPICS.measured_joint_states.name}' in topics
 
 
-def test_rig_that_cannot_be_played_is_refused_with_the_number(start) -> None:
+def test_unplayable_rig_is_refused_with_the_value(start) -> None:
     with pytest.raises(ValueError, match='1000'):
         start(
             *('-p', 'layer.thickness:=0.1'),

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A short part of `make soak`, and whether it would notice."""
+"""A short run of `make soak`, and its measure of growth."""
 
 import json
 
@@ -27,21 +27,21 @@ def test_promises_are_kept_for_half_a_minute(domain_id, tmp_path, capsys):
     pytest.importorskip('rerun')
     report = tmp_path / 'soak.json'
     code = soak.main(['--minutes', '0.5', '--sink', 'file', '--json', str(report)])
-    said = capsys.readouterr().out
-    assert code == 0, said
-    found = json.loads(report.read_text())
-    assert all(row['is_kept'] for row in found['promises'])
-    assert found['processes'].keys() > {'twin', 'recorder', 'subscriber 4'}
-    assert all(row['promise'] in said for row in found['promises'])
+    output = capsys.readouterr().out
+    assert code == 0, output
+    result = json.loads(report.read_text())
+    assert all(row['is_kept'] for row in result['promises'])
+    assert result['processes'].keys() > {'twin', 'recorder', 'subscriber 4'}
+    assert all(row['promise'] in output for row in result['promises'])
 
 
-def test_growth_is_told_after_warm_up_only():
+def test_growth_is_measured_after_warm_up():
     times = np.linspace(0.0, 100.0, 101)
     usages = [Usage(0.2 * t, int(1e8 + 1e6 * min(t, 20.0)), 20) for t in times]
-    found = soak.Course(times.tolist(), usages).summary()
-    assert found['of one core [%]'] == pytest.approx(20.0)
-    assert (found['growth [MB]'], found['growth of handles']) == (0.0, 0)
+    summary = soak.Course(times.tolist(), usages).summary()
+    assert summary['of one core [%]'] == pytest.approx(20.0)
+    assert (summary['growth [MB]'], summary['growth of handles']) == (0.0, 0)
     leaking = [Usage(0.2 * t, int(1e8 + 1e5 * t), int(t)) for t in times]
-    found = soak.Course(times.tolist(), leaking).summary()
-    assert found['growth [MB]'] == pytest.approx(6.0, abs=1.0)
-    assert found['growth of handles'] > 50
+    summary = soak.Course(times.tolist(), leaking).summary()
+    assert summary['growth [MB]'] == pytest.approx(6.0, abs=1.0)
+    assert summary['growth of handles'] > 50

@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The policies of SROS 2 let each node do what it does, and nothing else.
+The SROS 2 policies allow each node its own topics and services only.
 
-That DDS enforces them is not tested: the wheels of ROS are built without its security.
+The enforcement by DDS is not tested: the wheels of ROS are built without DDS security.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from typing import Any
 import bags
 import pytest
 from rclpy.node import Node
-from soft_throw_ros.configuration.interface import INTERFACES, resolve, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import ALL_TWIN_TOPICS, INTERFACES, resolve
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.player import Player
 from soft_throw_ros.nodes.recorder import Recorder
+from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.bag_reader import BagReader
 
-etree = pytest.importorskip('lxml.etree')  # which knows XInclude as sros2 does
+etree = pytest.importorskip('lxml.etree')  # supports XInclude, like sros2
 
 POLICY = Path(__file__).parents[2] / 'config/sros2/policy.xml'
-NODES = ('twin', 'recorder', 'replay', 'calibrator')
+NODES = ('twin', 'recorder', 'viewer', 'replay', 'calibrator')
 OF_ALL = {
     'publish': {'/parameter_events', '/rosout', '/diagnostics'},
     'subscribe': {'/parameter_events', '/clock'},
 }
-"""What every node may do, besides answering for its parameters and types."""
+"""Topics that every node may use, besides the services of its parameters and types."""
 
-OF_THE_TWIN = {resolve(topic.name, '/twin') for topic in TWIN_TOPICS}
+OF_THE_TWIN = {resolve(topic.name, '/twin') for topic in ALL_TWIN_TOPICS}
 
 ENDINGS = (
     '/describe_parameters', '/get_parameter_types', '/get_parameters', '/get_type_description',
@@ -53,18 +54,20 @@ ENDINGS = (
 Rules = dict[str, set[str]]
 
 
-def rules_of(name: str) -> Rules:
-    """Read what the policy allows a node, with full names."""
+def rules_of(name: str, enclave: str = '') -> Rules:
+    """Read the permissions of a node from the policy, with full names."""
     policy = etree.parse(POLICY)
     policy.xinclude()
-    (profile,) = policy.findall(f'.//enclave[@path="/soft_throw/{name}"]/profiles/profile')
-    assert (profile.get('ns'), profile.get('node')) == ('/', name)
+    (profile,) = policy.findall(
+        f'.//enclave[@path="/soft_throw/{enclave or name}"]/profiles/profile[@node="{name}"]'
+    )
+    assert profile.get('ns') == '/'
     rules: Rules = {}
     for listed in profile:
         names = {resolve(item.text, f'/{name}') for item in listed}
         assert all(item.startswith('/') for item in names)
         for verb, value in listed.attrib.items():
-            if not verb.startswith('{'):  # where it is included from
+            if not verb.startswith('{'):  # XInclude adds the path of the included file
                 assert value == 'ALLOW'
                 rules.setdefault(verb, set()).update(names)
     return rules
@@ -84,13 +87,19 @@ def test_every_topic_and_service_of_the_tables_is_in_a_policy() -> None:
         assert len(about_parameters) == len(ENDINGS)
 
 
-def test_recorder_hears_and_replay_says_all_that_a_twin_does() -> None:
+def test_recorder_receives_and_replay_sends_all_topics_of_a_twin() -> None:
     assert rules_of('recorder')['subscribe'] >= OF_THE_TWIN
     assert rules_of('replay')['publish'] >= OF_THE_TWIN
 
 
+def test_viewer_has_equal_permissions_by_either_start() -> None:
+    by_hand, by_recorder = rules_of('viewer'), rules_of('recorder_viewer', enclave='recorder')
+    assert by_hand['subscribe'] == by_recorder['subscribe']
+    assert by_hand['publish'] == by_recorder['publish']
+
+
 @pytest.mark.parametrize('name', NODES)
-def test_nobody_may_publish_for_others(name) -> None:
+def test_node_may_publish_only_its_own_topics(name) -> None:
     published = rules_of(name)['publish'] - OF_ALL['publish']
     if name == 'replay':
         assert published == OF_THE_TWIN - {'/diagnostics'} | {'/clock'}
@@ -100,7 +109,7 @@ def test_nobody_may_publish_for_others(name) -> None:
 
 @pytest.fixture
 def make(ros: Any, start_twin: Any, tmp_path: Path) -> Iterator[Callable[[str], Node]]:
-    """Make a node as a user does who uses all of it."""
+    """Yield a function that makes a node with all its topics and services in use."""
     readers = contextlib.ExitStack()
 
     def make(name: str) -> Node:
@@ -111,15 +120,18 @@ def make(ros: Any, start_twin: Any, tmp_path: Path) -> Iterator[Callable[[str], 
             bags.write(path, [bags.Message(bags.channel('/twin/phase'), bags.text('rest'), 1, 1)])
             return ros.node(Player, readers.enter_context(BagReader(path)), clock=10.0)
         words = ('-p', 'rig:=rig')
-        if name == 'recorder':
+        if name in ('recorder', 'viewer'):
             start_twin()
             words = ('-p', f'folder:={tmp_path}')
+        if name == 'viewer':
+            pytest.importorskip('rerun')
+            words = ('-p', 'sink:=file', '-p', f'file:={tmp_path}/live.rrd')
         node = ros.node(
-            {'recorder': Recorder, 'calibrator': Calibrator}[name],
+            {'recorder': Recorder, 'viewer': Viewer, 'calibrator': Calibrator}[name],
             ros_args=words,
             arguments=('--ros-args', *words),
         )
-        if name == 'recorder':
+        if name in ('recorder', 'viewer'):
             node.start()
             ros.spin_until(lambda: '/twin/journal' in subscribed(node), 'the topics of the twin')
         return node
@@ -133,7 +145,7 @@ def subscribed(node: Node) -> set[str]:
 
 
 @pytest.mark.parametrize('name', NODES)
-def test_node_does_nothing_that_its_policy_forbids(make, name) -> None:
+def test_node_needs_no_forbidden_topic_or_service(make, name) -> None:
     node = make(name)
     asked = (node.get_name(), node.get_namespace())
     does = {

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The transport profiles of Fast DDS; what else they do is in `test_recorder_process`."""
+"""Transport profiles of Fast DDS; `test_recorder_process` tests their effect on recordings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ import sys
 from xml.etree import ElementTree as ET
 
 import pytest
-from soft_throw_ros.nodes.transport import use_transport_profile
+from soft_throw_ros.nodes.transport import (
+    describe_discovery,
+    discovery_range,
+    use_transport_profile,
+)
 
 VARIABLES = (
     'FASTDDS_BUILTIN_TRANSPORTS',
@@ -32,12 +36,17 @@ VARIABLES = (
 CONFIG = Path(__file__).parents[2] / 'config'
 LISTEN = """
 from pathlib import Path
-from soft_throw_ros.nodes.transport import use_transport_profile
+from soft_throw_ros.nodes.transport import (
+    describe_discovery,
+    discovery_range,
+    use_transport_profile,
+)
 use_transport_profile()
 import rclpy
 rclpy.init()
 node = rclpy.create_node('listening')
-inodes = {path.resolve().name[8:-1] for path in Path('/proc/self/fd').iterdir()}
+names = [path.resolve().name for path in Path('/proc/self/fd').iterdir()]
+inodes = {name[8:-1] for name in names if name.startswith('socket:[')}
 for line in Path('/proc/net/udp').read_text().splitlines()[1:]:
     fields = line.split()
     if fields[9] in inodes:
@@ -55,7 +64,7 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
     ):
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
         for name in VARIABLES:
-            monkeypatch.setenv(name, 'theirs')  # so that it is put back, whatever is done to it
+            monkeypatch.setenv(name, 'theirs')  # recorded, so that monkeypatch restores it
             if name != chosen:
                 monkeypatch.delenv(name)
         use_transport_profile()
@@ -66,7 +75,29 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
             assert found == {chosen: 'theirs'}
 
 
-def test_profiles_let_a_second_wait_and_differ_in_who_is_heard() -> None:
+@pytest.mark.parametrize(
+    ('reach', 'localhost_only', 'expected'),
+    [
+        ('', '', 'SUBNET'),
+        ('SYSTEM_DEFAULT', '0', 'SYSTEM_DEFAULT'),
+        ('SUBNET', '1', 'LOCALHOST'),
+        ('OFF', '', 'OFF'),
+    ],
+)
+def test_discovery_range_is_logged_with_the_way_to_limit_it(
+    monkeypatch, reach, localhost_only, expected
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
+    monkeypatch.setenv('ROS_LOCALHOST_ONLY', localhost_only)
+    assert discovery_range() == expected
+    text = describe_discovery()
+    assert expected in text
+    assert ('ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST' in text) != (
+        expected in {'LOCALHOST', 'OFF'}
+    )
+
+
+def test_profiles_buffer_a_second_and_differ_in_reach() -> None:
     plain, local = (ET.parse(CONFIG / f'fastdds{end}.xml').getroot() for end in ('', '_loopback'))
     sizes = [int(item.text) for item in plain.iter() if item.tag.endswith('queue_capacity')]
     assert min(sizes) > 5000  # messages of a second at the highest rate
@@ -81,7 +112,7 @@ def test_profiles_let_a_second_wait_and_differ_in_who_is_heard() -> None:
     assert _values(plain) == _values(local)
 
 
-def test_ports_are_open_to_this_machine_only_unless_others_are_wanted(domain_id) -> None:
+def test_ports_are_local_unless_other_machines_are_allowed(domain_id) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
     expected = {'LOCALHOST': '0100007F', 'OFF': '0100007F', 'SUBNET': '00000000'}
     listening = {
@@ -93,16 +124,14 @@ def test_ports_are_open_to_this_machine_only_unless_others_are_wanted(domain_id)
         )
         for reach in expected
     }
-    first = 7400 + 250 * domain_id  # where DDS listens; what sends has any other port
+    first = 7400 + 250 * domain_id  # DDS listens here; senders use other ports
     for reach, process in listening.items():
         printed, _ = process.communicate(timeout=100)
         sockets = [line.split(':') for line in printed.splitlines()]
         found = {host for host, port in sockets if first <= int(port, 16) < first + 250}
         assert expected[reach] in found, reach
-        assert found <= {
-            expected[reach],
-            '0100FFEF',
-        }  # and the group 239.255.0.1, that finds others
+        # 239.255.0.1 is the group for discovery
+        assert found <= {expected[reach], '0100FFEF'}, (reach, printed)
 
 
 def _values(root: ET.Element) -> list[tuple[str, str]]:

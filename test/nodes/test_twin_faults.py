@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Faults around a twin: each with what docs/reliability.md promises."""
+"""Faults around a twin, and the promises of docs/reliability.md."""
 
 from __future__ import annotations
 
@@ -19,18 +19,24 @@ import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values, time_to_msg
+from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.session import Session
+from std_srvs.srv import Trigger
 
 SECOND = 1_000_000_000
 
 
-def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(
+def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(
     ros, start_twin, listen_to, capfd
 ) -> None:
     twins = [start_twin() for _ in range(2)]
@@ -43,14 +49,16 @@ def test_two_twins_of_one_name_are_said_by_both_until_one_is_gone(
         log += capfd.readouterr().err
         return log.count(text) == count
 
-    ros.spin_until(lambda: has_said('another node is named /twin', 2), 'what both say')
+    ros.spin_until(
+        lambda: has_said('another node is named /twin', 2), 'the warnings of both twins'
+    )
     status = listener.status(
         TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['namesakes'] == 1
     )
     assert status.level == DiagnosticStatus.WARN
     assert '/twin' in status.message
     ros.remove(twins[1])
-    ros.spin_until(lambda: has_said('no other node has this name', 1), 'that it is over')
+    ros.spin_until(lambda: has_said('no other node has this name', 1), 'the end of the warning')
 
 
 def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
@@ -104,3 +112,44 @@ def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin)
         measure(others)
         others.close()
     assert twin.session.sample_counts.taken == 2
+
+
+class AnyNode(RunnableNode):
+    """A node with a defective service."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__('any', **kwargs)
+        create_service(self, TWIN_SERVICES.throw, lambda: str(1 // 0))
+
+
+@pytest.fixture
+def call(ros) -> Any:
+    """Return a function that calls services of a node with a defective service."""
+    ros.node(AnyNode)
+    asking = ros.node(Node, 'asking')
+    return lambda kind, name, request: ros.call(asking.create_client(kind, name), request)
+
+
+NO_TYPE = Parameter(name='use_sim_time', value=ParameterValue(type=250))
+GOOD = Parameter(name='use_sim_time', value=ParameterValue(type=1, bool_value=False))
+
+
+def test_parameter_without_type_is_refused_with_all_following(call, capfd) -> None:
+    request = SetParameters.Request(parameters=[GOOD, NO_TYPE, GOOD])
+    results = call(SetParameters, '/any/set_parameters', request).results
+    assert [result.successful for result in results] == [True, False, False]
+    assert all('250' in result.reason for result in results[1:])
+    assert '250' in capfd.readouterr().err
+
+
+def test_parameter_without_type_is_refused_with_its_whole_request(call) -> None:
+    request = SetParametersAtomically.Request(parameters=[GOOD, NO_TYPE])
+    result = call(SetParametersAtomically, '/any/set_parameters_atomically', request).result
+    assert not result.successful
+    assert '250' in result.reason
+
+
+def test_service_with_a_defect_answers(call) -> None:
+    response = call(Trigger, '/any/throw', Trigger.Request())
+    assert not response.success
+    assert 'division' in response.message

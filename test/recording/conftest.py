@@ -40,22 +40,22 @@ PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data'
 
 
 def plain(number: int, *, time: int | None = None, size: int = 100) -> Message:
-    """Make a message that says no more than its number."""
+    """Make a message that contains only its number."""
     time = number if time is None else time
     return Message(PLAIN, number.to_bytes(8, 'little') + bytes(size - 8), time, time, number)
 
 
 def wait_until(done: Callable[[], bool]) -> None:
-    """Wait for what another thread or process does."""
+    """Wait for an effect of another thread or process."""
     deadline = time.monotonic() + TIMEOUT
     while not done():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def read(path: Path, **options: Any) -> SimpleNamespace:
-    """Read all of a bag that is whole."""
-    with BagReader(path, **options) as bag:
+def read(path: Path) -> SimpleNamespace:
+    """Read all contents of an undamaged bag."""
+    with BagReader(path) as bag:
         contents = SimpleNamespace(
             messages=list(bag.messages()),
             metadata=bag.metadata,
@@ -80,7 +80,7 @@ class Recording:
 
     @staticmethod
     def content(messages: Iterable[Message]) -> list[tuple[Any, ...]]:
-        """Describe messages by all that a bag keeps of them."""
+        """Return the properties of messages that a bag keeps."""
         return [(message.channel.topic, *message[1:]) for message in messages]
 
     @property
@@ -88,7 +88,7 @@ class Recording:
         return sorted(self.folder.glob('*.mcap'))
 
     def state(self, number: int) -> Message:
-        """Make the state at a time of so many milliseconds."""
+        """Make the state at a time in milliseconds."""
         time = BEGIN + number * 1_000_000
         types = TYPES.types
         stamp = types['builtin_interfaces/msg/Time'](time // 10**9, time % 10**9)
@@ -107,7 +107,7 @@ class Recording:
         return Message(self.texts, data, time + 60_000, time + 10_000, number)
 
     def make(self, count: int) -> list[Message]:
-        """Make a state every millisecond, and a text every hundred of them."""
+        """Make `count` states, one per millisecond, and a text after every hundredth state."""
         for number in range(count):
             self.messages.append(self.state(number))
             if number % 100 == 0:
@@ -128,13 +128,13 @@ class Recording:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Recording:
-    """Give a bag that is not written yet."""
+    """Return a bag that is not written yet."""
     return Recording(tmp_path / 'bag')
 
 
 @pytest.fixture(scope='session')
 def rerun(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
-    """Give a function that runs Rerun, which tells nobody."""
+    """Return a function that runs Rerun without telemetry."""
     program = Path(sys.executable).with_name('rerun')
     if not program.exists():
         pytest.skip('Rerun comes with the extra [rerun]')

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recordings of Rerun, read back by Rerun itself from what it has written."""
+"""Recordings of Rerun, read back by Rerun itself."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ import warnings
 
 import numpy as np
 from rerun.chunk import RrdReader
-from soft_throw_ros.commands.rerun_output import flush, new_stream, save_to
+from soft_throw_ros.recording.rerun_output import flush, new_stream, save_to
 from soft_throw_ros.recording.rerun_view import Scene
 
 
 class Recording:
-    """What Rerun reads from a file: rows by entity and component, times in [ns]."""
+    """A Rerun file opened for reading: rows by entity and component, times in [ns]."""
 
     def __init__(self, path: Path) -> None:
         with warnings.catch_warnings():
@@ -80,7 +80,7 @@ class Recording:
 
 
 def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> Recording:
-    """Have a scene written to a file, with what it knows already, and read that."""
+    """Write a scene, including its earlier state, to a file and return the recording."""
     stream = new_stream()
     save_to(stream, path, is_live=False)
     scene.connect(stream)

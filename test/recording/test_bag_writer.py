@@ -11,18 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bags as we write them: read by others, complete by themselves, and kept when a disk is full."""
+"""Writing of bags: compatibility, complete files and full disks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 import os
+from pathlib import Path
 import resource
 import shutil
 from test.recording.conftest import PLAIN, plain, read, TYPES
 
-from bags import profiles
+from bags import profiles, saved
 from mcap.reader import make_reader
 import pytest
 from rosbags.interfaces import QosDurability
@@ -31,6 +32,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.recovery import recover
 import yaml
 
 
@@ -44,7 +46,7 @@ def information(folder):
 
 @contextmanager
 def largest_file(size) -> Iterator[None]:
-    """Have the system refuse to write files beyond a size, as if the disk were full."""
+    """Limit the size of files that this process may write, like a full disk."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
@@ -53,11 +55,11 @@ def largest_file(size) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-# What we write, others read
+# Compatibility with other readers
 
 
 @pytest.mark.parametrize('compression', ['none', 'lz4', 'zstd'])
-def test_rosbags_and_mcap_read_what_was_written(recording, compression):
+def test_rosbags_and_mcap_read_the_written_bag(recording, compression):
     recording.write(compression=compression)
     with RosbagsReader(recording.folder) as bag:
         found = [
@@ -121,7 +123,7 @@ def test_every_file_of_a_bag_can_be_read_alone(recording):
     assert (len(whole.channels), len(whole.metadata), len(whole.attachments)) == (2, 1, 1)
 
 
-def test_file_that_has_grown_beyond_the_size_is_followed_by_another(tmp_path):
+def test_file_beyond_the_size_limit_is_followed_by_another(tmp_path):
     options = {'compression': 'none', 'max_size': 10**6}
     with BagWriter(tmp_path / 'bag', distribution='', **options) as writer:
         for number in range(3000):
@@ -134,7 +136,7 @@ def test_file_that_has_grown_beyond_the_size_is_followed_by_another(tmp_path):
         assert sum(1 for _ in theirs.messages()) == 3000
 
 
-def test_metadata_that_change_are_kept_and_the_last_are_repeated(tmp_path):
+def test_changed_metadata_are_kept_and_the_last_are_repeated(tmp_path):
     with BagWriter(tmp_path / 'bag', distribution='') as writer:
         for number in range(3):
             writer.add_metadata('parameters', {'gravity': str(number)})
@@ -182,28 +184,26 @@ def test_wrong_option_is_quoted(tmp_path, options, message):
     assert not (tmp_path / 'bag').exists()
 
 
-# What is kept when
+# Flushes and faults
 
 
 @pytest.mark.parametrize('sync', [False, True])
-def test_all_before_a_flush_can_be_read_by_others_at_once(recording, sync):
+def test_messages_before_a_flush_are_readable_at_once(recording, sync):
     messages = recording.make(500)
     with BagWriter(recording.folder, distribution='jazzy', sync=sync) as writer:
         for number, message in enumerate(messages):
             writer.write(message)
             if number % 50 == 49:
                 writer.flush()
-                with BagReader(recording.folder) as bag:
-                    found = recording.content(bag.messages())
-                    assert found == recording.content(messages[: number + 1])
-                    assert bag.distribution == 'jazzy'
-                    assert 'being written' in bag.damage
+                assert saved(recording.folder) == recording.content(messages[: number + 1])
+                with pytest.raises(BagError, match='being written'):
+                    BagReader(recording.folder)
                 assert sum(writer.counts.values()) == number + 1
     assert recording.content(read(recording.folder).messages) == recording.content(messages)
 
 
 @pytest.mark.parametrize('max_size', [0, 300_000])
-def test_full_disk_is_named_and_costs_nothing_when_there_is_room_again(tmp_path, max_size):
+def test_full_disk_is_named_and_loses_nothing_if_space_is_freed(tmp_path, max_size):
     writer = BagWriter(tmp_path / 'bag', distribution='', compression='none', max_size=max_size)
     writer.attach('file', b'content', 'text/plain')
     with largest_file(200_000):
@@ -225,7 +225,7 @@ def test_full_disk_is_named_and_costs_nothing_when_there_is_room_again(tmp_path,
         assert theirs.message_count == 5000
 
 
-def test_disk_that_is_full_at_the_end_is_named_by_close_and_what_was_flushed_is_kept(tmp_path):
+def test_disk_full_at_the_end_is_named_by_close_and_keeps_flushed_messages(tmp_path):
     writer = BagWriter(tmp_path / 'bag', distribution='')
     for number in range(3):
         writer.write(plain(number))
@@ -236,9 +236,9 @@ def test_disk_that_is_full_at_the_end_is_named_by_close_and_what_was_flushed_is_
     writer.close()
     assert not is_being_written(tmp_path / 'bag')
     assert (writer.counts, writer.lost) == ({PLAIN: 3}, {PLAIN: 1})
-    with BagReader(tmp_path / 'bag') as bag:
-        assert numbers(bag.messages()) == [0, 1, 2]
-        assert [gap.size for gap in bag.gaps] == [0]  # it ends after a whole record
+    recovery = recover(tmp_path / 'bag', tmp_path / 'recovered')
+    assert numbers(read(recovery.target).messages) == [0, 1, 2]
+    assert [part.size for part in recovery.unreadable] == [0]  # it ends after a whole record
     for call in (writer.flush, writer.split, lambda: writer.write(plain(1))):
         with pytest.raises(BagError, match='bag is closed'):
             call()
@@ -252,7 +252,7 @@ def test_disk_that_is_full_at_once_leaves_nothing_behind(tmp_path, size):
 
 
 @pytest.mark.parametrize('files', [1, 3])
-def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(tmp_path, files):
+def test_bag_deleted_during_recording_is_named_and_counted_as_lost(tmp_path, files):
     writer = BagWriter(tmp_path / 'bag', distribution='')
     for number in range(45):
         writer.write(plain(number))
@@ -271,6 +271,65 @@ def test_bag_that_is_deleted_while_it_is_written_is_named_and_all_of_it_is_lost(
         assert sum(writer.lost.values()) >= 45
     assert (writer.counts, writer.lost) == ({PLAIN: 0}, {PLAIN: 46})
     assert list(tmp_path.iterdir()) == []
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, 100)
+
+
+def replace(path: Path) -> None:
+    path.with_name('new').write_bytes(path.read_bytes())
+    path.with_name('new').replace(path)
+
+
+def overwrite(path: Path) -> None:
+    path.write_bytes(b'something shorter')
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    (cut, 'changed to 100 bytes'), (overwrite, 'changed to 17 bytes'), (replace, 'replaced'),
+])
+@pytest.mark.parametrize('is_finished', [True, False])
+def test_file_that_another_program_changes_is_named_and_all_of_it_is_lost(
+    tmp_path, change, words, is_finished
+):
+    writer = BagWriter(tmp_path / 'bag', distribution='')
+    for number in range(10):
+        writer.write(plain(number))
+    writer.flush()
+    if is_finished:
+        writer.split()
+        writer.write(plain(10))
+        writer.flush()
+    assert not writer.lost
+    change(tmp_path / 'bag' / 'bag_0.mcap')
+    for number in (11, 12):
+        writer.write(plain(number))
+        if is_finished:  # the recording goes on in another file
+            writer.flush()
+        else:
+            with pytest.raises(BagError, match=rf'bag_0\.mcap: .*{words}'):
+                writer.flush()
+    if is_finished:
+        writer.close()
+    else:
+        with pytest.raises(BagError, match=words):
+            writer.close()
+    assert writer.lost == {PLAIN: 10 if is_finished else 12}
+    assert writer.counts == {PLAIN: 3 if is_finished else 0}
+
+
+def test_file_moved_away_and_back_loses_nothing(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', distribution='')
+    writer.write(plain(1))
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    file.rename(tmp_path / 'elsewhere')
+    with pytest.raises(BagError, match='deleted'):
+        writer.flush()
+    assert writer.lost == {PLAIN: 1}
+    (tmp_path / 'elsewhere').rename(file)
+    writer.close()
+    assert (writer.lost, writer.counts) == ({}, {PLAIN: 1})
 
 
 # Messages
@@ -293,7 +352,7 @@ def test_messages_of_every_size_time_and_number_are_kept(tmp_path):
         assert (theirs.message_count, theirs.start_time) == (len(messages), 0)
 
 
-def test_bag_without_messages_is_one(tmp_path):
+def test_bag_without_messages_is_valid(tmp_path):
     with BagWriter(tmp_path / 'bag', distribution='kilted') as writer:
         writer.add_channel(PLAIN)
     bag = read(tmp_path / 'bag')
@@ -302,12 +361,12 @@ def test_bag_without_messages_is_one(tmp_path):
         assert (theirs.message_count, theirs.duration) == (0, 0)
 
 
-def test_channels_that_are_alike_are_one_when_read_and_others_are_not(tmp_path):
+def test_equal_channels_are_merged_when_read(tmp_path):
     def channel(**qos):
         return Channel(topic='/a', type='t/msg/T', schema='IDL: ä', schema_encoding='ros2idl',
                        qos=profiles(qos))
 
-    # As if publishers went, came back, and one of them were another
+    # Publishers that restart, the last with another quality of service
     given_channels = [channel(), channel(), channel(depth=1)]
     with BagWriter(tmp_path / 'bag', distribution='') as writer:
         for number, item in enumerate(given_channels):

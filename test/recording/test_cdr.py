@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Messages as bytes, against somebody else's encoder, and against ROS."""
+"""Messages as bytes, compared with an independent encoder and with ROS."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.cdr import (
     decode,
-    decode_joint_states,
     encode_array,
     JointStateEncoder,
     JointStateReader,
@@ -37,7 +36,7 @@ JAZZY = get_typestore(Stores.ROS2_JAZZY)
 
 @pytest.fixture(params=[Stores.ROS2_JAZZY, Stores.ROS2_KILTED], ids=lambda store: store.value)
 def typestore(request: pytest.FixtureRequest) -> object:
-    """Somebody else's encoder, which writes no padding but zeros."""
+    """Return the types of an independent encoder, which pads with zeros."""
     return get_typestore(request.param)
 
 
@@ -61,7 +60,7 @@ def test_joint_state_bytes_are_canonical(typestore, frame, names, series) -> Non
 
 
 @pytest.mark.parametrize('dimensions', [{}, {'y': 0}, {'y': 64}, {'t': 3, 'y': 5}, {'abc': 1}])
-def test_array_bytes_are_canonical_and_come_back(typestore, dimensions) -> None:
+def test_array_bytes_are_canonical_and_decoded(typestore, dimensions) -> None:
     types, kind = typestore.types, 'std_msgs/msg/Float64MultiArray'
     values = np.random.default_rng(1).normal(size=tuple(dimensions.values()))
     sizes = list(dimensions.values())
@@ -98,12 +97,12 @@ def joint_state(stamp: int = STAMP, names=('plate', 'projectile'), lengths=(2, 2
 
 
 @pytest.mark.parametrize('lengths', [(0, 0, 0), (3, 0, 3), (0, 1, 0), (2, 3, 4)])
-def test_joint_states_of_others_come_back(lengths) -> None:
+def test_foreign_joint_states_are_decoded(lengths) -> None:
     reader = JointStateReader()
     expected = [np.arange(length) + 10.0 * index for index, length in enumerate(lengths)]
     for names in ((), ('a',), ('abc', 'defg', 'h'), ('abc', 'defg', 'h'), ('abd', 'defg', 'h')):
         messages = [joint_state(stamp, names, lengths) for stamp in (STAMP, STAMP + 1)]
-        many = decode_joint_states(messages)
+        many = JointStateReader().read_all(messages)
         assert (many.stamps.tolist(), many.names) == ([STAMP, STAMP + 1], names)
         for series, each in zip(
             (many.position, many.velocity, many.effort), expected, strict=True
@@ -115,13 +114,13 @@ def test_joint_states_of_others_come_back(lengths) -> None:
             assert [*map(list, one[2:])] == [*map(list, expected)]
 
 
-def test_padding_of_joint_states_may_hold_anything() -> None:
+def test_padding_of_joint_states_is_ignored() -> None:
     message = joint_state(names=('a', 'bc'), lengths=(2, 0, 0))
     padded = message.replace(b'a\x00\x00\x00', b'a\x00\x55\xaa')
     assert padded != message
     reader = JointStateReader()
     assert reader.read(padded) == reader.read(message)
-    both = decode_joint_states([message, padded])
+    both = JointStateReader().read_all([message, padded])
     np.testing.assert_array_equal(*both.position)
 
 

@@ -25,7 +25,7 @@ from soft_throw_ros.recording.energy_map import compute_energy_map, energy_trans
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
 
 
-def test_energy_transfer_of_other_layers_is_that_of_the_model() -> None:
+def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
     rig = Rig(layer=Layer(density=900.0), gravity=5.0)
     thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
     computed = energy_transfer(rig, thickness, wave_speed)
@@ -48,7 +48,7 @@ def test_energy_transfer_of_other_layers_is_that_of_the_model() -> None:
         (BEST, ['now: α 3.637', 'recommended: α 4.143']),
         ({'thickness': 0.0169, 'wave_speed': 7.8}, ['now, as recommended: α 3.637']),
         ({**BEST, 'thickness': -1.0}, ['now: α 3.637']),
-        # what is said of the rig counts, and what is said of another does not
+        # present values count only if they are those of the shown rig
         (
             {'now.thickness': 0.0168, 'now.wave_speed': 7.8, 'now.energy_transfer': 3.5, **BEST},
             ['now: α 3.500', 'recommended: α 4.143'],
@@ -64,14 +64,14 @@ def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected
     assert [text for *_, text in found.marks] == expected
 
 
-def test_map_reaches_to_layers_beyond_those_considered() -> None:
+def test_map_extends_beyond_the_considered_layers() -> None:
     found = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
     assert (found.thickness[0], found.thickness[-1]) == pytest.approx((1e-3, 0.08))
     assert np.nanmax(found.energy_transfer) > 4.0
 
 
-def test_map_of_what_never_leaves_says_so() -> None:
-    """To find out takes some milliseconds for every layer, so the map is coarse."""
+def test_map_without_a_release_has_a_note() -> None:
+    """Proving that a layer never throws takes milliseconds, so the map is coarse."""
     found = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
     assert [text for *_, text in found.marks] == ['now: no release']
     assert np.isnan(found.energy_transfer).any()

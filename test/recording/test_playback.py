@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is due when, by a clock that shows what the test says."""
+"""Due times of playback on a clock set by the test."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scheduled(*times: int, end: int | None = None, **kwargs: Any) -> PlaybackSch
 def play(
     schedule: PlaybackSchedule[int], *, late: int = 0, limit: int = 1000
 ) -> list[tuple[int, int]]:
-    """Ask at every deadline, or so much later; return what came with when it was due."""
+    """Poll at every deadline, or `late` after it; return items with their deadlines."""
     came = []
     while (deadline := schedule.deadline()) is not None and len(came) < limit:
         assert schedule.next_due(deadline - 1) is None
@@ -57,7 +57,7 @@ def due_now(schedule: PlaybackSchedule[int], now: int) -> list[int]:
 
 @pytest.mark.parametrize('late', [0, 1, MAX_CATCH_UP])
 @pytest.mark.parametrize('rate', [0.1, 3.0, 1000.0])
-def test_items_are_due_at_their_time_over_the_rate_and_late_ones_make_no_others_late(
+def test_items_are_due_at_their_time_over_the_rate_and_delays_do_not_add_up(
     rate, late
 ) -> None:
     times = [5 * SECOND, *range(6 * SECOND, 100 * SECOND, SECOND // 3), 100 * SECOND]
@@ -65,7 +65,7 @@ def test_items_are_due_at_their_time_over_the_rate_and_late_ones_make_no_others_
     assert came == [(time, START + round((time - times[0]) / rate)) for time in times]
 
 
-def test_stall_has_the_rest_wait() -> None:
+def test_stall_delays_the_remaining_items() -> None:
     schedule = scheduled(*range(0, 100 * SECOND, SECOND))
     stalled = START + 60 * SECOND
     assert due_now(schedule, stalled) == [0]  # and not sixty at once
@@ -73,7 +73,7 @@ def test_stall_has_the_rest_wait() -> None:
     assert rest == [stalled - MAX_CATCH_UP + k * SECOND for k in range(1, 100)]
 
 
-def test_pause_lets_nothing_come_and_resume_goes_on_there() -> None:
+def test_resume_continues_at_the_pause() -> None:
     schedule = scheduled(0, 1000, 2000, 3000)
     assert due_now(schedule, START + 1400) == [0, 1000]
     # it stops at the next one until that is taken
@@ -90,7 +90,7 @@ def test_pause_lets_nothing_come_and_resume_goes_on_there() -> None:
     ]
 
 
-def test_step_gives_all_of_the_next_moment_while_paused() -> None:
+def test_step_while_paused_returns_all_items_of_the_next_time() -> None:
     schedule = scheduled(0, 0, 1000, 2000, 2000, 2000, 3000, is_paused=True)
     assert schedule.deadline() is None
     for moment in ([0, 0], [1000], [2000, 2000, 2000]):
@@ -104,7 +104,7 @@ def test_step_gives_all_of_the_next_moment_while_paused() -> None:
     assert not schedule.step(START + 6 * SECOND)
 
 
-def test_nothing_is_over_at_once_and_a_rate_that_is_none_is_refused() -> None:
+def test_empty_recording_ends_at_once_and_invalid_rate_is_refused() -> None:
     for is_looping in (False, True):
         schedule = scheduled(is_looping=is_looping, is_paused=True)
         assert schedule.is_over
@@ -130,7 +130,7 @@ def test_recording_is_read_only_as_far_as_it_is_played() -> None:
         max_size=30,
     ),
 )
-def test_whatever_is_asked_every_item_comes_once_in_order_and_time_goes_forward(
+def test_any_requests_give_every_item_once_in_order(
     times, rate, calls
 ) -> None:
     schedule = scheduled(*times, rate=rate)

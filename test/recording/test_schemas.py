@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Definitions of message types, from what is installed here and from texts."""
+"""Definitions of message types, from installed packages and from texts."""
 
 import os
 from pathlib import Path
@@ -34,7 +34,7 @@ LINE = '=' * 80
 
 @pytest.fixture
 def prefix(tmp_path):
-    """Give a function that installs a type, and is a prefix."""
+    """Return an install prefix that is also a function which installs a type."""
 
     class Prefix(os.PathLike):
 
@@ -53,7 +53,7 @@ def prefix(tmp_path):
 
 
 @pytest.mark.parametrize('name', INSTALLED)
-def test_text_has_the_hash_that_rosbags_computes_from_it(name):
+def test_text_has_the_hash_computed_by_rosbags(name):
     assert {'sensor_msgs/msg/JointState', 'diagnostic_msgs/msg/DiagnosticArray'} <= {*INSTALLED}
     schema = find_schema(name, PREFIXES)
     if re.search(r'^char\b', schema.text, re.MULTILINE):
@@ -63,7 +63,7 @@ def test_text_has_the_hash_that_rosbags_computes_from_it(name):
     assert schema.type_hash == types.hash_rihs01(name)
 
 
-def test_text_is_put_together_as_rosbag2_does(prefix):
+def test_text_is_assembled_as_by_rosbag2(prefix):
     prefix('a/Top', 'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n')
     prefix('a/Own', 'b/msg/First again\nint32 NUMBER=3\n')
     prefix('b/First', 'float64 x\n')
@@ -76,7 +76,7 @@ def test_text_is_put_together_as_rosbag2_does(prefix):
     )
 
 
-def test_first_prefix_that_has_a_type_wins(prefix):
+def test_first_prefix_with_a_type_is_used(prefix):
     prefix('std_msgs/String', 'string other\n')
     assert find_schema('std_msgs/msg/String', [prefix, *PREFIXES]).text == 'string other\n'
     assert find_schema('std_msgs/msg/String', [*PREFIXES, prefix]).text != 'string other\n'
@@ -84,7 +84,7 @@ def test_first_prefix_that_has_a_type_wins(prefix):
     assert mixed == find_schema('std_msgs/msg/Header', PREFIXES)
 
 
-def test_type_that_has_itself_in_it_ends(prefix):
+def test_recursive_type_ends(prefix):
     prefix('a/A', 'B b\n')
     prefix('a/B', 'A a\nB[] b\n')
     schema = find_schema('a/msg/A', [prefix])
@@ -92,7 +92,7 @@ def test_type_that_has_itself_in_it_ends(prefix):
     assert schema.type_hash == ''  # as before ROS 2 Jazzy
 
 
-def test_type_that_is_missing_is_named_with_where_it_was_looked_for(prefix, tmp_path):
+def test_missing_type_is_named_with_the_searched_folders(prefix, tmp_path):
     with pytest.raises(SchemaError, match='a/msg/Top') as refusal:
         find_schema('a/msg/Top', [prefix, '/nowhere'])
     assert f'{tmp_path}/share, /nowhere/share' in str(refusal.value)

@@ -11,25 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What messages of twins say, against the model that the twin follows."""
+"""Time series read from messages of twins, compared with the model of the twin."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-import runpy
+import json
 from typing import Any
 
 import numpy as np
 import pytest
+from rigs import measured_throw
 from scipy.integrate import cumulative_trapezoid
 from soft_throw_ros.configuration.interface import (
-    FORMER_TOPICS,
     TWIN_TOPICS,
 )
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.cdr import encode_array
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.timeseries import (
     DECODING_ERRORS,
@@ -40,19 +38,22 @@ from soft_throw_ros.recording.timeseries import (
     StrainField,
     TwinReader,
 )
-
-HERE = Path(__file__).parent
-TwinMessages: Any = runpy.run_path(str(HERE / 'twin_messages.py'))['TwinMessages']
-measured_throw: Any = runpy.run_path(str(HERE.parent / 'twin' / 'rigs.py'))['measured_throw']
+from twin_messages import TwinMessages
 
 
 def one_throw(steps: int, **request: Any) -> Any:
-    """Give a twin whose throw begins with the first step, and what a reader reads of it."""
+    """Return a twin whose throw begins with the first step, with its messages read back."""
     twin = TwinMessages(throw__period=0, **request)
     twin.session.request_throw()
     twin.go(steps)
     twin.read = Read(twin.messages)
     return twin
+
+
+def journal_message(line: str) -> bytes:
+    """Encode a line of a journal as a message std_msgs/String."""
+    text = line.encode() + b'\0'
+    return b'\0\1\0\0' + len(text).to_bytes(4, 'little') + text
 
 
 @pytest.fixture(scope='module')
@@ -67,7 +68,7 @@ def real() -> Any:
 
 @pytest.fixture(scope='module')
 def measured() -> Any:
-    """Give one throw of a measured plate."""
+    """Return one throw of a measured plate, with its messages read back."""
     twin = TwinMessages(engine__motion='measured')
     twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1))
     twin.read = Read(twin.messages)
@@ -75,7 +76,7 @@ def measured() -> Any:
 
 
 class Read:
-    """What a reader reads of messages, one after another or many states at once."""
+    """Series read from messages, one by one or in batches of states."""
 
     def __init__(self, messages: Sequence[Message], *, batch: int = 1) -> None:
         self.reader = reader = TwinReader()
@@ -102,8 +103,6 @@ class Read:
                     self.rigs.append((reader.stamp_of(message), reader.rig))
             elif topic == TWIN_TOPICS.layer_joint_states:
                 self._add(self.layers, reader.read_layer([message]))
-            elif topic == FORMER_TOPICS.strain:
-                self._add(self.layers, reader.read_former_strain(message))
             elif topic == TWIN_TOPICS.throw_result:
                 for _, _, values in read_statuses(message):
                     reader.note_result(values)
@@ -151,10 +150,10 @@ def test_work_of_the_plate_is_conserved_in_projectile_and_layer(slow) -> None:
         np.testing.assert_allclose(layer.total_energy, work, atol=6e-3 * plate_work.max())
 
 
-def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
+def test_energies_at_the_release_agree_with_the_exact_model(slow) -> None:
     throw = simulate(Rig())
     mass, gravity = throw.rig.projectile.mass, throw.rig.gravity
-    rise = throw.first_release.position - (throw.rig.layer.thickness - throw.rig.static_sag)
+    rise = throw.first_release.position - throw.rest_height
     projectile_energy = mass * (0.5 * throw.ejection_speed**2 + gravity * rise)
     release = slow.pace.time_ns + throw.ejection_time * 1e9 / 0.01
     read = slow.read
@@ -166,6 +165,14 @@ def test_energies_are_those_of_the_exact_model_at_the_release(slow) -> None:
     ):
         at_release = np.interp(release, joined(found, 'stamps'), joined(found, name))
         assert at_release == pytest.approx(expected, rel=tolerance), name
+
+
+def test_projectile_at_rest_on_a_layer_of_constant_loss_has_no_energy() -> None:
+    layer = {'thickness': 0.05, 'wave_speed': 3.0, 'loss_tangent': 0.2, 'loss': 'constant'}
+    read = one_throw(8, **{f'layer__{name}': value for name, value in layer.items()}).read
+    weight = Rig().projectile.mass * Rig().gravity
+    assert joined(read.states, 'projectile_energy')[0] == pytest.approx(0.0, abs=1e-9 * weight)
+    assert joined(read.layers, 'energy')[0] == pytest.approx(0.0, abs=1e-9 * weight)
 
 
 def test_work_converges_with_the_square_of_the_step() -> None:
@@ -185,23 +192,15 @@ def test_work_converges_with_the_square_of_the_step() -> None:
     assert order == pytest.approx(2.0, abs=0.25)
 
 
-def test_layer_is_that_of_the_session_in_new_and_former_bags(slow) -> None:
+def test_layer_agrees_with_the_session(slow) -> None:
     rows = [(step, each.layer) for step, each in enumerate(slow.outputs) if each.layer is not None]
     stamps = stamps_of_steps(slow, [step for step, _ in rows])
     height, _, force = (np.array([layer[place] for _, layer in rows]) for place in range(3))
     strain = -force / (Rig().layer.youngs_modulus * Rig().layer.section)
-    channel = slow.channels[FORMER_TOPICS.strain.relative_name]
-    former = [
-        Message(channel, encode_array('y', row), stamp + 200_000, stamp + 200_000)
-        for stamp, row in zip(stamps, strain, strict=True)
-    ]
-    former += [each for each in slow.messages if '/layer/' not in each.channel.topic]
-    former.sort(key=lambda message: message.log_time)
-    for found in (slow.read.layers, Read(former).layers):
-        assert joined(found, 'stamps').tolist() == stamps
-        np.testing.assert_allclose(joined(found, 'height'), height, atol=2e-6)
-        assert np.abs(joined(found, 'strain') - strain).mean() < 1e-3
-    assert np.isnan(joined(found, 'total_energy')).all()  # the former say nothing of its velocity
+    layers = slow.read.layers
+    assert joined(layers, 'stamps').tolist() == stamps
+    np.testing.assert_allclose(joined(layers, 'height'), height, atol=2e-6)
+    assert np.abs(joined(layers, 'strain') - strain).mean() < 1e-3
 
 
 def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None:
@@ -218,8 +217,8 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
     assert np.ptp(top) > 1e-3
 
 
-def test_positions_between_states_are_those_of_the_model(real) -> None:
-    """A cubic between steps of 1 ms, of which a contact has eight."""
+def test_positions_between_states_agree_with_the_model(real) -> None:
+    """The reader interpolates by a cubic between steps of 1 ms; a contact has eight steps."""
     read = real.read
     (field,), ((position, _),) = read.fields, read.throws
     path = simulate(Rig(), until=0.02).trajectory(field.times)
@@ -227,7 +226,7 @@ def test_positions_between_states_are_those_of_the_model(real) -> None:
     np.testing.assert_allclose(position[:, 1], path.projectile_position, atol=5e-6)
 
 
-def test_batches_do_not_matter(real) -> None:
+def test_result_does_not_depend_on_batches(real) -> None:
     one = real.read.states
     for batch in (7, 100):
         many = Read(real.messages, batch=batch).states
@@ -235,7 +234,7 @@ def test_batches_do_not_matter(real) -> None:
             np.testing.assert_allclose(joined(many, name), joined(one, name), rtol=0, atol=1e-15)
 
 
-def test_rig_changes_with_a_throw_or_reset_and_what_is_wanted_is_known_before() -> None:
+def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> None:
     twin = TwinMessages(throw__period=0.1, time_scale=0.1).go(1500)
     twin.change(layer__thickness=0.01)
     before = Read(twin.messages).reader
@@ -257,6 +256,19 @@ def test_rig_changes_with_a_throw_or_reset_and_what_is_wanted_is_known_before() 
     assert [rig.layer.thickness for _, rig in rigs] == [0.0168, 0.01, 0.012]
 
 
+def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
+    entry = {
+        'kind': 'start',
+        'step': 3,
+        'settings': {'layer.elasticity': 'neo_hookean', 'model': 'finite_difference_elastic'},
+    }
+    reader = TwinReader()
+    data = journal_message(json.dumps(entry))
+    reader.read_journal(Message(real.channels['journal'], data, 5, 5))
+    assert reader.rig == Rig(layer=Layer(stress_strain_law='neo_hookean'))
+    assert reader.settings['model'] == 'cells_elastic'
+
+
 @pytest.mark.parametrize(
     'line',
     [
@@ -265,19 +277,18 @@ def test_rig_changes_with_a_throw_or_reset_and_what_is_wanted_is_known_before() 
         '{"kind": "throw", "step": 3}',
         '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
         '{"kind": "start", "step": 3, "settings": [1]}',
-        '{"kind": "pace", "step": 3, "anchor_step": 0, "anchor_time_ns": 0, "rate": -1}',
+        '{"kind": "tick_schedule", "step": 3, "anchor_step": 0, "anchor_time_ns": 0, "rate": -1}',
     ],
 )
-def test_lines_of_no_journal_are_refused_as_damage_is(real, line) -> None:
-    data = line.encode() + b'\0'
-    data = b'\0\1\0\0' + len(data).to_bytes(4, 'little') + data
+def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
+    data = journal_message(line)
     reader = TwinReader()
     with pytest.raises(DECODING_ERRORS):
         reader.read_journal(Message(real.channels['journal'], data, 5, 5))
     assert reader.rig is None
 
 
-def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> None:
+def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
     found = measured.read.positions
     (truth, predicted) = (found[topic] for topic in AUXILIARY[:2])
     times, positions = joined(predicted, 0), joined(predicted, 1)
@@ -288,7 +299,7 @@ def test_measured_throw_is_beside_the_states_at_the_same_height(measured) -> Non
     assert heights[there, 1] == pytest.approx(expected, abs=5e-5)  # the prediction is a polygon
 
 
-def test_measured_throw_starts_with_the_plate_and_a_lost_result_is_in_the_journal(
+def test_measured_throw_starts_with_the_plate_and_the_journal_replaces_a_lost_result(
     measured,
 ) -> None:
     results = [each for each in measured.messages if each.channel.topic != '/twin/throw_result']

@@ -20,6 +20,8 @@ from test.recording.conftest import PLAIN, plain, read, TIMEOUT, wait_until
 import threading
 from typing import Any
 
+from bags import saved
+from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.writer_thread import WriterThread
@@ -33,7 +35,7 @@ def numbers(path: Path) -> list[int]:
     return [message.sequence for message in read(path).messages]
 
 
-def test_all_is_written_in_its_order_but_what_has_no_valid_time(tmp_path: Path) -> None:
+def test_messages_are_written_in_order_except_those_with_invalid_time(tmp_path: Path) -> None:
     writer = thread(tmp_path / 'bag')
     writer.call(lambda bag: bag.add_metadata('name', {'key': 'value'}))
     for number in range(0, 1000, 10):
@@ -45,7 +47,9 @@ def test_all_is_written_in_its_order_but_what_has_no_valid_time(tmp_path: Path) 
     assert [item.name for item in read(tmp_path / 'bag').metadata] == ['name']
 
 
-def test_bag_that_cannot_be_made_is_tried_again_and_what_waits_is_counted(tmp_path: Path) -> None:
+def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
+    tmp_path: Path
+) -> None:
     place = tmp_path / 'place'
     place.write_text('in the way')
     writer, vain = thread(place / 'bag'), thread(place / 'vain')
@@ -64,7 +68,7 @@ def test_bag_that_cannot_be_made_is_tried_again_and_what_waits_is_counted(tmp_pa
 
 
 class SlowBag(BagWriter):
-    """A bag on a disk that waits for something."""
+    """A bag on a disk that waits for an event."""
 
     goes_on = threading.Event()
 
@@ -73,10 +77,59 @@ class SlowBag(BagWriter):
         super().write(message)
 
 
-def test_what_waits_is_bounded_and_the_rest_is_counted(tmp_path: Path) -> None:
+class HungBag(BagWriter):
+    """A bag whose disk hangs after the first saved message."""
+
+    goes_on = threading.Event()
+
+    def flush(self) -> None:
+        if sum(self.counts.values()):
+            assert self.goes_on.wait(TIMEOUT)
+        super().flush()
+
+
+def test_queue_is_bounded_and_dropped_messages_are_counted(tmp_path: Path) -> None:
     writer = thread(tmp_path / 'bag', SlowBag, capacity=1_000_000)
     writer.put([plain(number, size=9_500) for number in range(250)])  # 10 kB each in memory
     assert writer.lost()[PLAIN] == 150
     SlowBag.goes_on.set()
     writer.close()
     assert numbers(tmp_path / 'bag') == list(range(100))
+
+
+def test_hanging_disk_delays_the_end_for_a_bounded_time_and_is_reported(
+    tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(writer_thread, 'STALL_NOTICE', 0.1)
+    monkeypatch.setattr(writer_thread, 'STALL_TIMEOUT', 0.3)
+    writer = thread(tmp_path / 'bag', HungBag)
+    assert writer.bag is not None
+    writer.put([plain(0)])
+    wait_until(lambda: writer.waiting == 0)
+    writer.put([plain(number) for number in range(1, 8)])
+    told: list[str] = []
+    writer.close(told.append)
+    assert len(told) == 1
+    assert '7 messages' in told[0]
+    assert writer.is_alive
+    assert '0.3 s' in writer.error
+    assert (writer.lost(), writer.waiting) == ({PLAIN: 7}, 0)
+    HungBag.goes_on.set()
+    wait_until(lambda: not writer.is_alive)
+
+
+def test_requested_flush_does_not_wait_for_its_period(
+    tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(writer_thread, 'FLUSH_PERIOD', 1e6)
+    monkeypatch.setattr(writer_thread, '_WRITE_PERIOD', 1e6)
+    writer = thread(tmp_path / 'bag')
+    writer.put([plain(number) for number in range(9)])
+    writer.flush()
+
+    def is_saved() -> bool:
+        return len(saved(tmp_path / 'bag')) == 9
+
+    wait_until(is_saved)
+    assert writer.is_alive
+    writer.close()

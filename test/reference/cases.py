@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rigs by the numbers that decide a throw, and throws that are known exactly."""
+"""Rigs made from dimensionless ratios, and throws with exactly known results."""
 
 import math
 
@@ -107,5 +107,5 @@ def log_uniform(low, high):
 
 
 def order(counts, errors):
-    """Return the exponent with which errors fall as cells or steps get more."""
+    """Return the order of convergence of errors with the number of cells or steps."""
     return -np.polyfit(np.log(counts), np.log(np.abs(errors)), 1)[0]

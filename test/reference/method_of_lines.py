@@ -31,7 +31,7 @@ def _links(layer, cells):
 
 
 def first_release(rig, *, cells):
-    """Return when [s] and how fast [m/s] a projectile leaves the layer."""
+    """Return time [s] and speed [m/s] of the first release."""
     lengths, sheets = _links(rig.layer, cells)
     fits = [
         relaxation(sheet.loss_tangent) if sheet.loss == 'constant' else Relaxation()
@@ -49,7 +49,7 @@ def first_release(rig, *, cells):
         )
         * modulus
     )
-    is_curved = np.array([sheet.elasticity == 'neo_hookean' for sheet in sheets])
+    is_curved = np.array([sheet.stress_strain_law == 'neo_hookean' for sheet in sheets])
     half = 0.5 * lengths * section * [sheet.density for sheet in sheets]
     mass = half + np.append(half[1:], rig.projectile.mass)
     plate, weight, n = Underdamped.of(rig.engine), rig.projectile.mass * rig.gravity, len(sheets)

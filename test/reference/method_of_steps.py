@@ -208,7 +208,7 @@ class WaveHistory:
         return self.upward(time + from_top), self._down(time - from_top)
 
     def _touching(self, time: Floats) -> NDArray[np.bool_]:
-        """Tell where the projectile lies on the layer; at a release it still does."""
+        """Return the times in contact with the layer as a mask; a release counts as contact."""
         passed = np.searchsorted([event.time for event in self.events], time, side='left')
         return np.asarray(passed % 2 == 0)
 
@@ -362,7 +362,7 @@ def _cut(coefficients: Floats, x: float) -> Floats:
 
 
 def _first_negative(coefficients: Floats, noise: float) -> float | None:
-    """Left end of the first stretch of [-1, 1] on which a polynomial is below -noise."""
+    """Return the left end of the first interval of [-1, 1] where a polynomial is below -noise."""
     if coefficients[0] > np.abs(coefficients[1:]).sum():
         return None
     trimmed = chebyshev.chebtrim(coefficients, tol=1e-3 * noise)

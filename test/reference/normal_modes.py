@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-When and how fast a rigid projectile first leaves a layer with internal loss, exactly.
+Exact time and speed of the first release of a rigid projectile from a layer with internal loss.
 
 Kelvin-Voigt loss, :math:`\sigma = E_s (\epsilon + \theta \dot\epsilon)`, whose loss tangent at
 the plate's frequency is :math:`\omega \theta`. The modes of layer and mass are those without loss,

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A small part of the trials, and whether they count as they should."""
+"""A few trials, and the table of their verdicts."""
 
 import math
 
@@ -19,25 +19,25 @@ import numpy as np
 import pytest
 from trials import table
 from trials.__main__ import main
-from trials.judge import Deviation, judge, Verdict
+from trials.judge import compare, Deviation, judge, Verdict
 from trials.rows import ROWS
 
 
 def verdict(**found):
     numbers = {name: Deviation(*value) for name, value in found.items()}
-    return Verdict(row='clean', number=0, found=numbers, seconds=0.1)
+    return Verdict(row='clean', number=0, results=numbers, seconds=0.1)
 
 
 def test_clean_throw_is_identified_within_its_errors():
-    found = judge('clean, known exactly', 3, seed=1)
-    assert not found.refusal
-    assert not found.warnings
-    assert not found.is_silently_wrong
-    assert found.found['layer.wave_speed'].errors < 4.0
-    assert found.found['ejection.time'].errors < 4.0
+    result = judge('clean, known exactly', 3, seed=1)
+    assert not result.refusal
+    assert not result.warnings
+    assert not result.is_silently_wrong
+    assert result.results['layer.wave_speed'].errors < 4.0
+    assert result.results['ejection.time'].errors < 4.0
 
 
-def test_same_seed_gives_the_same_trial_and_another_one_does_not():
+def test_trial_is_determined_by_its_seed():
     row = next(row for row in ROWS if 'outliers' in row.name)
     first, again, other = (
         row.draw(np.random.default_rng(seed)).records[0] for seed in (0, 0, 1)
@@ -54,12 +54,22 @@ def test_every_row_has_trials_with_a_truth(row):
     assert trial.truth['layer.wave_speed'] > 0.0
 
 
-def test_what_is_far_off_without_a_word_is_silently_wrong():
+def test_large_deviation_without_a_warning_is_silently_wrong():
     right, wrong = verdict(a=(1.0, 0.1, 1.15)), verdict(a=(1.0, 0.1, 1.6), b=(1.0, math.inf, 9.0))
-    assert right.found['a'].is_held
+    assert right.results['a'].is_covered
     assert not right.is_silently_wrong
     assert wrong.wrong == ['a']
     assert wrong.is_silently_wrong
+
+
+def test_truth_within_a_reported_alternative_is_right():
+    one, other = {'value': 7.0, 'error': 0.1}, {'value': 9.0, 'error': 0.2}
+    truth = {'ejection.time': 9.1}
+    (alone,) = compare({'ejection': {'time': one, 'alternatives': []}}, truth).values()
+    ejection = {'time': one, 'alternatives': [{'time': other}]}
+    (both,) = compare({'ejection': ejection}, truth).values()
+    assert not alone.is_covered
+    assert both == Deviation(9.0, 0.2, 9.1)
 
 
 def test_table_counts_verdicts():
@@ -82,7 +92,7 @@ def test_command_writes_a_table_and_a_log(capsys, tmp_path):
 @pytest.mark.parametrize(
     ('args', 'value'), [(['--rows', 'nothing'], 'nothing'), (['--rigs', '0'], '0')]
 )
-def test_command_refuses_what_cannot_be(capsys, args, value):
+def test_command_refuses_impossible_arguments(capsys, args, value):
     with pytest.raises(SystemExit):
         main(args)
     assert value in capsys.readouterr().err

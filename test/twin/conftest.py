@@ -18,31 +18,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import itertools
 import math
-from pathlib import Path
-import runpy
 from typing import Any
 
 import numpy as np
 import pytest
+import rigs as measured_rigs
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.replay import advance_to, follow
-from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
+from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
 
-_rigs: Any = runpy.run_path(str(Path(__file__).with_name('rigs.py')))
-
 
 def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outputs]:
-    """Repeat a journal up to a step, from its first start or that of a throw on."""
+    """Replay a journal up to a step, from its first start or the start of a throw."""
     entries = map(journal.decode, lines)
     begins = (
         entry
@@ -75,9 +72,10 @@ class Run:
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
+        self._notices: list[str] = []
 
     def go(self, steps: int) -> list[Outputs]:
-        """Go so many steps on, and return what they give."""
+        """Advance by a number of steps and return their outputs."""
         first = len(self.outputs)
         for _ in range(steps):
             now_ns = self.schedule.deadline(self.session.step)
@@ -85,31 +83,33 @@ class Run:
             self.session.measure([sample for _, sample in self._waiting[:count]])
             del self._waiting[:count]
             self.outputs.append(self.session.advance())
+            if self.session.step % round(self.session.rate) == 0:
+                self._notices += self.session.diagnose_sensors()
         return self.outputs[first:]
 
     def go_until(self, phase: Phase, limit: int = 20_000) -> Outputs:
-        """Go on to the step that enters a phase."""
+        """Advance to the step that enters a phase."""
         for _ in range(limit):
             (outputs,) = self.go(1)
-            if phase in outputs.phases:
+            if any(change.phase is phase for change in outputs.phases):
                 return outputs
         raise AssertionError(f'{phase} has not come in {limit} steps')
 
     def send(self, samples: Iterable[Sample], delays: Sequence[int] = ()) -> None:
-        """Have samples arrive so much after their stamps."""
+        """Queue samples that arrive with the given delays after their stamps."""
         for sample, delay in itertools.zip_longest(samples, delays, fillvalue=TRANSPORT):
             self._waiting.append((sample.stamp_ns + delay, sample))
         self._waiting.sort(key=lambda item: item[0])
 
     def receive(self) -> None:
-        """Go on until all samples have come."""
+        """Advance until all samples have arrived."""
         while self._waiting:
             self.go(1)
 
     def measure(self, rig: Any = None, **kwargs: Any) -> None:
         """Measure a throw of a rig of its own, and go on to the end of the samples."""
         kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
-        self.send(_rigs['measured_throw'](rig or self.rig, **kwargs))
+        self.send(measured_rigs.measured_throw(rig or self.rig, **kwargs))
         self.receive()
 
     def results(self, stage: str) -> list[ThrowResult]:
@@ -120,10 +120,14 @@ class Run:
         return [event for outputs in self.outputs for event in outputs.events]
 
     def phases(self) -> list[Phase]:
-        return [phase for outputs in self.outputs for phase in outputs.phases]
+        return [change.phase for change in self.phase_changes()]
+
+    def phase_changes(self) -> list[PhaseChange]:
+        return [change for outputs in self.outputs for change in outputs.phases]
 
     def notices(self) -> list[str]:
-        return [notice for outputs in self.outputs for notice in outputs.notices]
+        self._notices += self.session.diagnose_sensors()
+        return self._notices
 
     def entries(self, kind: str) -> list[dict[str, Any]]:
         entries = map(journal.decode, self.journal)
@@ -134,7 +138,7 @@ class Run:
         return [entry['step'] for entry in self.entries('throw')]
 
     def repeat(self, throw: int = 0) -> Iterator[Outputs]:
-        """Repeat it from its journal, from a throw on."""
+        """Replay the run from its journal, from the start of a throw."""
         self.session.close()
         return replay(self.journal, until=self.session.step, throw=throw)
 
@@ -142,14 +146,14 @@ class Run:
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 MEASUREMENT = MeasurementConfig(
     smoothing_window_ns=2_000_000,
-    wait_ns=0,
+    latency_ns=0,
     position_noise=5e-6,
     velocity_noise=1e-2,
     start_speed=0.1 * PLATE.peak_velocity,
     residual_threshold=5e-5,
     plate=PLATE,
-    frequency_error=0.1,
-    damping_error=0.003,
+    frequency_error=0.1 / math.sqrt(3.0),
+    damping_error=0.003 / math.sqrt(3.0),
     prediction_error=0.01,
 )
 INTERVAL = 200_000  # [ns]
@@ -176,7 +180,7 @@ def settings(**request: Any) -> dict[str, Any]:
 
 
 def same_bits(ours: Outputs, theirs: Outputs) -> bool:
-    """Compare everything, numbers by all their digits, and arrays by their bytes."""
+    """Compare outputs: numbers by all digits, and arrays by bytes."""
     return _content(ours) == _content(theirs)
 
 
@@ -188,41 +192,41 @@ def _content(value: Any) -> Any:
 
 @pytest.fixture(scope='session')
 def start() -> type[Run]:
-    """Give what starts a session with settings other than the defaults."""
+    """Return the class that runs a session with changed settings."""
     return Run
 
 
 @pytest.fixture(scope='session', name='settings')
 def settings_() -> Callable[..., dict[str, Any]]:
-    """Give what makes complete settings of some."""
+    """Return the function that completes settings by the defaults."""
     return settings
 
 
 @pytest.fixture(scope='session', name='replay')
 def replay_() -> Callable[..., Iterator[Outputs]]:
-    """Give what repeats a journal."""
+    """Return the function that replays a journal."""
     return replay
 
 
 @pytest.fixture(scope='session')
 def same() -> Callable[[Outputs, Outputs], bool]:
-    """Give what compares outputs to the last bit."""
+    """Return the function that compares outputs bit by bit."""
     return same_bits
 
 
 @pytest.fixture(scope='session')
 def rigs() -> Any:
-    """Give the rigs that are measured."""
-    return _rigs
+    """Return the module that simulates measured rigs."""
+    return measured_rigs
 
 
 @pytest.fixture(scope='session')
 def make_samples() -> Callable[..., list[Sample]]:
-    """Give what measures a plate."""
+    """Return the function that makes samples of a plate."""
     return make_plate_samples
 
 
 @pytest.fixture(scope='session')
 def measurement() -> MeasurementConfig:
-    """Give how that is measured."""
+    """Return the configuration of the measurement."""
     return MEASUREMENT

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The journal: what it says, and that a session can be repeated from it."""
+"""The journal: its entries, and the replay of a session from its journal."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.onset import Onset, Rest
-from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.replay import follow
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
 @pytest.fixture(scope='module')
 def eventful(start) -> Any:
-    """Run with a bit of everything."""
+    """Return a run with throws, changes, a reset and a request."""
     run = start(throw__max_events=4)
     run.go(1234)
     run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
@@ -57,7 +57,7 @@ def eventful(start) -> Any:
     return run
 
 
-def test_replay_writes_the_same_journal_and_begins_where_it_can(eventful, replay, same) -> None:
+def test_replay_writes_the_same_journal_and_starts_at_a_throw(eventful, replay, same) -> None:
     written: list[str] = []
     entries = list(map(journal.decode, eventful.journal))
     session = Session.from_entry(entries[0], on_entry=written.append)
@@ -72,6 +72,19 @@ def test_replay_writes_the_same_journal_and_begins_where_it_can(eventful, replay
     assert first in eventful.starts()
     assert len(without_start) == session.step - first
     assert all(map(same, without_start, eventful.outputs[first:]))
+
+
+def test_journal_with_former_parameter_names_is_replayed(eventful, replay, same) -> None:
+    former = {new: old for old, new in TWIN.deprecated.items()}
+    lines = []
+    for line in eventful.journal:
+        for new, old in former.items():
+            line = line.replace(f'"{new}"', f'"{old}"')  # noqa: PLW2901
+        lines.append(line)
+    assert '"measured.window"' in lines[0]
+    repeated = list(replay(lines, until=len(eventful.outputs)))
+    assert len(repeated) == len(eventful.outputs)
+    assert all(map(same, repeated, eventful.outputs))
 
 
 def test_journal_has_all_inputs_with_their_steps(start) -> None:
@@ -159,7 +172,7 @@ samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers, numbers)
         unique_by=lambda batch: batch[0],
     ).map(sorted)
 )
-def test_samples_come_back_to_the_last_bit(batches) -> None:
+def test_encoded_samples_are_decoded_bit_by_bit(batches) -> None:
     entry = {'kind': 'samples', 'step': batches[-1][0], **journal.encode_samples(batches)}
     entry = journal.decode(journal.encode(entry))
     assert journal.decode_samples(entry) == batches
@@ -167,11 +180,13 @@ def test_samples_come_back_to_the_last_bit(batches) -> None:
 
 
 @pytest.mark.parametrize('projectile', [0.5, math.nan])
-def test_onsets_come_back(projectile) -> None:
+def test_encoded_onsets_are_decoded(projectile) -> None:
     onset = Onset(
         onset_ns=10**18,
-        rest=Rest(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
+        rest=RestBaseline(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
         trusts_engine=False,
+        stamp_scatter=3e-5,
+        stamp_error=2e-5,
         samples=tuple(Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)),
     )
     schedule = TickSchedule(step=0, time_ns=5, rate=1e3)
@@ -186,7 +201,7 @@ def test_onsets_come_back(projectile) -> None:
     assert journal.decode_schedule(entry['schedule']) == schedule
 
 
-# what does not fit
+# inconsistent journals
 
 SCHEDULE = journal.encode_schedule(TickSchedule(step=0, time_ns=1_000, rate=1000.0))
 
@@ -194,7 +209,7 @@ SCHEDULE = journal.encode_schedule(TickSchedule(step=0, time_ns=1_000, rate=1000
 @pytest.mark.parametrize(
     'values', [{'anchor_time_ns': 0.5}, {'rate': 0.0}, {'rate': '1'}, {'anchor_step': None}]
 )
-def test_schedule_that_is_none_is_refused_with_the_value(values) -> None:
+def test_invalid_schedule_is_refused_with_its_value(values) -> None:
     (value,) = values.values()
     with pytest.raises(journal.JournalError, match=str(value)):
         journal.decode_schedule({**SCHEDULE, **values})
@@ -214,12 +229,12 @@ def test_schedule_that_is_none_is_refused_with_the_value(values) -> None:
         ('{"kind": "throw", "step": 7, "versions": 6}', '6'),
     ],
 )
-def test_line_that_is_no_entry_is_refused_with_it(line, value) -> None:
+def test_invalid_line_is_refused_and_quoted(line, value) -> None:
     with pytest.raises(journal.JournalError, match=value):
         journal.decode(line)
 
 
-def test_what_does_not_fit_a_session_is_refused_with_it(eventful) -> None:
+def test_entry_inconsistent_with_the_session_is_refused_and_quoted(eventful) -> None:
     begin = eventful.entries('throw')[0]
     with pytest.raises(journal.JournalError, match='settings'):
         Session.from_entry({'kind': 'throw', 'step': 3})

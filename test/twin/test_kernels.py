@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Kernels that are compiled once, by whoever comes first."""
+"""Compilation of each kernel once, by the first process."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ import sys
 from numba.core import event
 import pytest
 from soft_throw_ros.commands.warm_up import main
-from soft_throw_ros.core.throw import MODELS
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.twin.kernels import load_kernels, missing_parts, needed_parts, PARTS
 
 
 @pytest.fixture
 def warm_up(tmp_path):
-    """Start the command with nothing compiled but what it has compiled before."""
+    """Return a function that starts the command with a kernel cache of its own."""
     environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
     command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up']
 
@@ -42,9 +42,9 @@ def warm_up(tmp_path):
 
 
 @pytest.mark.timeout(300)
-def test_what_is_compiled_is_told_and_compiled_once(warm_up, tmp_path) -> None:
+def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
     first, _ = warm_up('measured').communicate()
-    assert 'compiling, once: ' in first
+    assert 'cached for later runs' in first
     second, _ = warm_up('measured').communicate()
     assert 'compiling' not in second
     assert second.startswith('1/1 measured: ready')
@@ -53,7 +53,7 @@ def test_what_is_compiled_is_told_and_compiled_once(warm_up, tmp_path) -> None:
     with mark.with_suffix('.lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         with warm_up('measured') as waiting:
-            assert 'another process compiles measured' in waiting.stdout.readline()
+            assert 'another process that compiles measured' in waiting.stdout.readline()
             fcntl.flock(lock, fcntl.LOCK_UN)
             assert 'ready' in waiting.stdout.read()
     assert mark.exists()
@@ -81,11 +81,11 @@ def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
         ({'model': 'spring_mass', 'engine__motion': 'measured'}, {'cells', 'measured'}),
     ],
 )
-def test_rig_waits_for_its_own_model_only(settings, request_, parts) -> None:
+def test_rig_waits_only_for_kernels_of_its_model(settings, request_, parts) -> None:
     assert set(needed_parts(settings(**request_))) == parts
 
 
-def test_part_that_is_not_there_is_refused_with_all_that_are(capsys) -> None:
+def test_unknown_kernel_group_is_refused_with_the_known_groups(capsys) -> None:
     with pytest.raises(SystemExit, match='2'):
         main(['waves'])
     words = capsys.readouterr().err

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Throws of a measured plate, in the session: samples in, predictions out, and once more."""
+"""Sessions with a measured plate: samples, predictions and replay."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 import math
@@ -26,11 +27,17 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import PROJECTILE_POSITION, PROJECTILE_VELOCITY
+from soft_throw_ros.core.stepper import (
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    Stepper,
+    TIME,
+)
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
-from soft_throw_ros.twin.plate_estimator import Sample
+from soft_throw_ros.twin import prepared_rig
 from soft_throw_ros.twin.results import Phase
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -39,7 +46,7 @@ MEASURED = {'engine__motion': 'measured'}
 
 
 def follow(rig: Any, times: Sequence[float]) -> np.ndarray:
-    """Return position and velocity of the projectile of a rig of its own."""
+    """Return position and velocity of the projectile by an independent simulation."""
     stepper = WaveStepper(rig)
     rows = []
     for time in times:
@@ -66,7 +73,7 @@ def test_throw_starts_with_the_plate(quiet) -> None:
     assert entry['step'] <= 55  # nothing is lost, though it is seen after 3 ms
 
 
-def test_release_is_predicted_as_it_is(quiet) -> None:
+def test_predicted_release_agrees_with_the_release(quiet) -> None:
     exact = simulate(quiet.rig)
     (first, certain), (release,) = quiet.results('predicted'), quiet.results('release')
     for result in (first, certain, release):
@@ -86,7 +93,7 @@ def test_release_is_predicted_as_it_is(quiet) -> None:
     assert certain.ended_by == ''
 
 
-def test_release_is_known_well_before_a_wave_can_tell(quiet) -> None:
+def test_release_is_predicted_more_than_a_crossing_ahead(quiet) -> None:
     first, certain = quiet.results('predicted')
     assert first.lead > 1.4 * quiet.rig.crossing_time > certain.lead > 0.0
     assert first.is_ahead
@@ -96,14 +103,14 @@ def test_release_is_known_well_before_a_wave_can_tell(quiet) -> None:
     assert certain.accuracy.ejection_speed_error < 0.5 * error
 
 
-def test_prediction_reaches_a_crossing_time_beyond_what_is_known(quiet) -> None:
+def test_prediction_reaches_a_crossing_beyond_the_known_plate(quiet) -> None:
     crossing = quiet.rig.crossing_time
     leads = [outputs.prediction.lead_ns for outputs in quiet.outputs if outputs.prediction]
     latest = 0.5e-3 + 0.25e-3 + 0.2e-3 + 0.15e-3 + 0.05e-3  # window, states, sample, transport
     assert crossing - latest < min(leads) / SECOND <= max(leads) / SECOND < crossing - 0.1e-3
 
 
-def test_projectile_is_where_it_is_predicted_and_state_is_that_of_the_rig(quiet) -> None:
+def test_projectile_follows_the_prediction_and_the_state_follows_the_rig(quiet) -> None:
     flying = [outputs for outputs in quiet.outputs if outputs.prediction][:20]
     predictions = [outputs.prediction for outputs in flying]
     times = [(item.stamp_ns - quiet.begin_ns) / SECOND - ONSET for item in predictions]
@@ -114,12 +121,12 @@ def test_projectile_is_where_it_is_predicted_and_state_is_that_of_the_rig(quiet)
     states = [outputs.state for outputs in flying]
     position, _ = follow(quiet.rig, times).T
     assert [state.projectile_position for state in states] == pytest.approx(position, abs=2e-6)
-    # what the last millisecond has brought is extrapolated
+    # The position of the plate is extrapolated over the last millisecond
     plate = Underdamped.of(quiet.rig.engine).position(times)
     assert [state.plate_position for state in states] == pytest.approx(plate, abs=5e-5)
 
 
-def test_residual_without_noise_is_none(quiet) -> None:
+def test_residual_without_noise_is_zero(quiet) -> None:
     residuals = [outputs.residual for outputs in quiet.outputs if outputs.residual]
     aloft = [item for item in residuals if item.stamp_ns < quiet.begin_ns + 0.08 * SECOND]
     assert len(aloft) > 20
@@ -128,7 +135,7 @@ def test_residual_without_noise_is_none(quiet) -> None:
     assert result.comparison.position_rms < 1e-6
 
 
-def test_throw_field_is_that_of_the_throw(quiet, start) -> None:
+def test_throw_field_agrees_with_the_throw(quiet, start) -> None:
     (field,) = (outputs.throw_field for outputs in quiet.outputs if outputs.throw_field)
     exact = start(throw__period=0.0)
     exact.session.request_throw()
@@ -142,13 +149,13 @@ def test_throw_field_is_that_of_the_throw(quiet, start) -> None:
 @pytest.mark.parametrize(
     ('model', 'loss', 'is_ahead'),
     [
-        ('finite_difference', 0.02, True),
-        ('finite_difference_elastic', 0.0, True),
-        ('finite_difference_glued', 0.0, False),  # it leaves at the plate
+        ('cells', 0.02, True),
+        ('cells_elastic', 0.0, True),
+        ('cells_glued', 0.0, False),  # it leaves at the plate
         ('spring_mass', 0.0, False),  # waves need no time
     ],
 )
-def test_other_models_are_as_far_ahead_as_their_waves(start, model, loss, is_ahead) -> None:
+def test_other_models_predict_their_simulated_release(start, model, loss, is_ahead) -> None:
     run = start(**MEASURED, model=model, layer__loss_tangent=loss)
     run.measure(Rig())
     theirs = start(model=model, layer__loss_tangent=loss, throw__period=0.0)
@@ -163,7 +170,7 @@ def test_other_models_are_as_far_ahead_as_their_waves(start, model, loss, is_ahe
 
 def test_without_a_projectile_there_is_no_residual(start, rigs) -> None:
     run = start(**MEASURED)
-    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns)
+    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns)
     run.send(sample._replace(projectile=math.nan) for sample in samples)
     run.receive()
     assert not any(outputs.residual for outputs in run.outputs)
@@ -171,19 +178,21 @@ def test_without_a_projectile_there_is_no_residual(start, rigs) -> None:
 
 
 @pytest.mark.parametrize(('factor', 'noise'), [(0.93, 5e-6), (0.97, 0.0)])
-def test_layer_that_has_aged_is_beyond_the_threshold_by_its_errors(
+def test_deviations_of_an_aged_layer_exceed_the_threshold(
     start, rigs, factor, noise
 ) -> None:
-    run = start(**MEASURED, measured__band=5e-5)
-    other = rigs['aged'](run.rig, factor)
+    run = start(**MEASURED, measured__residual_threshold=5e-5)
+    other = rigs.aged(run.rig, factor)
     run.measure(other, noise=noise)
     run.session.reset()
     run.go(3)
-    comparison = run.results('final')[0].comparison
+    (final,) = run.results('final')
+    comparison = final.comparison
     assert not comparison.is_within_threshold
     assert comparison.threshold == 5e-5
-    assert '50 um' in comparison.describe()
-    # errors are those at the height of the release by the model
+    assert '50 um' in final.describe_comparison()
+    assert 'aged' in final.describe_comparison()
+    # errors compare both throws where the projectile passes the height of the model's release
     ours = simulate(run.rig)
     begin, end = follow(run.rig, [0.0, ours.ejection_time])[:, 0]
     times = np.linspace(0.5, 1.5, 20001) * ours.ejection_time
@@ -197,14 +206,14 @@ def test_layer_that_has_aged_is_beyond_the_threshold_by_its_errors(
     )
 
 
-# what goes wrong
+# faults of the measurement
 
 
 @pytest.mark.parametrize(('gap', 'is_valid'), [(2.4e6, False), (1.6e6, True)])
 def test_gap_longer_than_a_crossing_makes_the_throw_invalid(start, rigs, gap, is_valid) -> None:
     run = start(**MEASURED)
     onset = run.begin_ns + SECOND // 20
-    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns)
+    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns)
     run.send(item for item in samples if not 4.0e6 <= item.stamp_ns - onset < 4.0e6 + gap)
     run.receive()
     if is_valid:
@@ -221,11 +230,15 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(start, rigs, gap, is
 @pytest.mark.parametrize(
     ('rate', 'request_', 'reason'),
     [
-        (1200.0, {'measured__window': 3e-3}, 'crossing'),
-        (1700.0, {'layer__thickness': 0.05, 'measured__window': 2e-3}, 'measured.window'),
+        (1200.0, {'measured__smoothing_window': 3e-3}, 'crossing'),
+        (
+            1700.0,
+            {'layer__thickness': 0.05, 'measured__smoothing_window': 2e-3},
+            'measured.smoothing_window',
+        ),
     ],
 )
-def test_rate_that_is_too_low_is_told_with_the_number(start, rate, request_, reason) -> None:
+def test_rate_that_is_too_low_is_reported_with_its_value(start, rate, request_, reason) -> None:
     run = start(**MEASURED, **request_)
     run.measure(rate=rate, duration=0.3, onset=0.2)
     assert run.session.throws == 0
@@ -233,17 +246,17 @@ def test_rate_that_is_too_low_is_told_with_the_number(start, rate, request_, rea
     assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
 
 
-def test_rate_that_is_a_little_below_the_least_will_do(start) -> None:
+def test_rate_slightly_below_the_minimum_is_accepted(start) -> None:
     # as that of a sensor of 2 kHz whose stamps jitter
-    run = start(**MEASURED, layer__thickness=0.05, measured__window=2e-3)
+    run = start(**MEASURED, layer__thickness=0.05, measured__smoothing_window=2e-3)
     run.measure(rate=1980.0, duration=0.3, onset=0.2)
     assert run.session.throws == 1
     assert not any(' Hz, which must be' in text for text in run.notices())
 
 
-def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
+def test_disturbed_samples_are_counted_and_have_little_effect(start, rigs) -> None:
     run = start(**MEASURED)
-    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=2e-6)
+    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=2e-6)
     random = np.random.default_rng(6)
     for index, sample in enumerate(samples):
         arriving = [sample]
@@ -267,13 +280,13 @@ def test_disturbed_samples_are_counted_and_do_little(start, rigs) -> None:
 
 
 @pytest.mark.parametrize(('rate', 'trusts_engine'), [(2500.0, True), (5000.0, False)])
-def test_samples_that_jump_are_left_out(start, rigs, rate, trusts_engine) -> None:
+def test_outliers_are_ignored(start, rigs, rate, trusts_engine) -> None:
     run = start(**MEASURED)
     if not trusts_engine:  # the last throw was of another engine
         other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
         run.measure(other, noise=5e-6, duration=0.2)
     begin_ns = run.schedule.deadline(run.session.step)
-    samples = rigs['measured_throw'](run.rig, begin_ns=begin_ns, rate=rate, noise=5e-6)
+    samples = rigs.measured_throw(run.rig, begin_ns=begin_ns, rate=rate, noise=5e-6)
     since = [(sample.stamp_ns - begin_ns) / SECOND - 0.05 for sample in samples]
     for time, jump in ((-0.02, 1e-3), (1.3e-3, -1e-3), (4e-3, 1e-3), (6e-3, -3e-4), (9e-3, 1e-3)):
         index = int(np.searchsorted(since, time))
@@ -285,12 +298,12 @@ def test_samples_that_jump_are_left_out(start, rigs, rate, trusts_engine) -> Non
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=0.05)
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, abs=2e-4)
     assert release.accuracy.samples_left_out >= 2
-    assert run.session.sample_counts.jumped >= 3
+    assert run.session.sample_counts.outliers >= 3
 
 
-def test_throw_with_many_samples_that_jumped_is_marked(start, rigs) -> None:
+def test_throw_with_many_outliers_is_marked(start, rigs) -> None:
     run = start(**MEASURED)
-    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6)
+    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
     for index in range(255, len(samples), 10):
         samples[index] = samples[index]._replace(plate=samples[index].plate + 1e-3)
     run.send(samples)
@@ -313,9 +326,9 @@ def test_throw_with_many_samples_that_jumped_is_marked(start, rigs) -> None:
         (lambda item: (item.projectile, item.plate), 'swap them'),
     ],
 )
-def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, advice) -> None:
+def test_wrong_kind_of_heights_is_reported_with_a_remedy(start, rigs, change, advice) -> None:
     run = start(**MEASURED)
-    samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6, duration=0.1)
+    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6, duration=0.1)
     changed = [(item, *change(item)) for item in samples]
     run.send(item._replace(plate=plate, projectile=top) for item, plate, top in changed)
     run.receive()
@@ -324,11 +337,11 @@ def test_heights_of_another_kind_are_told_with_what_to_do(start, rigs, change, a
     assert not run.results('release')
 
 
-def test_stamps_that_are_not_exact_make_errors_larger_and_nothing_worse(start, rigs) -> None:
+def test_inexact_stamps_only_increase_the_errors(start, rigs) -> None:
     errors = []
     for part in (0.0, 0.1):  # of the time from one sample to the next
         run = start(**MEASURED)
-        samples = rigs['measured_throw'](run.rig, begin_ns=run.begin_ns, noise=5e-6)
+        samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
         late = np.random.default_rng(0).standard_normal(len(samples)) * part * SECOND / 5000.0
         run.send(
             item._replace(stamp_ns=item.stamp_ns + round(error))
@@ -344,7 +357,147 @@ def test_stamps_that_are_not_exact_make_errors_larger_and_nothing_worse(start, r
     assert errors[1] > 1.3 * errors[0]
 
 
-def test_noise_that_hides_a_rest_is_told_with_its_size(start) -> None:
+JITTERS = {
+    'uniform': lambda random, count: random.uniform(-80e-6, 80e-6, count),
+    'exponential': lambda random, count: random.exponential(150e-6, count),
+}
+
+
+def throw_with_jitter(start, rigs, kind, seed, *, trusts_engine=True, **request) -> Any:
+    """Throw at 2.5 kHz with stamps that jitter; return the run, and how late stamps are [s]."""
+    run = start(**MEASURED, **request)
+    if not trusts_engine:  # the last throw was of another engine
+        other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
+        run.measure(other, noise=5e-6, duration=0.12)
+        run.session.reset()
+    samples = rigs.measured_throw(
+        run.rig,
+        begin_ns=run.schedule.deadline(run.session.step),
+        onset=0.03,
+        duration=0.065,
+        rate=2500.0,
+        noise=5e-6,
+        seed=seed,
+    )
+    random = np.random.default_rng(seed)
+    late = JITTERS[kind](random, len(samples))
+    run.send(
+        sample._replace(stamp_ns=sample.stamp_ns + round(error * SECOND))
+        for sample, error in zip(samples, late.tolist(), strict=True)
+    )
+    run.receive()
+    return run
+
+
+@pytest.mark.parametrize('kind', list(JITTERS))
+def test_certain_results_with_stamp_jitter_are_correct(start, rigs, kind) -> None:
+    deviations, stamp_errors = [], []
+    for seed in range(10):
+        run = throw_with_jitter(start, rigs, kind, seed)
+        truth = simulate(run.rig, max_events=1)
+        results = [*run.results('predicted'), *run.results('release')]
+        for result in results:
+            accuracy, release = result.accuracy, result.first
+            release_ns = run.begin_ns + (0.03 + truth.ejection_time) * SECOND
+            deviations.append(
+                [
+                    (accuracy.release_ns - release_ns) / SECOND / accuracy.release_time_error,
+                    (release.ejection_speed - truth.ejection_speed)
+                    / accuracy.ejection_speed_error,
+                    (release.energy_transfer - truth.energy_transfer)
+                    / accuracy.energy_transfer_error,
+                ]
+            )
+        if not results:  # it could not be followed
+            (final,) = run.results('final')
+            assert (final.is_valid, final.first, final.accuracy) == (False, None, None)
+            assert 'jitter' in final.describe()
+            continue
+        assert results[-1].stage == 'release'
+        stamp_errors.append(results[-1].disturbances.stamp_error)
+    held = np.abs(deviations) < 1.96
+    assert np.abs(deviations).max() < 4.0
+    assert (held.mean(axis=0) > 0.85).all()
+    assert len(stamp_errors) >= 8
+    jitter = np.std(JITTERS[kind](np.random.default_rng(0), 10_000))
+    assert 0.7 * jitter < np.median(stamp_errors) < 1.6 * jitter
+
+
+@pytest.mark.parametrize('kind', list(JITTERS))
+def test_smoothed_throw_released_by_noise_is_invalid_with_a_reason(start, rigs, kind) -> None:
+    for seed in range(4):
+        run = throw_with_jitter(start, rigs, kind, seed, trusts_engine=False)
+        final = run.results('final')[-1]
+        assert (final.throw, final.ended_by, final.is_valid) == (2, 'noise', False)
+        values = final.values()
+        assert not {'ejection_time', 'energy_transfer', 'accuracy.basis', 'lead'} & set(values)
+        assert 'jitter' in final.describe()
+        assert [result.throw for result in run.results('release')] == [1]
+
+
+def test_cause_of_a_residual_is_named_from_the_measurement(start, rigs) -> None:
+    jitter = throw_with_jitter(start, rigs, 'exponential', 1, measured__residual_threshold=5e-5)
+    jitter.session.reset()
+    jitter.go(3)
+    missing, stalled, steady = (
+        start(**MEASURED, measured__residual_threshold=5e-5) for _ in range(3)
+    )
+    aged = rigs.aged(steady.rig, 0.93)
+    samples = rigs.measured_throw(aged, begin_ns=start.begin_ns, noise=5e-6)
+    missing.send(sample for index, sample in enumerate(samples) if index % 5)
+    for run in (stalled, steady):
+        run.send(samples)
+    stalled.go(62)  # where it has left; then seven steps are left out
+    stalled.schedule = replace(stalled.schedule, time_ns=stalled.schedule.time_ns + 7_000_000)
+    stalled.session.set_tick_schedule(stalled.schedule)
+    texts = []
+    for run in (jitter, missing, stalled, steady):
+        run.receive()
+        run.session.reset()
+        run.go(3)
+        (final,) = run.results('final')
+        assert not final.comparison.is_within_threshold
+        texts.append(final.describe_comparison())
+    for text, cause in zip(
+        texts, ('stamps jitter', 'samples are missing', 'processor time for 7 ms', 'aged'),
+        strict=True,
+    ):
+        assert cause in text
+    assert [('aged' in text) for text in texts] == [False, False, False, True]
+
+
+def test_simulations_of_a_throw_are_distributed_over_steps(
+    start, rigs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance_to, results = Stepper.advance_to, []
+    spent: Counter[tuple[int, int]] = Counter()  # by step and stepper [s]
+
+    def count(stepper: Stepper, time: float) -> int:
+        spent[run.session.step, id(stepper)] += time - float(stepper.state[TIME])
+        return advance_to(stepper, time)
+
+    for part in (prepared_rig.CATCH_UP, 1e-3):
+        monkeypatch.setattr(prepared_rig, 'CATCH_UP', part)
+        run = start(**MEASURED)
+        run.send(rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6))
+        with monkeypatch.context() as patch:
+            patch.setattr(Stepper, 'advance_to', count)
+            run.go(60)
+        results.append((run.results('predicted'), max(spent.values())))
+        spent.clear()
+    (whole, most), (shared, least) = results
+    exact = simulate(start(**MEASURED).rig)
+    for predictions in (whole, shared):
+        certain = predictions[-1]
+        assert certain.accuracy.is_certain
+        assert certain.is_ahead
+        error = certain.accuracy.ejection_speed_error
+        assert abs(certain.first.ejection_speed - exact.ejection_speed) < 3.0 * error
+    assert most > exact.ejection_time
+    assert least < 0.6 * most  # which is how far the forks go ahead
+
+
+def test_noise_that_hides_a_rest_is_reported_with_its_size(start) -> None:
     run = start(**MEASURED)
     run.measure(noise=30e-6, onset=2.0, duration=0.8)
     (notice,) = run.notices()
@@ -353,7 +506,7 @@ def test_noise_that_hides_a_rest_is_told_with_its_size(start) -> None:
     assert told == pytest.approx(30.0, rel=0.25)
 
 
-def test_so_few_samples_that_no_rest_is_seen_are_told_with_their_rate(start) -> None:
+def test_rate_too_low_to_detect_rest_is_reported(start) -> None:
     run = start(**MEASURED)
     run.measure(rate=1000.0, duration=0.3)
     (notice,) = run.notices()
@@ -362,7 +515,7 @@ def test_so_few_samples_that_no_rest_is_seen_are_told_with_their_rate(start) -> 
     assert run.results('release') == []
 
 
-def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
+def test_engine_with_large_residuals_is_not_used(start) -> None:
     run = start(**MEASURED)
     other = replace(run.rig, engine=replace(run.rig.engine, frequency=61.0))
     for throw in (1, 2):
@@ -374,7 +527,7 @@ def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
     release = run.results('release')[-1]
     assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.01)
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=0.02)
-    for throw in (3, 4):  # the first of them shows that it holds again
+    for throw in (3, 4):  # throw 3 shows that the engine is right again
         run.measure(noise=5e-6, seed=throw, duration=0.2)
         run.session.reset()
     bases = [result.accuracy.basis for result in run.results('release')]
@@ -383,16 +536,16 @@ def test_engine_that_does_not_hold_is_relied_on_no_more(start) -> None:
 
 def deviations_of_a_trial(start, rigs, seed, *, rate, outliers) -> tuple[float, list[Any]]:
     """
-    Throw with an engine that is known to the errors of the settings.
+    Throw with an engine that differs from the settings within their uncertainties.
 
-    Return how long before the release that was known, and how many standard errors its time, speed
-    and energy transfer were off the truth when it was known first, and when it was certain.
+    Return the lead of the first prediction before the release. Also return the deviations of
+    time, speed and energy transfer in standard errors, for the first and the last prediction.
     """
     random = np.random.default_rng(seed)
     run = start(**MEASURED)
     engine = run.rig.engine
     frequency, damping = (
-        run.settings[f'uncertainty.{name}'] * random.standard_normal()
+        run.settings[f'uncertainty.{name}'] * random.uniform(-1.0, 1.0)
         for name in ('frequency', 'damping_ratio')
     )
     engine = replace(
@@ -402,8 +555,8 @@ def deviations_of_a_trial(start, rigs, seed, *, rate, outliers) -> tuple[float, 
         amplitude=engine.amplitude * (1.0 + 0.03 * random.standard_normal()),
     )
     rig = replace(run.rig, engine=engine)
-    onset = 12.0 * run.settings['measured.window'] + random.uniform(0.0, 2e-3)
-    samples = rigs['measured_throw'](
+    onset = 12.0 * run.settings['measured.smoothing_window'] + random.uniform(0.0, 2e-3)
+    samples = rigs.measured_throw(
         rig, begin_ns=run.begin_ns, onset=onset, duration=onset + 0.02,
         rate=rate, noise=5e-6, jitter=0.3, seed=1000 + seed,
     )
@@ -434,7 +587,7 @@ def deviations_of_a_trial(start, rigs, seed, *, rate, outliers) -> tuple[float, 
     return predictions[0].lead, deviations
 
 
-def test_intervals_of_predictions_hold_the_truth_as_often_as_they_say(start, rigs) -> None:
+def test_prediction_intervals_have_their_nominal_coverage(start, rigs) -> None:
     kinds = {'rate': 2500.0, 'outliers': 0.0}, {'rate': 5000.0, 'outliers': 0.005}
     leads, deviations = zip(
         *(deviations_of_a_trial(start, rigs, seed, **kinds[seed % 2]) for seed in range(120)),
@@ -442,15 +595,16 @@ def test_intervals_of_predictions_hold_the_truth_as_often_as_they_say(start, rig
     )
     held = (np.abs(np.array(deviations)) < 1.96).mean(axis=0)
     assert (held >= 0.9).all()
-    assert (held <= 0.98).all()
+    # errors that are evenly likely between bounds never reach 1.96 of their standard deviations
+    np.testing.assert_allclose(np.sqrt(np.square(deviations).mean(axis=0)), 1.0, atol=0.15)
     assert min(leads) > 1.5e-3
 
 
 @pytest.mark.parametrize('factor', [1.0, 1.5])
-def test_throw_that_is_lost_at_any_moment_ends_with_what_is_known(start, rigs, factor) -> None:
+def test_throw_lost_at_any_moment_ends_with_its_known_results(start, rigs, factor) -> None:
     exact = start(**MEASURED).rig
     engine = replace(exact.engine, frequency=factor * exact.engine.frequency)
-    samples = rigs['measured_throw'](
+    samples = rigs.measured_throw(
         replace(exact, engine=engine), begin_ns=start.begin_ns, noise=5e-6, duration=0.07
     )
     for seen in range(1, 40, 3):  # samples after the onset
@@ -468,13 +622,13 @@ def test_throw_that_is_lost_at_any_moment_ends_with_what_is_known(start, rigs, f
 # from throw to throw
 
 
-def test_next_jump_after_a_rest_starts_the_next_throw_with_what_waits(start, rigs) -> None:
+def test_next_jump_after_a_rest_starts_a_throw_with_pending_changes(start, rigs) -> None:
     run = start(**MEASURED, layer__thickness=0.0095)
     run.measure(duration=0.15)
     run.session.change({'layer.thickness': 0.0168})
     assert run.session.pending == {'layer.thickness': 0.0168}
     flat = {'begin_ns': run.begin_ns + 150_000_000, 'onset': 1.0, 'duration': 0.05}
-    run.send(rigs['measured_throw'](run.rig, **flat))
+    run.send(rigs.measured_throw(run.rig, **flat))
     run.measure(begin_ns=run.begin_ns + 200_000_000)
     assert run.session.throws == 2
     thicknesses = [result.rig.layer.thickness for result in run.results('release')]
@@ -483,11 +637,11 @@ def test_next_jump_after_a_rest_starts_the_next_throw_with_what_waits(start, rig
     assert run.results('final')[0].ended_by in ('next', 'rest', 'max_events')
 
 
-def test_jump_takes_over_another_motion_that_waits(start, rigs, same) -> None:
+def test_jump_applies_a_pending_motion(start, rigs, same) -> None:
     run = start(**MEASURED, throw__period=0.0)
     run.measure()
     flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
-    run.send(rigs['measured_throw'](run.rig, **flat))
+    run.send(rigs.measured_throw(run.rig, **flat))
     run.receive()
     throws = run.session.throws
     run.session.change({'engine.motion': 'underdamped'})
@@ -517,7 +671,7 @@ def test_measurement_can_be_switched_on_and_off(start, same) -> None:
     run = start(throw__period=0.0)
     run.session.measure([Sample(run.begin_ns, 0.0)])  # nobody listens
     run.session.change({'engine.motion': 'measured'})
-    run.session.request_throw()  # which takes over what was pending first, and then there is none
+    run.session.request_throw()  # applies the pending change first, so starts no throw
     run.measure()
     assert run.session.is_measured
     with pytest.raises(RequestRejected, match='measured'):
@@ -538,13 +692,13 @@ def test_measurement_can_be_switched_on_and_off(start, same) -> None:
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 1000), throw=st.integers(0, 2), rate=st.sampled_from([10.0, 1000.0]))
-def test_measured_run_is_repeated_to_the_bit_from_any_throw(
+def test_measured_run_is_replayed_bit_by_bit_from_any_throw(
     start, rigs, same, seed, throw, rate
 ) -> None:
     run = start(**MEASURED, rate__field=rate)
     random = np.random.default_rng(seed)
     for number in range(2):
-        samples = rigs['measured_throw'](
+        samples = rigs.measured_throw(
             run.rig,
             begin_ns=run.schedule.deadline(run.session.step),
             noise=5e-6,
@@ -570,7 +724,7 @@ SPOILT = {
 
 @settings(max_examples=15)
 @given(
-    model=st.sampled_from(['travelling_wave', 'finite_difference_glued', 'spring_mass']),
+    model=st.sampled_from(['travelling_wave', 'cells_glued', 'spring_mass']),
     rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
     wait=st.sampled_from([0.0, 1e-3]),
     spoilt=st.lists(
@@ -579,11 +733,11 @@ SPOILT = {
     moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
     gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
 )
-def test_whatever_is_measured_is_followed_or_refused_and_repeated(
+def test_arbitrary_samples_are_followed_or_refused_and_replayed(
     start, rigs, same, model, rate, wait, spoilt, moved, gap
 ) -> None:
-    run = start(**MEASURED, model=model, measured__wait=wait)
-    samples = rigs['measured_throw'](
+    run = start(**MEASURED, model=model, measured__latency=wait)
+    samples = rigs.measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
     last = len(samples) - 1
@@ -607,7 +761,7 @@ def test_whatever_is_measured_is_followed_or_refused_and_repeated(
     assert all(map(same, run.repeat(), run.outputs))
 
 
-def test_journal_of_samples_is_small_and_tells_that_nothing_is_measured(start) -> None:
+def test_journal_of_samples_is_small_and_records_missing_samples(start) -> None:
     run = start(**MEASURED)
     run.measure(duration=0.4)
     assert sum(map(len, run.journal)) < 25 * run.session.sample_counts.taken + 25_000

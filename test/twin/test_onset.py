@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How a throw of a measured plate begins."""
+"""Detection of the start of a measured throw."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -31,8 +32,9 @@ from soft_throw_ros.twin.onset import (
     peak_speed,
     time_since_start,
 )
-from soft_throw_ros.twin.plate_estimator import Sample
 from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
+from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 BEGIN = 1_700_000_000 * SECOND
@@ -40,11 +42,15 @@ INTERVAL = 200_000  # of the samples [ns]
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 
 
+def rows_of(samples: Sequence[Sample]) -> Rows:
+    return SampleBuffer(samples).rows
+
+
 def detect(
     config: MeasurementConfig, samples: list[Sample], *, trusts_engine: bool = False
 ) -> tuple[Onset | None, int]:
-    """Find the first onset, and how many samples that took."""
-    monitor = PlateMonitor(config, SampleCounts())
+    """Return the first onset and the number of samples needed."""
+    monitor = PlateMonitor(config, SampleCounts(), SensorChecks())
     monitor.trusts_engine = trusts_engine
     for count, sample in enumerate(samples, 1):
         monitor.take([sample], sample.stamp_ns)
@@ -55,7 +61,7 @@ def detect(
 
 
 @pytest.mark.parametrize('start', [0.02, 0.0301234])
-def test_start_is_found_soon_after_it(make_samples, measurement, start) -> None:
+def test_start_is_found_within_a_short_delay(make_samples, measurement, start) -> None:
     onset, count = detect(measurement, make_samples(400, onset=start))
     assert onset is not None
     assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=5e-6)
@@ -63,7 +69,7 @@ def test_start_is_found_soon_after_it(make_samples, measurement, start) -> None:
     assert count * INTERVAL / SECOND < start + 3.5e-3
 
 
-def test_start_by_an_engine_that_is_trusted_is_found_after_a_millisecond(
+def test_start_with_a_trusted_engine_is_found_after_a_millisecond(
     make_samples, measurement
 ) -> None:
     for seed in range(5):
@@ -130,12 +136,12 @@ def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -
     assert np.std(found) < 1.5 * bound
 
 
-def test_samples_of_before_alone_tell_no_other_start(make_samples, measurement) -> None:
+def test_start_is_found_near_its_estimate_without_later_samples(make_samples, measurement) -> None:
     samples = make_samples(20)
     onset_ns = samples[-1].stamp_ns + SECOND // 100
-    later_ns = find_start(samples, onset_ns, 0.3, measurement)
+    later_ns = find_start(rows_of(samples), onset_ns, 0.3, measurement)
     assert abs(later_ns) <= 0.25 * measurement.smoothing_window_ns
-    _, states = first_states(samples, onset_ns + later_ns, 0.3, measurement)
+    _, states = first_states(rows_of(samples), onset_ns + later_ns, 0.3, measurement)
     assert np.isfinite(states).all()
 
 
@@ -145,7 +151,8 @@ def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
     onset, _ = detect(measurement, make_samples(400, onset=0.02))
     assert onset is not None
     onset = replace(onset, onset_ns=BEGIN + SECOND // 50)
-    times, states = first_states(onset.samples, onset.onset_ns, onset.rest.plate, measurement)
+    rows = rows_of(onset.samples)
+    times, states = first_states(rows, onset.onset_ns, onset.rest.plate, measurement)
     assert times == pytest.approx(0.25e-3 * np.arange(6))
     assert states[:, 0] == pytest.approx(PLATE.position(times), abs=1e-12)
     assert states[:, 1] == pytest.approx(PLATE.velocity(times), abs=1e-8)
@@ -154,14 +161,16 @@ def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
 
 
 @pytest.mark.parametrize('count', [0, 1])
-def test_first_states_are_the_engines_where_samples_do_not_tell(measurement, count) -> None:
+def test_first_states_follow_the_engine_where_samples_are_uninformative(
+    measurement, count
+) -> None:
     samples = [Sample(BEGIN + 500_000, float(PLATE.position(5e-4)))][:count]
-    times, states = first_states(samples, BEGIN, 0.0, measurement)
+    times, states = first_states(rows_of(samples), BEGIN, 0.0, measurement)
     assert states[:, 0] == pytest.approx(PLATE.position(times), rel=1e-12)
     assert states[:, 1] == pytest.approx(PLATE.velocity(times), rel=1e-12)
 
 
-def test_peak_speed_is_that_without_the_noise() -> None:
+def test_peak_speed_agrees_with_the_speed_without_noise() -> None:
     times = 2.5e-4 * np.arange(60)
     exact = PLATE.velocity(times)
     assert peak_speed(times[:10], exact[:10], PLATE) == exact[9]  # while it still grows

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Samples of a rig, from disorder to the motion of its plate."""
+"""Estimation of the plate's motion from unordered samples."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from soft_throw_ros.twin.plate_estimator import (
     PAST,
     PlateEstimator,
     PlateStates,
-    Sample,
 )
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 BEGIN = 1_700_000_000 * SECOND
@@ -38,7 +38,7 @@ INTERVAL = 200_000  # of the samples [ns]
 
 
 def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> PlateStates:
-    """Have an estimator take samples, and put together what it knows of the plate."""
+    """Feed samples to an estimator in batches and return all its states of the plate."""
     found = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
@@ -52,7 +52,7 @@ def same(ours: PlateStates, theirs: PlateStates) -> bool:
     return [array.tobytes() for array in ours[:3]] == [array.tobytes() for array in theirs[:3]]
 
 
-def test_plate_is_smoothed_by_local_fits_an_eighth_of_the_window_apart(
+def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window(
     make_samples, measurement
 ) -> None:
     samples = make_samples(onset=0.01, noise=5e-6)
@@ -73,13 +73,13 @@ def test_plate_is_smoothed_by_local_fits_an_eighth_of_the_window_apart(
 def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark(
     make_samples, measurement
 ) -> None:
-    for wait_ns in (0, 1_000_000):
-        estimator = PlateEstimator(replace(measurement, wait_ns=wait_ns))
+    for latency_ns in (0, 1_000_000):
+        estimator = PlateEstimator(replace(measurement, latency_ns=latency_ns))
         samples = make_samples()
         motion = run(estimator, samples, batch=1)
         newest = (samples[-1].stamp_ns - BEGIN) / SECOND
         behind = newest - motion.times[-1]
-        least = AHEAD * measurement.smoothing_window + wait_ns / SECOND
+        least = AHEAD * measurement.smoothing_window + latency_ns / SECOND
         assert least <= behind < least + 0.25e-3
 
 
@@ -88,13 +88,13 @@ def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark(
     batch=st.integers(1, 30),
     doubled=st.sets(st.integers(0, 99), max_size=10),
 )
-def test_order_of_arrival_within_the_wait_changes_no_bit(
+def test_order_of_arrival_within_the_latency_changes_no_bit(
     make_samples, measurement, seed, batch, doubled
 ) -> None:
-    config = replace(measurement, wait_ns=2_000_000)
+    config = replace(measurement, latency_ns=2_000_000)
     samples = make_samples(onset=0.008, noise=5e-6)
     random = np.random.default_rng(seed)
-    delays = random.uniform(0.0, config.wait_ns, len(samples))
+    delays = random.uniform(0.0, config.latency_ns, len(samples))
     delays[0] = 0.0
     arrivals = np.array([sample.stamp_ns - BEGIN for sample in samples]) + delays
     order = np.argsort(arrivals).tolist()
@@ -143,7 +143,7 @@ def test_bad_samples_are_refused_with_a_reason(measurement, sample, reason) -> N
     assert estimator.advance(BEGIN).times.size == 0
 
 
-def test_missing_samples_are_bridged_and_the_gap_told(make_samples, measurement) -> None:
+def test_missing_samples_are_bridged_and_the_gap_is_reported(make_samples, measurement) -> None:
     samples = make_samples(onset=0.005)
     whole = run(PlateEstimator(measurement), samples)
     samples = [sample for k, sample in enumerate(samples) if k % 3 and not 60 <= k < 66]
@@ -157,7 +157,7 @@ def test_missing_samples_are_bridged_and_the_gap_told(make_samples, measurement)
     )
 
 
-def test_gap_is_told_once_even_if_longer_than_the_window(make_samples, measurement) -> None:
+def test_gap_longer_than_the_window_is_reported_once(make_samples, measurement) -> None:
     samples = make_samples(200)
     del samples[80:140]
     estimator = PlateEstimator(measurement)
@@ -178,7 +178,7 @@ def test_memory_does_not_grow(make_samples, measurement) -> None:
     assert estimator.advance(later).times.size == 0
 
 
-def test_velocities_that_were_measured_are_used(make_samples, measurement) -> None:
+def test_measured_velocities_are_used(make_samples, measurement) -> None:
     samples = make_samples(onset=0.004, noise=5e-6)
     since = [(sample.stamp_ns - BEGIN) / SECOND - 0.004 for sample in samples]
     exact = measurement.plate.velocity(since).tolist()
@@ -199,11 +199,11 @@ def test_velocities_that_were_measured_are_used(make_samples, measurement) -> No
     ('frequency', 'crossing_time', 'rate', 'reason'),
     [
         (63.2, 1e-4, 30_000.0, 'crossing'),
-        (63.2, 1e-2, 2000.0, 'measured.window'),
+        (63.2, 1e-2, 2000.0, 'measured.smoothing_window'),
         (200.0, 1e-2, 4000.0, 'period'),
     ],
 )
-def test_least_rate_has_a_reason(measurement, frequency, crossing_time, rate, reason) -> None:
+def test_minimum_rate_has_a_reason(measurement, frequency, crossing_time, rate, reason) -> None:
     plate = replace(measurement.plate, frequency=frequency)
     least, why = least_rate(replace(measurement, plate=plate), crossing_time)
     assert least == pytest.approx(rate)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What is made ready before a throw, by any model."""
+"""Preparations for a throw, for every model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.cell_stepper import first_throws
 from soft_throw_ros.core.closed_form import first_release
-from soft_throw_ros.core.throw import MODELS, simulate
+from soft_throw_ros.core.models import MODELS
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
@@ -34,9 +35,9 @@ from soft_throw_ros.twin.throws import ScheduledThrow, time_until_over
 CASES = [
     {'model': 'travelling_wave'},
     {'layer__loss_tangent': 0.05},
-    {'model': 'finite_difference'},
-    {'model': 'finite_difference_elastic', 'projectile__youngs_modulus': 1e6},
-    {'model': 'finite_difference_glued', 'layer__loss_tangent': 0.1},
+    {'model': 'cells'},
+    {'model': 'cells_elastic', 'projectile__youngs_modulus': 1e6},
+    {'model': 'cells_glued', 'layer__loss_tangent': 0.1},
     {'model': 'spring_mass', 'layer__loss_tangent': 0.1},
 ]
 ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
@@ -47,13 +48,13 @@ def prepare(values) -> PreparedRig:
 
 
 @pytest.mark.parametrize('loss', [1e-6, 0.05, 2.0])
-def test_internal_loss_takes_finite_differences(settings, loss) -> None:
+def test_internal_loss_selects_the_cell_model(settings, loss) -> None:
     assert prepare(settings()).config.model == 'travelling_wave'
-    assert prepare(settings(layer__loss_tangent=loss)).config.model == 'finite_difference'
+    assert prepare(settings(layer__loss_tangent=loss)).config.model == 'cells'
 
 
 @ANY_MODEL
-def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, request_) -> None:
+def test_throw_and_its_predicted_end_agree_with_a_simulation(settings, request_) -> None:
     values = settings(**request_)
     prepared = prepare(values)
     exact = simulate(rig_of(values), model=prepared.config.model)
@@ -79,7 +80,7 @@ def test_throw_agrees_with_the_simulated_one_and_its_end_is_foretold(settings, r
 
 
 @ANY_MODEL
-def test_throw_field_is_what_the_layer_does(settings, request_) -> None:
+def test_throw_field_agrees_with_the_layer(settings, request_) -> None:
     prepared = prepare(settings(**request_))
     field, stepper = prepared.throw_field, prepared.stepper
     layer = np.empty((3, 64))
@@ -93,7 +94,7 @@ def test_throw_field_is_what_the_layer_does(settings, request_) -> None:
 
 
 @ANY_MODEL
-def test_at_rest_the_layer_bears_the_weight(settings, request_) -> None:
+def test_layer_at_rest_carries_the_weight(settings, request_) -> None:
     prepared = prepare(settings(**request_))
     weight = prepared.rig.projectile.mass * prepared.rig.gravity
     is_glued = 'glued' in prepared.config.model
@@ -103,7 +104,7 @@ def test_at_rest_the_layer_bears_the_weight(settings, request_) -> None:
     assert prepared.rest.projectile_velocity == prepared.rest.plate_velocity == 0.0
     assert prepared.rest.plate_position == 0.0
     if prepared.config.model == 'travelling_wave':  # the weight of its layer is left out
-        top = prepared.rig.layer.thickness - prepared.rig.static_sag
+        top = prepared.rig.rest_height
         assert prepared.rest.projectile_position == top
         np.testing.assert_allclose(
             prepared.rest_layer.height, np.linspace(0.0, top, 64), atol=1e-15
@@ -125,8 +126,8 @@ def test_other_models_predict_the_first_release(settings) -> None:
     }
     expected = {
         'travelling_wave': first_release(**ratios),
-        'finite_difference_elastic': first_throws(**ratios, crossing_ratio=rig.crossing_ratio),
-        'finite_difference_glued': first_throws(**ratios, glued_to='projectile'),
+        'cells_elastic': first_throws(**ratios, crossing_ratio=rig.crossing_ratio),
+        'cells_glued': first_throws(**ratios, glued_to='projectile'),
         'spring_mass': spring_mass.first_release(
             frequency_ratio=rig.natural_frequency / frequency
         ),
@@ -141,7 +142,7 @@ def test_other_models_predict_the_first_release(settings) -> None:
     lossy = predict_by_other_models(rig_of(settings(layer__loss_tangent=0.1)), '')
     assert 'travelling_wave' not in lossy
     weak = predict_by_other_models(rig_of(settings(gravity=30.0, engine__amplitude=1e-5)), '')
-    assert weak['finite_difference_elastic'] is weak['finite_difference_glued'] is None
+    assert weak['cells_elastic'] is weak['cells_glued'] is None
 
 
 @pytest.mark.parametrize(
@@ -152,12 +153,15 @@ def test_other_models_predict_the_first_release(settings) -> None:
             '200',
         ),
         (
-            {'layer__diameter': 0.2, 'projectile__mass': 1e-5, 'model': 'spring_mass'},
+            {
+                'layer__diameter': 0.2, 'layer__wave_speed': 20.0, 'projectile__mass': 1e-5,
+                'model': 'spring_mass',
+            },
             r'Hz',
         ),
     ],
 )
-def test_what_real_time_cannot_do_is_refused_with_the_number(settings, request_, value) -> None:
+def test_rig_beyond_real_time_is_refused_with_the_number(settings, request_, value) -> None:
     values = settings(**request_)
     with pytest.raises(ValueError, match=value):
         check_settings(values)
@@ -165,15 +169,26 @@ def test_what_real_time_cannot_do_is_refused_with_the_number(settings, request_,
         prepare(values)
 
 
-def test_window_that_is_too_long_for_the_plate_is_refused_with_both(settings) -> None:
-    values = settings(engine__motion='measured', measured__window=4e-3)
+def test_window_too_long_for_the_plate_is_refused_with_both_values(settings) -> None:
+    values = settings(engine__motion='measured', measured__smoothing_window=4e-3)
     with pytest.raises(ValueError, match=r'0\.003165.* 0\.004'):
         check_settings(values)
     check_settings({**values, 'engine.motion': 'underdamped'})
 
 
+def test_rate_too_high_for_a_measured_throw_is_refused_with_a_lower_rate(settings) -> None:
+    request = {'layer__thickness': 1e-3, 'layer__wave_speed': 100.0, 'rate__state': 5000.0}
+    values = settings(engine__motion='measured', **request)
+    with pytest.raises(ValueError, match='5000 Hz') as error:
+        check_settings(values)
+    feasible = float(str(error.value).rpartition('rate.state of ')[2].split()[0])
+    assert 1000.0 < feasible < 5000.0
+    check_settings({**values, 'rate.state': feasible})
+    check_settings({**values, 'engine.motion': 'underdamped'})
+
+
 @ANY_MODEL
-def test_session_by_any_model_is_repeated_to_the_bit(start, same, request_) -> None:
+def test_session_of_any_model_is_replayed_bit_by_bit(start, same, request_) -> None:
     run = start(throw__period=0.6, **request_)
     run.go(700)
     run.session.change({'layer.thickness': 0.012})

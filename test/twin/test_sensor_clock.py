@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Clocks of sensors that are off."""
+"""Sensor clocks with an offset."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ MILLISECOND = SECOND // 1000
 
 
 def observe(clock: SensorClock, offset_ns: int, *, begin_ns: int = NOW, ticks: int = 3000) -> int:
-    """Have samples come that are stamped late by an offset, and count what is told."""
+    """Feed stamps with an offset to a clock and count its warnings."""
     random = np.random.default_rng(0)
     told = 0
     for tick in range(ticks):
@@ -35,20 +35,20 @@ def observe(clock: SensorClock, offset_ns: int, *, begin_ns: int = NOW, ticks: i
 
 
 @pytest.mark.parametrize('offset_ns', [20 * MILLISECOND, -300 * MILLISECOND, 900 * MILLISECOND])
-def test_constant_offset_is_found_and_told_once(offset_ns) -> None:
+def test_constant_offset_is_found_and_reported_once(offset_ns) -> None:
     clock = SensorClock()
     assert observe(clock, offset_ns) == 1
     assert clock.offset_ns == pytest.approx(offset_ns, abs=MILLISECOND)
     assert f'{abs(clock.offset_ns) / MILLISECOND:.1f} ms' in clock.problem
 
 
-def test_what_messages_take_is_no_offset() -> None:
+def test_transport_delay_is_no_offset() -> None:
     clock = SensorClock()
     assert observe(clock, TOLERATED - MILLISECOND) == 0
     assert (clock.offset_ns, clock.problem) == (0, '')
 
 
-def test_offset_beyond_the_limit_is_told_and_left() -> None:
+def test_offset_beyond_the_limit_is_reported_and_not_corrected() -> None:
     clock = SensorClock()
     assert observe(clock, 5 * SECOND) == 1
     assert clock.offset_ns == 0
@@ -62,7 +62,7 @@ def test_stamps_since_boot_are_mapped_whatever_the_limit() -> None:
     assert 'boot' in clock.problem
 
 
-def test_clock_that_is_put_right_is_believed_again() -> None:
+def test_corrected_clock_is_trusted_again() -> None:
     clock = SensorClock()
     observe(clock, 50 * MILLISECOND)
     assert observe(clock, 0, begin_ns=NOW + 3 * SECOND, ticks=5000) == 1

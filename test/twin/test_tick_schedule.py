@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""When each step is due."""
+"""Due times of steps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_deadlines_never_drift(rate, start, steps) -> None:
 
 
 @given(rate=st.floats(10.0, 5000.0), stall=st.integers(0, 10**13))
-def test_skipping_leaves_what_may_be_caught_up(rate, stall) -> None:
+def test_skipping_leaves_the_allowed_catch_up(rate, stall) -> None:
     schedule = TickSchedule(step=0, time_ns=SECOND, rate=rate)
     now = SECOND + stall
     allowed = SECOND // 10

@@ -1,0 +1,170 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Find the wave speed and loss of a material from tracks of layers that ring freely."""
+
+from __future__ import annotations
+
+import argparse
+
+from soft_throw_ros.commands import identify_figure
+from soft_throw_ros.commands.identify_input import add_track_options, read_layer
+from soft_throw_ros.commands.identify_report import (
+    add_report_options,
+    fit_data,
+    fit_lines,
+    IdentificationReport,
+    with_unit,
+)
+from soft_throw_ros.commands.options import (
+    add_rig_options,
+    not_negative,
+    number_or_text,
+    read_settings,
+)
+from soft_throw_ros.commands.output import CommandParser, naming, run_command
+from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.ringing import (
+    change_of_length,
+    fit_loss_tangent,
+    fit_ringing,
+    fit_wave_speed,
+    Ringing,
+)
+
+_SIGNIFICANCE = 1e-4
+"""Probability of disagreement by chance, below which a warning says so. [-]"""
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; return exit code 0. Warnings go to standard error."""
+    return run_command(_parser(), _run, args)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        description=__doc__,
+        usage='%(prog)s [-h] M FILE [M FILE ...] [--with-loss] [--output FILE] [--figure FILE] '
+        '[--json] [--config FILE] [--frequency HZ ...]',
+        epilog='A CSV file has a time [s] in its first column, and the heights of bottom and top '
+        'in the next ones; a first line may name them. soft-throw track makes such files of '
+        'videos.',
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add(
+        'layers', metavar='M FILE', nargs='+',
+        help='thickness of a layer, and a CSV file with tracks of its ends',
+    )
+    add(
+        '--thickness-error', metavar='M', type=not_negative, default=1e-4,
+        help='standard error of the thicknesses (default %(default)g)',
+    )
+    add(
+        '--with-loss', action='store_true',
+        help='put the loss tangent into the parameter file, too',
+    )
+    add_track_options(parser)
+    add_report_options(parser)
+    add_rig_options(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    settings = read_settings(arguments)
+    _identify(arguments, settings).finish(settings, arguments, 'free_layers')
+    return 0
+
+
+def _identify(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
+    """Fit wave speed and loss to layers that ring."""
+    layers: list[tuple[float, Ringing]] = []
+    warnings: list[str] = []
+    words = arguments.layers
+    if len(words) % 2:
+        raise ValueError(f'argument M FILE: must be pairs, got {words[-1]!r} alone')
+    thicknesses, paths = [_thickness(text) for text in words[::2]], words[1::2]
+    for thickness, path in zip(thicknesses, paths, strict=True):
+        layers.append((thickness, _ringing(path, arguments)))
+        warnings += [f'{path}: {warning}' for warning in layers[-1][1].fit.warnings()]
+    speed = fit_wave_speed(
+        [thickness for thickness, _ in layers],
+        [ringing.period for _, ringing in layers],
+        thickness_error=arguments.thickness_error,
+    )
+    if speed.agreement < _SIGNIFICANCE:
+        warnings.append(
+            f'the periods are not proportional to the thicknesses (chi squared {speed.chi2:.3g} '
+            f'for {speed.dof} degrees of freedom): is it one material?'
+        )
+    frequency = settings['engine.frequency']
+    loss = fit_loss_tangent([ringing for _, ringing in layers], frequency=frequency)
+    if loss.agreement < _SIGNIFICANCE:
+        warnings.append(
+            f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
+            'degrees of freedom): is it one material, whose loss grows with frequency?'
+        )
+    found = {'layer.wave_speed': speed.value}
+    if arguments.with_loss:
+        found['layer.loss_tangent'] = loss.value
+    if arguments.figure:
+        with naming(arguments.figure):
+            identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
+    lines = [f'{"thickness":>12} {"period T_0":>22} {"loss tangent there":>22}']
+    lines += [
+        f'{1e3 * thickness:9.4g} mm {with_unit(ringing.period, "s"):>22} '
+        f'{ringing.loss_tangent!s:>22}'
+        for thickness, ringing in layers
+    ]
+    lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
+    lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
+    return IdentificationReport(
+        sources=tuple(paths),
+        found=found,
+        lines=tuple(lines),
+        data={
+            'layers': [
+                {
+                    'thickness': thickness,
+                    'period': ringing.period,
+                    'loss_tangent': ringing.loss_tangent,
+                    'fit': fit_data(ringing.fit),
+                }
+                for thickness, ringing in layers
+            ],
+            'wave_speed': {
+                **speed.value._asdict(),
+                'chi2': speed.chi2,
+                'degrees_of_freedom': speed.dof,
+            },
+            'loss_tangent_at_engine_frequency': loss.value,
+        },
+        warnings=tuple(warnings),
+    )
+
+
+def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
+    """Fit the oscillation of a free layer."""
+    try:
+        return fit_ringing(change_of_length(*read_layer(path, arguments)))
+    except FitError as error:
+        raise FitError(f'{path}: {error}') from None
+
+
+def _thickness(text: str) -> float:
+    thickness = number_or_text(text)
+    entry = TWIN.by_name['layer.thickness']
+    if not isinstance(thickness, float) or not entry.allows(thickness):
+        raise ValueError(f'argument M FILE: M must be {entry.rule}, got {text!r}')
+    return thickness

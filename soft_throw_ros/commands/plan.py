@@ -1,0 +1,239 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Rank possible next throws by the errors that remain after them, and count those needed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+import itertools
+import math
+import sys
+
+import numpy as np
+from soft_throw_ros.commands.identify import add_fit_options, describe_fit, read_all
+from soft_throw_ros.commands.identify_input import add_track_options
+from soft_throw_ros.commands.identify_report import unit_of
+from soft_throw_ros.commands.options import (
+    add_rig_options,
+    number_or_text,
+    positive,
+    read_settings,
+)
+from soft_throw_ros.commands.output import (
+    CommandParser,
+    print_text,
+    run_command,
+    slow_notice,
+    to_json,
+)
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.answer import GOOD_ENOUGH
+from soft_throw_ros.identification.fit_description import values_of
+from soft_throw_ros.identification.plan import (
+    Condition,
+    Knowledge,
+    PlannedThrow,
+    Planner,
+    Sight,
+)
+from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.tracks import ThrowTracks
+
+LISTS = {
+    'masses': 'projectile.mass',
+    'thicknesses': 'layer.thickness',
+    'amplitudes': 'engine.amplitude',
+}
+"""Options that list the available parts, and the parameter that each option varies."""
+
+_USUAL_RATE = 5000.0  # default sample rate of the measurement [Hz]
+_USUAL_NOISE = 2e-5  # default noise of the measurement [m]
+_PERIODS_SEEN = 3.0  # length of the measurement after the start of a throw [plate periods]
+_SHOWN = 8  # number of throws in the table
+_MOST_THROWS = 50  # largest number of planned throws
+_MOST_CONDITIONS = 200
+_COLUMNS = {
+    'layer.wave_speed': ('c_s [%]', 100.0, True),
+    'layer.thickness': ('L_s [%]', 100.0, True),
+    'layer.loss_tangent': ('tan d', 1.0, False),
+}
+"""Title and factor of a column, and whether its errors are relative, by parameter."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; return exit code 0. Notes go to standard error."""
+    return run_command(_parser(), _run, args)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        description=__doc__,
+        usage='%(prog)s [-h] [FILE ...] [--masses KG ...] [--thicknesses M ...] '
+        '[--amplitudes M ...] [--goal PERCENT] [--json] [--config FILE] [--thickness M ...]',
+        epilog='Ranked are the errors of wave speed, thickness and loss, as far as a fit varies '
+        'them. With tracks, the plan goes on from their fit.',
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add('files', metavar='FILE', nargs='*', help='tracks of earlier throws: CSV files, or bags')
+    for name, parameter in LISTS.items():
+        add(
+            f'--{name}', metavar=unit_of(parameter).upper(), nargs='+', type=number_or_text,
+            help=f'those at hand (default: {parameter} of the rig)',
+        )
+    add(
+        '--goal', metavar='PERCENT', type=positive, default=100.0 * GOOD_ENOUGH,
+        help='error of the energy transfer that is enough (default %(default)g)',
+    )
+    add(
+        '--rate', metavar='HZ', type=positive,
+        help=f'samples per second of the next throws (default: of the tracks, or {_USUAL_RATE:g})',
+    )
+    add('--json', action='store_true', help='print one object: SI units')
+    add_fit_options(parser)
+    add_track_options(parser)
+    add_rig_options(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    description = describe_fit(arguments)
+    settings = read_settings(arguments)
+    throws, notes = read_all(arguments)
+    for note in notes:
+        print(f'plan: {note}', file=sys.stderr)
+    if not throws:
+        description.check_throws(())
+    rig = description.prepare(rig_of(settings))
+    conditions = _conditions(arguments, rig)
+    sight = _sight(arguments, rig, throws)
+    with slow_notice('plan'):
+        measured = None
+        if throws:
+            found = fit_rig(throws, rig, description)
+            rig, measured = found.rig, Knowledge.of_fit(found)
+        planner = Planner(rig, conditions, sight, description, measured)
+        start = planner.start()
+        candidates = planner.judge(start)
+        goal = 0.01 * arguments.goal
+        before = planner.energy_transfer(start)[1]
+        chosen: list[PlannedThrow] = []
+        for throw in itertools.islice(
+            planner.choose(start), 0 if before <= goal else _MOST_THROWS
+        ):
+            chosen.append(throw)
+            if throw.energy_transfer_error <= goal:
+                break
+    if arguments.json:
+        parts = {'candidates': candidates, 'throws': chosen, 'goal': goal, 'before': before}
+        is_reached = not chosen or chosen[-1].energy_transfer_error <= goal
+        print_text(to_json({**parts, 'is_reached': is_reached, 'notes': notes}))
+    else:
+        if measured:
+            print_text(f'The present measurements determine alpha to {100.0 * before:.2g} %.\n')
+        lines = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, sight)
+        print_text('\n'.join(lines) + '\n')
+    return 0
+
+
+def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
+    """Return all possible combinations of the available parts."""
+    choices = []
+    for name, parameter in LISTS.items():
+        values = getattr(arguments, name) or list(values_of(rig, [parameter]).values())
+        entry = TWIN.by_name[parameter]
+        for value in values:
+            if not entry.allows(value):
+                raise ValueError(
+                    f'argument --{name}: {parameter} must be {entry.rule}, got {value!r}'
+                )
+        choices.append(sorted({float(value) for value in values}))
+    count = math.prod(map(len, choices))
+    if count > _MOST_CONDITIONS:
+        raise ValueError(
+            f'{count} combinations of masses, layers and amplitudes, where {_MOST_CONDITIONS} at '
+            'most can be judged'
+        )
+    return [Condition(*each) for each in itertools.product(*choices)]
+
+
+def _sight(arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks]) -> Sight:
+    """Return the setup of future measurements: as in the given throws, unless options differ."""
+    rate, noise = _USUAL_RATE, _USUAL_NOISE
+    if throws:
+        rate = 1.0 / float(np.median([throw.plate.interval for throw in throws]))
+        noise = float(np.median([throw.plate.noise for throw in throws]))
+    duration = arguments.end
+    if not 0.0 < duration < math.inf:
+        duration = _PERIODS_SEEN / rig.engine.frequency
+    return Sight(rate=arguments.rate or rate, noise=arguments.noise or noise, duration=duration)
+
+
+def _lines(
+    candidates: Sequence[PlannedThrow],
+    chosen: Sequence[PlannedThrow],
+    values: Mapping[str, float],
+    goal: float,
+    sight: Sight,
+) -> Iterator[str]:
+    """Yield the lines of the plan."""
+    yield (
+        f'Throws seen for {1e3 * sight.duration:.3g} ms at {sight.rate:g} Hz with a noise of '
+        f'{1e6 * sight.noise:.3g} um. The next one, the best first, and errors after it:'
+    )
+    yield _heads(candidates[0])
+    for throw in candidates[:_SHOWN]:
+        yield _row('', throw, values)
+    if len(candidates) > _SHOWN:
+        yield f'and {len(candidates) - _SHOWN} more'
+    yield ''
+    if not chosen:
+        yield f'Alpha is known to {goal:g} % already.'
+        return
+    yield 'The best throws one after the other:'
+    yield _heads(candidates[0])
+    for number, throw in enumerate(chosen, 1):
+        yield _row(str(number), throw, values)
+    reached = chosen[-1].energy_transfer_error <= 0.01 * goal
+    if reached:
+        several = 'throws are' if len(chosen) > 1 else 'throw is'
+        yield f'{len(chosen)} {several} enough for {goal:g} % of alpha.'
+    else:
+        yield (
+            f'{len(chosen)} throws are not enough for {goal:g} % of alpha: its error comes '
+            'from parameters that no throw measures, such as a mass or a thickness'
+        )
+    if any(throw.leaves_linear_range for throw in (*candidates[:_SHOWN], *chosen)):
+        yield '! The strain leaves the range in which the layer is linear.'
+
+
+def _heads(throw: PlannedThrow) -> str:
+    """Return the titles of a table."""
+    cells = [head for name, (head, _, _) in _COLUMNS.items() if name in throw.errors]
+    heads = ['mass [g]', 'L_s [mm]', 'A [mm]', *cells, 'alpha [%]', 'strain [%]']
+    return ' ' * 4 + ''.join(f'{head:>11}' for head in heads)
+
+
+def _row(label: str, throw: PlannedThrow, values: Mapping[str, float]) -> str:
+    """Return the row of a throw with the errors after it."""
+    cells = [f'{1e3 * value:.4g}' for value in throw.condition]
+    for name, (_, factor, is_relative) in _COLUMNS.items():
+        if name in throw.errors:
+            error = factor * throw.errors[name] / (values[name] if is_relative else 1.0)
+            cells.append(f'{error:.2g}')
+    cells.append(f'{100.0 * throw.energy_transfer_error:.2g}')
+    cells.append(f'{100.0 * throw.peak_strain:.3g}' + '!' * throw.leaves_linear_range)
+    return f'{label:4}' + ''.join(f'{cell:>11}' for cell in cells)

@@ -1,0 +1,268 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Track round spots, or the edges of a layer, through a high-speed video into a CSV file."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+import contextlib
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+from soft_throw_ros.commands import identify_figure
+from soft_throw_ros.commands.options import new_file, positive
+from soft_throw_ros.commands.output import (
+    CommandParser,
+    naming,
+    print_text,
+    require,
+    run_command,
+)
+from soft_throw_ros.commands.track_overlay import draw_overlay, PICTURES, VIDEOS
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.identification.ringing import change_of_length, fit_ringing
+from soft_throw_ros.identification.spots import BODIES, follow_spots, FollowedSpots, tracks_of
+from soft_throw_ros.identification.track_csv import csv_lines
+from soft_throw_ros.identification.tracks import (
+    dominant_period,
+    fall_acceleration,
+    Track,
+    TrackError,
+)
+from soft_throw_ros.identification.video import camera_rate, read_pictures, space_time
+
+_GRAVITY = 9.81
+"""Acceleration by gravity where rigs are filmed. [m/s2]"""
+
+_MAX_ACCELERATION = 1e5
+"""Acceleration beyond that of any plate. [m/s2]"""
+
+_MAX_FALL = 1.4
+"""Apparent gravity over gravity, or its inverse, beyond which rate or scale is wrong. [-]"""
+
+_MIN_SEEN = 0.5
+"""Share of the pictures that must show the plate for an estimate of its frequency. [-]"""
+
+_MAX_RATE_ERROR = 0.01
+"""Deviation of the given rate from the one in the file, beyond which a note is printed. [-]"""
+
+_MAX_GAPS = 3
+"""Largest number of gaps of a spot that a note lists."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; return exit code 0. Notes on missing samples go to standard error."""
+    return run_command(_parser(), _run, args)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        description=__doc__,
+        epilog='Spots are followed from the first picture on: the lowest is taken to be on the '
+        'plate, the highest on the projectile. Where one is covered its samples are missing.',
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add(
+        'video', metavar='VIDEO',
+        help='file that FFmpeg reads (Phantom .cine among them), or folder of pictures in the '
+        'order of their numbers',
+    )
+    add(
+        '--rate', metavar='HZ', type=positive, required=True,
+        help='pictures per second of the camera',
+    )
+    add(
+        '--scale', metavar=('M', 'PIXELS'), type=positive, nargs=2, required=True,
+        help='a known length, and its size in the pictures',
+    )
+    add('--output', metavar='FILE', type=new_file(), help='CSV file (default: standard output)')
+    add(
+        '--spots', metavar='BODY,...',
+        help=f'bodies that the spots are on, from the lowest to the highest: {", ".join(BODIES)}',
+    )
+    add('--light-spots', action='store_true', help='spots are lighter than their background')
+    add(
+        '--overlay', metavar='FILE', type=new_file(*PICTURES, *VIDEOS),
+        help=f'picture ({", ".join(PICTURES)}) or video ({", ".join(VIDEOS)}) of the spots and '
+        'their paths',
+    )
+    add(
+        '--line', metavar=('COLUMN', 'FIRST', 'LAST'), type=int, nargs=3,
+        help='follow the edges of a free layer instead of spots, along the pixels of this column '
+        'from row to row',
+    )
+    add(
+        '--space-time', metavar='FILE', type=new_file(*PICTURES),
+        help='picture of the line --line over time',
+    )
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    _check(arguments)
+    require('a video', 'video', 'imageio', 'av', 'skimage')
+    notes: list[str] = []
+    with _naming_video(arguments.video):
+        recorded = camera_rate(arguments.video)
+        if recorded and abs(arguments.rate / recorded - 1.0) > _MAX_RATE_ERROR:
+            notes.append(
+                f'--rate is {arguments.rate:g}, but the file says that it was taken with '
+                f'{recorded:g} pictures per second'
+            )
+        tracks = (_track_edges if arguments.line else _track_spots)(arguments, notes)
+    lines = [_title(arguments, tracks), *(f'# {note}' for note in notes), *csv_lines(tracks)]
+    text = '\n'.join(lines) + '\n'
+    if arguments.output:
+        with naming(arguments.output), atomic_file(arguments.output) as unfinished:
+            unfinished.write_text(text, encoding='utf-8')
+    else:
+        print_text(text)
+    for note in notes:
+        print(f'track: {arguments.video}: {note}', file=sys.stderr)
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse options that exclude each other by a ValueError that names one."""
+    if arguments.line:
+        for name in ('spots', 'light_spots', 'overlay'):
+            if getattr(arguments, name):
+                option = name.replace('_', '-')
+                raise ValueError(f'argument --{option}: is for spots, not allowed with --line')
+    elif arguments.space_time:
+        raise ValueError('argument --space-time: needs --line')
+
+
+def _title(arguments: argparse.Namespace, tracks: Mapping[str, Track]) -> str:
+    """Return the comment on how the tracks were made."""
+    length, pixels = arguments.scale
+    noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
+    return (
+        f'# From {Path(arguments.video).name}: {arguments.rate:g} pictures per second, '
+        f'{pixels:g} pixels are {length:g} m.\n# Noise: {noises}'
+    )
+
+
+def _track_edges(arguments: argparse.Namespace, _: list[str]) -> dict[str, Track]:
+    """Follow bottom and top of a free layer along a line."""
+    (column, first, last), (length, pixels) = arguments.line, arguments.scale
+    line = space_time(
+        read_pictures(arguments.video),
+        column=column,
+        first=first,
+        last=last,
+        rate=arguments.rate,
+        scale=length / pixels,
+    )
+    ends = line.edges()
+    if arguments.space_time:
+        ringing = fit_ringing(change_of_length(*ends))
+        with naming(arguments.space_time):
+            identify_figure.draw_space_time(line, ends, ringing, arguments.space_time)
+    return dict(zip(('bottom', 'top'), ends, strict=True))
+
+
+def _track_spots(arguments: argparse.Namespace, notes: list[str]) -> dict[str, Track]:
+    """Follow spots, and note the pictures that do not show them."""
+    bodies = arguments.spots and [body.strip() for body in arguments.spots.split(',')]
+    followed = follow_spots(read_pictures(arguments.video), light=arguments.light_spots)
+    notes += _gap_notes(followed)
+    if followed.late is not None:
+        number, spot = followed.late
+        message = (
+            f'picture {number} shows a round spot at column {spot.column:.0f} row {spot.row:.0f} '
+            'that the first picture does not show; all spots must be in full view there, or '
+            '--spots must name the bodies of those that are'
+        )
+        if not bodies:
+            raise TrackError(message)
+        notes.append(message)
+    if arguments.overlay:
+        with naming(arguments.overlay):
+            draw_overlay(read_pictures(arguments.video), followed.spots, arguments.overlay)
+    length, pixels = arguments.scale
+    tracks = tracks_of(followed.spots, bodies, rate=arguments.rate, scale=length / pixels)
+    if 'plate' in tracks:
+        _check_rate(tracks, rate=arguments.rate, pictures=followed.pictures)
+    return tracks
+
+
+def _gap_notes(followed: FollowedSpots) -> Iterator[str]:
+    """Describe the gaps of each spot, except the pictures after it has left the view."""
+    for spot in followed.spots:
+        gaps = [f'{first} to {last}' for first, last in spot.gaps]
+        gaps[_MAX_GAPS:] = [f'{len(gaps) - _MAX_GAPS} more times'] * (len(gaps) > _MAX_GAPS)
+        if spot.picture.size and spot.picture[0] > 0:
+            gaps.insert(0, f'0 to {spot.picture[0] - 1}')
+        last = int(spot.picture[-1]) if spot.picture.size else -1
+        if last < followed.pictures - 1 and not spot.has_left:
+            gaps.append(f'{last + 1} to the end')
+        if gaps:
+            yield (
+                f'the spot at {spot.place} is not seen as a whole in pictures {", ".join(gaps)}; '
+                'these samples are missing'
+            )
+
+
+def _check_rate(tracks: Mapping[str, Track], *, rate: float, pictures: int) -> None:
+    """Raise TrackError if rate and scale give an impossible plate motion or free fall."""
+    plate = tracks['plate']
+    if plate.time.size < _MIN_SEEN * pictures:
+        raise TrackError(
+            f'the plate is seen in {plate.time.size} of {pictures} pictures only; the spot on it '
+            'must not be covered, nor its size or brightness change'
+        )
+    frequency, height = 1.0 / dominant_period(plate), 0.5 * float(np.ptp(plate.position))
+    acceleration = height * (2.0 * math.pi * frequency) ** 2
+    entry = TWIN.by_name['engine.frequency']
+    hint = (
+        '; --rate is that of the camera, not that at which the video is shown, and --scale a '
+        'length in metres'
+    )
+    reason = ''
+    if not entry.allows(frequency):
+        reason = f'its frequency must be {entry.rule}'
+    elif acceleration > _MAX_ACCELERATION:
+        reason = f'no plate bears more than {_MAX_ACCELERATION:g} m/s2'
+    elif 'projectile' in tracks and acceleration < _GRAVITY:
+        reason = 'that is less than gravity and throws nothing'
+    if reason:
+        raise TrackError(
+            f'at {rate:g} pictures per second the plate swings at {frequency:.3g} Hz, which takes '
+            f'an acceleration of {acceleration:.3g} m/s2, but {reason}{hint}'
+        )
+    fall = fall_acceleration(plate, tracks['projectile']) if 'projectile' in tracks else None
+    if fall is not None and not 1.0 / _MAX_FALL < fall / _GRAVITY < _MAX_FALL:
+        raise TrackError(
+            f'at {rate:g} pictures per second the projectile falls with {fall:.3g} m/s2 instead '
+            f'of {_GRAVITY:g} m/s2, as with {rate * math.sqrt(_GRAVITY / max(fall, 1e-9)):.4g} '
+            f'pictures per second, or another scale{hint}'
+        )
+
+
+@contextlib.contextmanager
+def _naming_video(path: str) -> Iterator[None]:
+    """Convert every error of a video into one message that names the file."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error).partition('\n')[0]
+        raise TrackError(f'{path}: {reason}') from None
+    except ValueError as error:
+        raise TrackError(f'{path}: {error}') from None

@@ -1,0 +1,139 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Draw the followed spots and their gaps over a video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, cycle, islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.identification.spots import Picture, Spot
+
+Bytes = NDArray[np.uint8]
+
+PICTURES = ('.png', '.pdf', '.svg')
+VIDEOS = {'.mp4': 'mp4', '.mkv': 'matroska', '.avi': 'avi'}
+"""FFmpeg's names of formats by suffix."""
+
+# Okabe and Ito's colours, distinguishable by colour-blind readers
+_COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')
+_RADIUS = 8.0  # radius of the ring around a spot [px]
+_MIN_HEIGHT = 480  # height of a video up to which pictures are enlarged [px]
+_SHOWN_RATE = 25  # pictures per second of a video [Hz]
+_TAIL = 40  # number of pictures for which a video shows the path of a spot
+
+
+def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path) -> None:
+    """
+    Draw the followed spots over the pictures, into a picture or a video.
+
+    Parameters
+    ----------
+    pictures : iterable of ndarray, shape (rows, columns)
+        All pictures of the video.
+    spots : sequence of Spot
+        Followed spots.
+    path : Path
+        Name of the new file. A picture shows the paths of the spots over the first picture, and
+        the rows of the spots over the picture number. A video shows a ring around each spot that
+        a picture contains.
+
+    """
+    with atomic_file(path) as unfinished:
+        if path.suffix in PICTURES:
+            _draw_picture(next(iter(pictures)), spots, unfinished, path.suffix[1:])
+        else:
+            _write_video(_frames(pictures, spots), unfinished, VIDEOS[path.suffix])
+
+
+def _draw_picture(picture: Picture, spots: Sequence[Spot], path: Path, form: str) -> None:
+    """Draw the first picture with paths, and rows over pictures."""
+    from matplotlib.figure import Figure
+
+    rows, columns = picture.shape
+    width = np.clip(4.2 * columns / rows, 1.0, 6.0)
+    figure = Figure(figsize=(4.6 + width, 4.6), layout='constrained')
+    shown, over_time = figure.subplots(1, 2, sharey=True, width_ratios=[width, 4.2])
+    shown.imshow(picture, cmap='gray', aspect='auto')
+    shown.set(xlabel='column [px]', ylabel='row [px]')
+    over_time.set(xlabel='picture')
+    for spot, colour in zip(spots, cycle(_COLOURS)):
+        breaks = np.flatnonzero(np.diff(spot.picture) > 1) + 1
+        for indices in np.split(np.arange(spot.row.size), breaks):
+            shown.plot(spot.column[indices], spot.row[indices], color=colour, lw=1.4)
+            over_time.plot(spot.picture[indices], spot.row[indices], color=colour, lw=1.4)
+        for first, last in spot.gaps:
+            over_time.axvspan(first, last, color=colour, alpha=0.15, lw=0)
+        if spot.row.size:
+            shown.plot(spot.column[0], spot.row[0], 'o', mfc='none', ms=10, color=colour)
+    over_time.set_title('shaded: spot not fully visible', fontsize='small', loc='left')
+    for axes in (shown, over_time):
+        axes.spines[['top', 'right']].set_visible(False)
+    figure.savefig(path, dpi=120, format=form)
+
+
+def _frames(pictures: Iterable[Picture], spots: Sequence[Spot]) -> Iterator[Bytes]:
+    """Draw rings and recent paths into every picture."""
+    colours = [
+        np.array([int(colour[index:index + 2], 16) for index in (1, 3, 5)], dtype=np.uint8)
+        for colour in islice(cycle(_COLOURS), len(spots))
+    ]
+    low = high = None
+    for number, picture in enumerate(pictures):
+        if low is None or high is None:
+            low, high = (float(level) for level in np.percentile(picture, (0.1, 99.9)))
+        grey = np.clip(255.0 * (picture - low) / max(high - low, 1e-12), 0.0, 255.0)
+        factor = 2 * max(1, round(0.5 * _MIN_HEIGHT / picture.shape[0]))
+        frame = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+        frame = frame.repeat(factor, axis=0).repeat(factor, axis=1)
+        for spot, colour in zip(spots, colours, strict=True):
+            _mark(frame, spot, number, colour, factor)
+        yield frame
+
+
+def _mark(frame: Bytes, spot: Spot, number: int, colour: Bytes, factor: int) -> None:
+    """Draw the recent path of a spot, and a ring if this picture shows the spot."""
+    late = (spot.picture <= number) & (spot.picture > number - _TAIL)
+    rows = factor * (spot.row[late] + 0.5)
+    columns = factor * (spot.column[late] + 0.5)
+    if late.any() and spot.picture[late][-1] == number:
+        angles = np.linspace(0.0, 2.0 * np.pi, round(12.0 * factor * _RADIUS))
+        for wider in (0.0, 1.0):
+            radius = factor * _RADIUS + wider
+            rows = np.append(rows, factor * (spot.row[late][-1] + 0.5) + radius * np.sin(angles))
+            columns = np.append(
+                columns, factor * (spot.column[late][-1] + 0.5) + radius * np.cos(angles)
+            )
+    pixels = np.stack([rows, columns]).astype(int)
+    inside = ((pixels >= 0).T & (frame.shape[:2] > pixels.T)).all(axis=1)
+    frame[tuple(pixels[:, inside])] = colour
+
+
+def _write_video(frames: Iterator[Bytes], path: Path, form: str) -> None:
+    """Write frames as a video in a format that common players support."""
+    import av
+
+    codec = 'libx264' if 'libx264' in av.codecs_available else 'mpeg4'
+    with av.open(str(path), 'w', format=form) as file:
+        stream = file.add_stream(codec, rate=_SHOWN_RATE)
+        stream.pix_fmt = 'yuv420p'
+        first = next(frames)
+        stream.height, stream.width = first.shape[:2]
+        for frame in chain([first], frames):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format='rgb24')))
+        file.mux(stream.encode())

@@ -1,0 +1,150 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Table of the numbers in results and recommendations that have a topic of their own.
+
+A new number is one row. Its topic, its publication and docs/topics.md follow from the row.
+
+The table leaves out the numbers of the rig, which are parameters of the twin; step numbers and
+stamps; and the numbers of other throws than the recommended one except their energy transfer. A
+recorder needs 0.1 % of a core for every topic, also for a topic without messages.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Number(NamedTuple):
+    """A number in the message of a result or a recommendation."""
+
+    name: str
+    """Name in the message; a dot separates the name of a group."""
+    meaning: str
+    unit: str = ''
+    stage: str = 'release'
+    """Stage of the result at which the number is published: 'release' or 'final'."""
+    is_repeatable: bool = True
+    """Whether a repeated session gives the number; the node adds the other ones."""
+
+
+_RELEASE = {
+    'ejection_time': ('Time from the start of the throw to the release', 's'),
+    'ejection_speed': ('Speed at the release', 'm/s'),
+    'energy_transfer': ('Energy transfer factor alpha', ''),
+}
+"""Meaning and unit of the numbers of a release."""
+
+_MODELS = ('spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued')
+"""Models that predict the same throw, except the model of the twin."""
+
+_OTHER_THROWS = {
+    'now': 'the present layer and motion',
+    'by_thickness': 'the best thickness alone',
+    'by_wave_speed': 'the best wave speed alone',
+    'optimum': 'the best layer without limits and loss',
+    'harmonic': 'the best harmonic motion',
+    'step': 'the best step of the plate',
+    'layer': 'the best layer, without another motion',
+    'linear': 'a linear layer with the designed motion',
+    'both': 'the designed motion with the best layer',
+}
+"""Throws to compare a recommendation with."""
+
+THROW_NUMBERS = (
+    Number('throw', 'Number of the throw, from 1'),
+    Number('ejection_time', 'Time from the start of the throw to its first release', 's'),
+    Number('ejection_speed', 'Speed at the first release', 'm/s'),
+    Number('energy_transfer', 'Energy transfer factor alpha of the first release'),
+    Number('peak_plate_speed', 'Largest speed of the plate', 'm/s'),
+    Number('peak_strain', 'Largest strain of the layer up to the first release'),
+    Number('max_strain', 'Strain at which the linear range of the layer ends'),
+    Number('peak_acceleration', 'Largest acceleration of the projectile up to the first release',
+           'm/s2'),
+    Number('peak_force', 'Largest force of the layer on the plate up to the first release', 'N'),
+    Number('plate_work', 'Work of the plate up to the first release', 'J'),
+    Number('lead', 'Time from the first prediction of a measured throw to the release', 's'),
+    Number('accuracy.release_time_error', 'Standard error of the time of the release', 's'),
+    Number('accuracy.ejection_speed_error', 'Standard error of the speed at the release', 'm/s'),
+    Number('accuracy.energy_transfer_error', 'Standard error of alpha'),
+    Number('accuracy.samples', 'Samples of the plate since the start'),
+    Number('accuracy.samples_left_out', 'Outliers among these samples'),
+    *(
+        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit,
+               is_repeatable=False)
+        for name, (meaning, unit) in _RELEASE.items()
+        for end, side in (('low', 'lower'), ('high', 'upper'))
+    ),
+    Number('uncertainty.stuck_fraction', 'Fraction of throws without release within the '
+           'uncertainties', is_repeatable=False),
+    *(
+        Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit, is_repeatable=False)
+        for model in _MODELS
+        for name, (meaning, unit) in _RELEASE.items()
+    ),
+    Number('last_ejection_time', 'Time from the start of the throw to the last release before the '
+           'projectile falls back', 's', 'final'),
+    Number('last_ejection_speed', 'Speed at this release', 'm/s', 'final'),
+    Number('last_energy_transfer', 'Energy transfer factor alpha of this release', '', 'final'),
+    Number('apex_height', 'Largest height of the projectile by its last release', 'm', 'final'),
+    Number('recontacts', 'Contacts before the projectile fell back', '', 'final'),
+    Number('landings', 'Contacts after the projectile fell back', '', 'final'),
+    Number('residual.samples', 'Samples of the projectile that were compared', '', 'final'),
+    Number('residual.position_rms', 'Rms of model position minus measured position', 'm',
+           'final'),
+    Number('residual.position_max', 'Largest magnitude of this difference', 'm', 'final'),
+    Number('residual.threshold', 'Upper bound of a normal rms', 'm', 'final'),
+    Number('residual.ejection_time_error', 'Ejection time of the model minus that of the '
+           'measurement', 's', 'final'),
+    Number('residual.ejection_speed_error', 'Ejection speed of the model minus that of the '
+           'measurement', 'm/s', 'final'),
+    Number('measurement.stamp_error', 'Standard deviation of the stamps of samples', 's',
+           'final'),
+    Number('measurement.samples_missing', 'Samples that were lost or came too late', '',
+           'final'),
+    Number('measurement.time_skipped', 'Time of skipped ticks', 's', 'final'),
+)
+"""Numbers of `~/throw_result`, below `~/throw`."""
+
+RECOMMENDED_NUMBERS = (
+    Number('thickness', 'Best thickness', 'm'),
+    Number('wave_speed', 'Best wave speed', 'm/s'),
+    Number('density', 'Density of the best layer', 'kg/m3'),
+    Number('youngs_modulus', 'Modulus of the best layer', 'Pa'),
+    Number('loss_tangent', 'Loss tangent of the best layer'),
+    Number('mass_ratio', 'Mass ratio mu of projectile and best layer'),
+    Number('speed_ratio', 'Speed ratio kappa = c_s / (L_s f) of the best layer'),
+    Number('ejection_time', 'Ejection time of the recommended throw', 's'),
+    Number('ejection_speed', 'Ejection speed of the recommended throw', 'm/s'),
+    Number('energy_transfer', 'Energy transfer factor alpha of the recommended throw'),
+    Number('peak_strain', 'Largest strain of the layer up to the release'),
+    Number('peak_acceleration', 'Largest acceleration of the projectile up to the release',
+           'm/s2'),
+    Number('g_load', 'The same acceleration over standard gravity'),
+    Number('peak_force', 'Largest force of the layer on the plate up to the release', 'N'),
+    Number('plate_work', 'Work of the plate up to the release', 'J'),
+    Number('kinetic_energy', 'Kinetic energy of the projectile at the release', 'J'),
+    Number('score', 'Energy transfer factor that counts for the objective'),
+    Number('now_score', 'The same factor of the present layer'),
+    Number('amplitude', 'Amplitude that reaches the target', 'm'),
+    Number('height', 'Rise of the projectile with this amplitude', 'm'),
+    Number('speed', 'Speed at the last release with this amplitude', 'm/s'),
+    Number('target_height', 'Target of an aim', 'm'),
+    Number('target_speed', 'Target of an aim', 'm/s'),
+    *(
+        Number(f'{name}.energy_transfer', f'Energy transfer factor alpha of {meaning}')
+        for name, meaning in _OTHER_THROWS.items()
+    ),
+)
+"""Numbers of `~/recommendation`, below `~/recommended`."""

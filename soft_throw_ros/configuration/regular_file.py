@@ -1,0 +1,64 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Regular files of bounded size; no other files are read by a name from outside."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+import stat
+from typing import BinaryIO
+
+
+def open_regular_file(path: str | Path, *, max_bytes: int) -> BinaryIO:
+    """
+    Open a regular file for reading.
+
+    FIFOs and devices, which may block or never end, are refused at once, also behind links.
+
+    Parameters
+    ----------
+    path : path_like
+        Name of the file.
+    max_bytes : int
+        Largest size. [byte]
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened, is not a regular one, or is larger.
+
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode) and status.st_size <= max_bytes:
+        return os.fdopen(descriptor, 'rb')
+    os.close(descriptor)
+    if stat.S_ISREG(status.st_mode):
+        raise _too_large(max_bytes)
+    raise OSError(errno.EINVAL, 'is not a regular file')
+
+
+def read_regular_file(path: str | Path, *, max_bytes: int) -> bytes:
+    """Return the contents of a regular file; arguments and errors as of `open_regular_file`."""
+    with open_regular_file(path, max_bytes=max_bytes) as file:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:  # it has grown, or is one of /proc, which have no size
+        raise _too_large(max_bytes)
+    return content
+
+
+def _too_large(max_bytes: int) -> OSError:
+    return OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')

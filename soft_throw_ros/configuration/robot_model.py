@@ -1,0 +1,106 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The URDF of a rig with its own sizes, for the launch files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from soft_throw_ros.configuration import files
+from soft_throw_ros.configuration.interface import LAYER_JOINTS
+from soft_throw_ros.configuration.table import Settings
+
+_PLATE_OVER_LAYER = 2.5
+"""Diameter of the drawn plate over that of the layer, so that its rim is visible. [-]"""
+
+_SLICES_PER_LAYER = 14.0
+"""Thickness of the layer over that of a slice: the ten slices leave gaps that can close. [-]"""
+
+
+def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = '') -> str:
+    """
+    Return a URDF with the sizes of the twin that a parameter file describes.
+
+    Parameters that the file lacks have their defaults, as in ROS.
+
+    Parameters
+    ----------
+    urdf : str
+        Model of the default rig.
+    path : path_like
+        A ROS parameter file.
+    node : str
+        Full name of the twin.
+    frame_prefix : str
+        See `urdf_of`.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read or has a refused value; the message has file and line.
+
+    """
+    sections = files.read_arguments(['--ros-args', '--params-file', str(path)])
+    given = files.select(sections, node)
+    values = {name: item.value for name, item in given.items() if not files.is_foreign(name)}
+    # The twin itself logs the warnings.
+    settings = files.start(values, given, warn=lambda _text: None)
+    return urdf_of(urdf, settings, frame_prefix=frame_prefix)
+
+
+def urdf_of(urdf: str, settings: Settings, *, frame_prefix: str = '') -> str:
+    """
+    Return a URDF with the sizes and the names of frames of one rig.
+
+    Parameters
+    ----------
+    urdf : str
+        Model of the default rig.
+    settings : mapping of str to value
+        Complete settings of the twin.
+    frame_prefix : str
+        Precedes the names of links, but not of joints. RViz looks for the frames of `/tf` by the
+        names of links, so that rigs in several namespaces need different ones.
+
+    """
+    diameter = settings['layer.diameter']
+    slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
+    robot = ET.fromstring(urdf)  # noqa: S314 the file of this package
+    for link in robot.iter('link'):
+        name = link.attrib['name']
+        if name == 'plate':
+            _resize(link, diameter=_PLATE_OVER_LAYER * diameter)
+        elif name == 'projectile':
+            _resize(link, diameter=diameter, length=settings['projectile.length'])
+        elif name in LAYER_JOINTS:
+            _resize(link, diameter=diameter, length=slice_thickness)
+        link.set('name', frame_prefix + name)
+    for tag in ('parent', 'child'):
+        for end in robot.iter(tag):
+            end.set('link', frame_prefix + end.attrib['link'])
+    return ET.tostring(robot, encoding='unicode')
+
+
+def _resize(link: ET.Element, *, diameter: float, length: float | None = None) -> None:
+    """Set the size of the cylinder of a link, and scale its distance from the origin likewise."""
+    cylinder, origin = link.find('.//cylinder'), link.find('.//origin')
+    if cylinder is None or origin is None:
+        raise ValueError(f'link {link.attrib["name"]} of the URDF has no cylinder or no origin')
+    cylinder.set('radius', repr(0.5 * diameter))
+    if length is not None:
+        x, y, z = map(float, origin.attrib['xyz'].split())
+        height = z * length / float(cylinder.attrib['length'])
+        cylinder.set('length', repr(length))
+        origin.set('xyz', f'{x!r} {y!r} {height!r}')

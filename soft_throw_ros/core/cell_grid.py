@@ -1,0 +1,250 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A rig cut into cells.
+
+Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
+which is the longest step that is stable. At one step exactly, as in a linear layer of one
+material, the scheme has no dispersion. Sheets begin and end with a node; a sheet or projectile
+that is too thin or too stiff for one cell (two, of a projectile) and an explicit step gets one
+that is implicit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.material import LARGEST_STRAIN, relaxation
+from soft_throw_ros.core.rig import Layer, Rig, Stack
+
+Floats = NDArray[np.float64]
+
+BODY = np.dtype(
+    [
+        ('count', 'f8'),  # number of cells
+        ('thickness', 'f8'),  # 0 if its strain does not matter [m]
+        ('mass', 'f8'),  # [kg]
+        ('stiffness', 'f8'),  # at the plate's frequency [N/m]
+        ('lag', 'f8'),  # viscosity over stiffness [s]
+        ('max_compression', 'f8'),  # of a neo-Hookean body, 0 for a linear one [-]
+        ('relaxed', 'f8'),  # share of the spring in the stiffness [-]
+        ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
+    ]
+)
+"""A sheet or an elastic projectile, to be cut into cells of one kind."""
+
+MAX_PROJECTILE_CELLS = 1 << 15
+"""Most cells of an elastic projectile."""
+
+MIN_PROJECTILE_CELLS = 2
+"""Fewest cells of an elastic projectile."""
+
+_ROUNDING = 1e-9
+"""Relative rounding error of a crossing time. [-]"""
+
+_SHOCK_SPEED = 1.055
+"""Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
+
+
+class Grid(NamedTuple):
+    """A rig to be cut into cells."""
+
+    step: float
+    """Time step. [s]"""
+    bodies: NDArray[np.void]
+    """A `BODY` for each sheet from the plate up, and for an elastic projectile."""
+    projectile_cells: int
+    """Cells of the projectile, 0 if it is rigid."""
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Cells of each sheet."""
+        sheets = self.bodies.size - (self.projectile_cells > 0)
+        return self.bodies['count'][:sheets].astype(np.int64)
+
+    def places(self, points: int) -> list[tuple[int, int, float, float]]:
+        """
+        Return a stencil for each of some even heights from plate to top.
+
+        A stencil is the cell at the height, a neighbour in the same sheet, the weight of the
+        neighbour for quantities in the middle of cells (0 without a neighbour), and the part of
+        the cell below the height. At the end of a sheet it extrapolates.
+        """
+        counts = self.counts
+        sheets = np.repeat(np.arange(counts.size), counts)
+        lengths = self.bodies['thickness'][: counts.size] / counts
+        tops = np.cumsum(np.repeat(lengths, counts))
+        heights = np.append(0.0, tops)
+        stencils = []
+        for height in np.linspace(0.0, tops[-1], points).tolist():
+            cell = min(int(np.searchsorted(heights, height, side='right')), tops.size) - 1
+            low, high = heights[cell:cell + 2]
+            part = float((height - low) / (high - low))
+            ahead = 1 if part > 0.5 else -1
+            beside = [
+                other
+                for other in (cell + ahead, cell - ahead)
+                if 0 <= other < tops.size and sheets[other] == sheets[cell]
+            ]
+            other = beside[0] if beside else cell
+            stencils.append((cell, other, (part - 0.5) * (other - cell), part))
+        return stencils
+
+
+def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
+    """Return the largest wave speeds over the speeds of slow and weak waves [-]."""
+    bound = bodies['max_compression']
+    tangent = bodies['relaxed'] * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0
+    tangent += bodies['maxwell'].sum(axis=-1)
+    return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0))
+
+
+def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[NDArray[np.void], Floats]:
+    """
+    Make the sheets of layers in units of layer mass, crossing time and amplitude.
+
+    Parameters
+    ----------
+    ratios : ndarray, shape (n, 8)
+        Arguments of `cell_stepper.first_throws`, in the same order. [-]
+    stack : Stack, optional
+        The layers, if they are no single sheets.
+
+    Returns
+    -------
+    bodies : ndarray of `BODY`, shape (n, sheets)
+        Sheets without numbers of cells; the thickness is such that strains are true ones if the
+        layer is not linear, and otherwise a share of the whole.
+    crossings : ndarray, shape (n, sheets)
+        Crossing times of the fastest wave. [-]
+
+    """
+    sheets = stack.sheets if stack else (Layer(),)
+    whole = stack or sheets[0]
+    kappa, loss, strain, is_constant = (ratios[:, k, None] for k in (1, 4, 6, 7))
+    values = np.array([
+        (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent) for sheet in sheets
+    ]).T
+    sums = np.array([whole.thickness, whole.mass, whole.crossing_time, whole.loss_tangent or 1.0])
+    thickness, mass, crossing, share = values / sums[:, None]
+    omega = 2.0 * math.pi / kappa
+    losses = loss * (share if whole.loss_tangent > 0.0 else 1.0)
+    losses = np.broadcast_to(losses, (len(ratios), len(sheets)))
+    is_curved = strain > 0.0
+    bodies = np.zeros(losses.shape, BODY)
+    scale = np.where(is_curved, omega / np.where(is_curved, strain, 1.0), 1.0)
+    bodies['thickness'] = thickness * scale
+    bodies['mass'], bodies['stiffness'] = mass, mass / crossing**2
+    bodies['lag'] = np.where(is_constant > 0.0, 0.0, losses / omega)
+    bodies['max_compression'] = np.where(is_curved, LARGEST_STRAIN, 0.0)
+    bodies['relaxed'] = 1.0
+    for throw in np.flatnonzero(is_constant):
+        fits = [relaxation(tangent) for tangent in losses[throw].tolist()]
+        bodies['relaxed'][throw] = [fit.relaxed for fit in fits]
+        bodies['maxwell'][throw] = [fit.strengths for fit in fits]
+    return bodies, crossing / _fastest_waves(bodies)
+
+
+def make_projectile(cells: int, mass: float, stiffness: float) -> NDArray[np.void]:
+    """Return an elastic projectile as an array of one `BODY`."""
+    return np.array([(cells, 0.0, mass, stiffness, 0.0, 0.0, 1.0, (0.0, 0.0, 0.0))], BODY)
+
+
+def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
+    """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
+    layer, time, ratios = rig.layer, rig.crossing_time, rig.cell_ratios
+    stack = ratios.pop('stack')
+    row = [*ratios.values()]
+    row.insert(5, 0.0)  # the projectile is cut by itself
+    bodies, crossings = make_bodies(np.array([row], dtype=np.float64), stack)
+    sheets = bodies[0]
+    sheets['thickness'] = [sheet.thickness for sheet in layer.sheets]
+    sheets['mass'] *= layer.mass
+    sheets['stiffness'] *= layer.mass / time**2
+    sheets['lag'] *= time
+    return sheets, crossings[0] * time
+
+
+def crossing_time(rig: Rig) -> float:
+    """Return the crossing time of the fastest wave of the layer [s]."""
+    return float(_make_sheets(rig)[1].sum())
+
+
+def make_grid(rig: Rig, *, cells: int, is_elastic: bool = False) -> Grid:
+    """
+    Cut a rig into cells; sheets get whole numbers of cells, and at least one.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    cells : int
+        Number of cells of the layer, about. [-]
+    is_elastic : bool
+        Whether the projectile is cut, too.
+
+    Raises
+    ------
+    ValueError
+        If an elastic projectile takes more than `MAX_PROJECTILE_CELLS`; with the number.
+
+    """
+    bodies, crossings = _make_sheets(rig)
+    step = float(crossings.sum()) / cells
+    bodies['count'] = np.maximum(1, (crossings / step * (1.0 + _ROUNDING)).astype(np.int64))
+    if not is_elastic:
+        return Grid(step, bodies, 0)
+    projectile, count = rig.projectile, _count_projectile_cells(rig, step)
+    stiffness = projectile.youngs_modulus * rig.layer.section / projectile.length
+    elastic = make_projectile(count, projectile.mass, stiffness)
+    return Grid(step, np.concatenate([bodies, elastic]), count)
+
+
+def make_massless_grid(rig: Rig, *, step: float) -> Grid:
+    """
+    Make one cell without mass, a spring and a dashpot (App. A).
+
+    Raises
+    ------
+    ValueError
+        If the layer is not linear, or its loss not Kelvin and Voigt's.
+
+    """
+    layer = rig.layer
+    if any(
+        sheet.stress_strain_law != 'linear' or sheet.loss == 'constant' for sheet in layer.sheets
+    ):
+        raise ValueError(
+            'the model spring_mass needs layer.stress_strain_law linear and layer.loss '
+            f'kelvin_voigt, got {layer.stress_strain_law} and {layer.loss}'
+        )
+    lag = layer.loss_tangent / rig.engine.angular_frequency
+    spring = (1, layer.thickness, 0.0, layer.stiffness, lag, 0.0, 1.0, (0.0, 0.0, 0.0))
+    return Grid(step, np.array([spring], BODY), 0)
+
+
+def _count_projectile_cells(rig: Rig, step: float) -> int:
+    """Count the cells of an elastic projectile, or refuse too many."""
+    wanted = rig.crossing_ratio * rig.crossing_time / step * (1.0 + _ROUNDING)
+    if wanted > MAX_PROJECTILE_CELLS:
+        modulus = rig.projectile.youngs_modulus
+        stiffer = modulus * (wanted / MAX_PROJECTILE_CELLS) ** 2
+        raise ValueError(
+            f'projectile.youngs_modulus {modulus:g} Pa takes {wanted:.0f} cells, the limit is '
+            f'{MAX_PROJECTILE_CELLS}; feasible: {1.001 * stiffer:.4g} Pa or more'
+        )
+    return max(MIN_PROJECTILE_CELLS, int(wanted))

@@ -1,0 +1,1081 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+r"""
+Kernels of the cells: nodes in a row, the equations of motion, and contact.
+
+Notes
+-----
+Eqs. (2)-(3) of [1]_, :math:`\rho u_{tt} = \sigma_y`, with the Kelvin-Voigt stress
+:math:`\sigma = E u_y + \eta u_{ty}`. Nodes are numbered from the plate up, and link j is between
+nodes j and j + 1. A link is a cell (a spring beside a dashpot and Maxwell elements, with half of
+its mass on each of its nodes) or the contact, whose two nodes move as one while it lasts.
+Displacements u belong to whole steps, velocities v to half steps, so that semi-implicit Euler is
+of second order,
+
+.. math::
+
+    M a^n = -K (u^n + \beta h^2 a^n) - C \frac{v^{n+1/2} + v^{n-1/2}}{2}, \qquad
+    v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
+
+:math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
+acceleration) keeps the scheme stable. The implicit part is one tridiagonal system with constant
+coefficients, whose factors are computed once. All counts from the static equilibrium; the weight
+of the layer is left out as in [1]_, unless it is thrown along.
+
+The contact force is inertia and stress of the nodes above the contact, and the projectile leaves
+when it falls below zero, at the root of the cubic through four steps. After that the nodes are
+free of each other, and of the weight. In the cell at each free end a dashpot takes away the
+velocity that alternates from step to step after the release; in one cell it is a change of second
+order.
+
+The nodes meet again when the gap is closed at the end of a step; from there on they are where
+momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
+events after a landing are of second order, too, though a landing is a jump.
+
+The grid is up to one step ahead of the time that is asked for, and the state is interpolated
+between its last two steps (third order). So with a measured plate it can go as far as the last
+whole step before the horizon.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
+from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
+from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
+    DAMPED,
+    motion_at,
+    PLATE,
+    start_block,
+    write_underdamped,
+)
+from soft_throw_ros.core.stepper import (
+    BACKWARDS,
+    BEYOND_HORIZON,
+    LANDING,
+    note_event,
+    PLATE_FORCE,
+    PLATE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    RECONTACT,
+    RELEASE,
+    TIME,
+    TOO_FAR,
+    TOO_MANY_EVENTS,
+)
+
+FORCE_NOISE = 1e-11
+"""Rounding of the contact force, over impedance times the plate's peak speed [-]."""
+
+_AVERAGE_ACCELERATION = 0.25
+"""Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
+
+_ROUNDING = 1e-9
+"""Relative rounding error of a crossing time. [-]"""
+
+_SHOCK = 1.0
+"""Artificial viscosity of von Neumann and Richtmyer, over the density. [-]"""
+
+_FASTEST = 0.05
+"""Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
+
+_USUAL_NODES = 66
+"""Nodes of the default grid; its march is compiled without checks for overlapping arrays. [-]"""
+
+_static_stretch = part(static_stretch)
+
+
+class Row(NamedTuple):
+    """
+    Rows of the table of nodes and links, a column for each; the last link does not exist.
+
+    Of two rows, one is for even and one for odd steps, or one for flight and one for contact; of
+    three, each is for a Maxwell element.
+    """
+
+    displacement: int = 0  # of a node, from rest [m]
+    velocity: int = 1  # of a node, half a step earlier [m/s]
+    mean_velocity: int = 2  # at the whole step, at even and odd steps [m/s]
+    tension: int = 4  # elastic tension of a link, from rest, at even and odd steps [N]
+    previous_stretch: int = 6  # of a link, a step ago [m]
+    maxwell_stretch: int = 7  # of the springs of the Maxwell elements [m]
+    mass: int = 10  # of a node [kg]
+    stiffness: int = 11  # of a linear link [N/m]
+    third_modulus: int = 12  # third of E S, of a neo-Hookean link [N]
+    min_stretch: int = 13  # smallest stretch ratio with the neo-Hookean law [-]
+    linear_stiffness: int = 14  # tension over stretch, of any link [N/m]
+    constant_tension: int = 15  # constant tension of any link [N]
+    inverse_square_factor: int = 16  # tension times length^2 [N m2]
+    rest_length: int = 17  # of a neo-Hookean link, 1 for others [m]
+    min_length: int = 18  # length at min_stretch, 1 for linear links [m]
+    shock_viscosity: int = 19  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 20  # of the Maxwell elements [N/m]
+    viscosity: int = 23  # of a link, in flight and in contact [N s/m]
+    coupling: int = 25  # share of a link in the matrix of masses, in flight and in contact [kg]
+    elimination_factor: int = 27  # of a link: momentum that a neighbour gets [-]
+    inverse_pivot: int = 29  # velocity over momentum of an eliminated node [1/kg]
+    momentum_factor: int = 31  # mass of a node if it is coupled, otherwise 1 [kg]
+    impulse_factor: int = 33  # half a step, over the mass if it is not coupled [s]
+    inverse_length: int = 35  # of a cell of the layer, 0 for other links [1/m]
+    rest_height: int = 36  # of a node of the layer [m]
+    static_load: int = 37  # weight that a cell of the layer carries at rest [N]
+    static_strain: int = 38  # compression of a cell at rest [-]
+    peak_strain: int = 39  # largest magnitude of the strain of a cell [-]
+    implicit_stiffness: int = 40  # of a cell that is too fast for the step [kg]
+    position: int = 41  # displacement at the time asked for [m]
+    speed: int = 42  # velocity at the time asked for [m/s]
+    force: int = 43  # force through a cell at the time asked for, positive in compression [N]
+
+
+ROW = Row()
+"""Rows by name, constants in a kernel."""
+
+ROWS = 44
+"""Number of rows."""
+
+# A stepper has three records: the state at a step of the grid, the state at the requested time,
+# and the initial state for a reset. A pair of values is below and above the contact, or at the
+# plate and at the top of the layer.
+RECORD = np.dtype(
+    [
+        # constants
+        ('step', 'f8'),  # [s]
+        ('rate', 'f8'),  # 2 / step [1/s]
+        ('cells', 'i8'),  # number of cells of the layer
+        ('first_node', 'i8'),  # lowest node of the layer
+        ('contact_link', 'i8'),
+        ('is_lossy', '?'),
+        ('is_viscous', '?'),
+        ('is_massless', '?'),
+        ('is_curved', '?'),  # a sheet is neo-Hookean
+        ('has_maxwell', '?'),
+        ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
+        ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
+        ('maxwell_decay', 'f8', (3,)),  # share of the stretch that is left after a step
+        ('maxwell_gain', 'f8', (3,)),  # share of a new stretch that an element takes
+        ('relaxation_rate', 'f8'),  # stiffness over viscosity, of a free end without mass [1/s]
+        ('mass', 'f8'),  # of the projectile [kg]
+        ('face_node_mass', 'f8'),  # share of the projectile in the mass of its lowest node [kg]
+        ('carried_mass', 'f8'),  # above the contact [kg]
+        ('gravity', 'f8'),  # [m/s2]
+        ('release_threshold', 'f8'),  # contact force below which the projectile leaves [N]
+        ('rest_height', 'f8'),  # of the projectile's lower face [m]
+        ('edge_cells', 'i8', (2, 2)),  # cells that extrapolate the strain to plate and top
+        ('edge_weights', 'f8', (2,)),
+        ('collision_nodes', 'i8', (2,)),  # outermost nodes that meet as one in a landing
+        ('collision_masses', 'f8', (2,)),  # [kg]
+        # the linear system of the mean velocities
+        ('systems', 'i8', (2, 4)),  # the next four fields, in flight and in contact
+        ('known', 'i8'),  # highest node whose motion is given
+        ('first', 'i8'),  # first and last of the nodes that are coupled
+        ('end', 'i8'),
+        ('middle', 'i8'),  # node at which the elimination from both ends meets
+        ('first_stiff', 'i8'),  # first and last link that is too fast for the step
+        ('last_stiff', 'i8'),
+        # the plate
+        *PLATE,
+        ('slope', 'f8'),  # growth over turn [-]
+        ('plate_acceleration', 'f8'),  # [m/s2]
+        # the state of the grid
+        ('time', 'f8'),  # [s]
+        ('index', 'i8'),  # of the step
+        ('fraction', 'f8'),  # of the step that has passed
+        ('contact', '?'),
+        ('landed', '?'),
+        ('events', 'i8'),
+        ('event_time', 'f8'),  # of the event in the last step, infinite without one [s]
+        ('event_velocity', 'f8'),  # [m/s]
+        ('force', 'f8'),  # in the contact: now, and at the three steps before [N]
+        ('force_1', 'f8'),
+        ('force_2', 'f8'),
+        ('force_3', 'f8'),
+        ('known_forces', 'i8'),  # number of forces since the present contact began
+        ('below_before', 'f8'),  # displacements of the contact's nodes a step ago [m]
+        ('above_before', 'f8'),
+        # forces of the layer on plate and projectile: a step ago, before and after an event [N]
+        ('on_plate_before', 'f8'),
+        ('on_plate_until', 'f8'),
+        ('on_plate_now', 'f8'),
+        ('on_projectile_before', 'f8'),
+        ('on_projectile_until', 'f8'),
+        ('on_projectile_now', 'f8'),
+        # loads up to the first release
+        ('edge_strains', 'f8', (2,)),  # [-]
+        ('acceleration', 'f8'),  # [m/s2]
+        ('plate_force', 'f8'),  # [N]
+        ('first_work', 'f8'),  # [J]
+        # energy
+        ('power', 'f8'),  # of the plate [W]
+        ('heating', 'f8'),  # [W]
+        ('maxwell_heating', 'f8'),  # [W]
+        ('work_before', 'f8'),  # a step ago [J]
+        ('heat_before', 'f8'),
+        ('work', 'f8'),  # of the plate [J]
+        ('heat', 'f8'),  # with the energy of springs if a sheet is neo-Hookean [J]
+        # at `time`
+        ('surface', 'f8'),  # height of the top against rest [m]
+        ('state', 'f8', (7,)),
+    ],
+    align=True,
+)
+"""State of a throw by cells."""
+
+PLACE = np.dtype([('cell', 'i8'), ('beside', 'i8'), ('weight', 'f8'), ('part', 'f8')])
+"""From where to read the layer at a height, see `cell_grid.Grid.places`."""
+
+
+@part
+def cut(s: Record, nodes: Any, bodies: Any) -> None:
+    """Cut bodies into cells; without cells of its own the projectile is a point."""
+    top = s.first_node + s.cells
+    first, face = s.first_node, s.cells + 1
+    for n in range(bodies.size):
+        body = bodies[n]
+        if first == top:
+            first = face
+        count = int(body.count)
+        mass, spring = body.mass / count, body.stiffness * count
+        inverse = count / body.thickness if body.thickness > 0.0 else 0.0
+        tangent = body.relaxed  # of the stiffest state
+        if body.max_compression > 0.0:
+            tangent *= (1.0 + 2.0 / (1.0 - body.max_compression) ** 3) / 3.0
+        tangent = (tangent + body.maxwell[0] + body.maxwell[1] + body.maxwell[2]) * spring
+        implicit = 0.0
+        if 0.0 < math.sqrt(mass / tangent) * (1.0 + _ROUNDING) < s.step:
+            implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
+        for j in range(first, first + count):
+            nodes[ROW.mass, j] += 0.5 * mass
+            nodes[ROW.mass, j + 1] += 0.5 * mass
+            nodes[ROW.inverse_length, j] = inverse
+            if body.max_compression > 0.0:
+                nodes[ROW.third_modulus, j] = body.relaxed * spring / inverse / 3.0
+                nodes[ROW.min_stretch, j] = 1.0 - body.max_compression
+                nodes[ROW.shock_viscosity, j] = _SHOCK * mass * inverse
+            else:
+                nodes[ROW.stiffness, j] = body.relaxed * spring
+            for element in range(3):
+                nodes[ROW.maxwell_stiffness + element, j] = body.maxwell[element] * spring
+            nodes[ROW.viscosity, j] = nodes[ROW.viscosity + 1, j] = body.lag * spring
+            nodes[ROW.implicit_stiffness, j] = implicit
+        first += count
+    if first == top:
+        nodes[ROW.mass, face] += s.mass
+
+
+@part
+def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
+    """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
+    step, rigid = s.step, s.contact_link if case == 1 else -1
+    last = nodes.shape[1] - 1
+    mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
+    low, high = last, -1
+    s.first_stiff, s.last_stiff = last, -1
+    for j in range(last):
+        if nodes[ROW.implicit_stiffness, j] > 0.0:
+            s.first_stiff, s.last_stiff = min(s.first_stiff, j), j
+        viscous = 0.5 * step * nodes[ROW.viscosity + case, j]
+        coupling[j] = nodes[ROW.implicit_stiffness, j] + viscous
+        if coupling[j] > 0.0 or j == rigid:
+            low, high = min(low, j), max(high, j)
+    first = known + 1 if low <= known else low
+    end = high + 1
+    if end < first:  # nothing is coupled
+        first, end = last + 1, last
+    for j in range(1, last + 1):
+        is_coupled = first <= j <= end
+        nodes[ROW.momentum_factor + case, j] = mass[j] if is_coupled else 1.0
+        nodes[ROW.impulse_factor + case, j] = 0.5 * step
+        if not is_coupled:
+            nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
+    middle = (first + end) // 2
+    system = s.systems[case]
+    system[0], system[1], system[2], system[3] = known, first, end, middle
+    if first <= end:
+        _eliminate(nodes, case, first, middle, end, rigid)
+
+
+@part
+def _eliminate(nodes, case, first, merge, end, rigid):
+    """Eliminate nodes from both ends towards one that they merge in."""
+    mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
+    factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
+    total = mass[merge]
+    for side in range(2):
+        j, way = (first, 1) if side == 0 else (end, -1)
+        added = coupling[first - 1] if side == 0 else coupling[end]
+        while j != merge:
+            link = j if side == 0 else j - 1
+            pivot = mass[j] + added
+            if link == rigid:
+                factor[link], pivots[j], added = 1.0, 0.0, pivot
+            else:
+                pivots[j] = 1.0 / (pivot + coupling[link])
+                factor[link] = coupling[link] * pivots[j]
+                added = factor[link] * pivot
+            j += way
+        total += added
+    pivots[merge] = 1.0 / total
+
+
+@inlined
+def _go_up(nodes, x, factor, j, a, here, next_):
+    """Substitute two nodes upwards, without a longer dependency chain than for one node."""
+    one = np.uintp(1)
+    s, t = nodes[factor, j - one], nodes[factor, j]
+    nodes[x, j], nodes[x, j + one] = here + s * a, next_ + t * here + t * s * a
+    return nodes[x, j + one]
+
+
+@inlined
+def _go_down(nodes, x, factor, j, a, here, next_):
+    """Substitute two nodes downwards."""
+    one = np.uintp(1)
+    s, t = nodes[factor, j], nodes[factor, j - one]
+    nodes[x, j], nodes[x, j - one] = here + s * a, next_ + t * here + t * s * a
+    return nodes[x, j - one]
+
+
+@inlined
+def _substitute(nodes, x, case, first, middle, end):
+    """
+    Solve for row x, from both ends to the middle and back, side by side.
+
+    Each direction is a chain of operations that wait for each other. Thomas's algorithm, a single
+    chain, makes steps with loss take twice the time.
+    """
+    # Unsigned, since numba asks of any other index whether it counts from the end
+    one, two = np.uintp(1), np.uintp(2)
+    first, middle = np.uintp(first), np.uintp(middle)
+    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
+    length = middle - first
+    top = middle + length  # of chains of one length
+    if end > int(top):
+        nodes[x, top] += nodes[factor, top] * nodes[x, top + one]
+    odd = length & one  # the outermost node of each chain, if it is one too many
+    a, b = 0.0, 0.0
+    if odd:
+        a, b = nodes[x, first], nodes[x, top]
+    for i in range(odd, length, two):
+        j, k = first + i, top - i
+        a = _go_up(nodes, x, factor, j, a, nodes[x, j], nodes[x, j + one])
+        b = _go_down(nodes, x, factor, k, b, nodes[x, k], nodes[x, k - one])
+    a = nodes[x, middle] + nodes[factor, middle - one] * a + nodes[factor, middle] * b
+    a *= nodes[pivot, middle]
+    b = nodes[x, middle] = a
+    for i in range(one, length, two):
+        j, k = middle - i, middle + i
+        y, z = nodes[pivot, j] * nodes[x, j], nodes[pivot, j - one] * nodes[x, j - one]
+        a = _go_down(nodes, x, factor, j, a, y, z)
+        y, z = nodes[pivot, k] * nodes[x, k], nodes[pivot, k + one] * nodes[x, k + one]
+        b = _go_up(nodes, x, factor, k, b, y, z)
+    if odd:
+        nodes[x, first] = nodes[pivot, first] * nodes[x, first] + nodes[factor, first] * a
+        b = nodes[pivot, top] * nodes[x, top] + nodes[factor, top - one] * b
+        nodes[x, top] = b
+    if end > int(top):
+        nodes[x, top + one] = (
+            nodes[pivot, top + one] * nodes[x, top + one] + nodes[factor, top] * nodes[x, top]
+        )
+
+
+@inlined
+def solve(s: Record, nodes: Any, now: int, case: int) -> None:
+    """
+    Compute the mean velocities w of all nodes with unknown motion.
+
+    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
+    matrix B of implicit cells.
+    """
+    w, tension = ROW.mean_velocity + now, ROW.tension + now
+    momentum_factor, impulse_factor = ROW.momentum_factor + case, ROW.impulse_factor + case
+    known, first, end = s.known, s.first, s.end
+    given = nodes[w, known]
+    for j in range(1, nodes.shape[1]):
+        force = nodes[tension, j] - nodes[tension, j - 1]
+        start = nodes[momentum_factor, j] * nodes[ROW.velocity, j]
+        nodes[w, j] = start + nodes[impulse_factor, j] * force
+    nodes[w, known] = given
+    if end < first:
+        return
+    for j in range(s.first_stiff, s.last_stiff + 1):
+        change = nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j]
+        momentum = nodes[ROW.implicit_stiffness, j] * change
+        nodes[w, j + 1] += momentum
+        if j > known:
+            nodes[w, j] -= momentum
+    nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
+    _substitute(nodes, w, case, first, s.middle, end)
+
+
+@part
+def _choose_system(s):
+    """Choose the equations of contact or of flight."""
+    system = s.systems[1 if s.contact else 0]
+    s.known, s.first, s.end, s.middle = system[0], system[1], system[2], system[3]
+
+
+@part
+def _prepare_links(s, nodes, omega):
+    """Complete links that are cut, and constants of their materials."""
+    for j in range(nodes.shape[1] - 1):
+        s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
+        s.is_viscous = s.is_viscous or nodes[ROW.viscosity, j] > 0.0
+        nodes[ROW.linear_stiffness, j] = nodes[ROW.stiffness, j]
+        nodes[ROW.rest_length, j] = nodes[ROW.min_length, j] = 1.0  # divisors of linear links
+        for element in range(3):
+            s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
+    s.is_lossy = s.is_viscous or s.is_curved or s.has_maxwell
+    for element in range(3):
+        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
+        half = 0.5 * s.step * s.maxwell_rates[element]
+        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
+        s.maxwell_gain[element] = 1.0 / (1.0 + half)
+
+
+@part
+def _prepare_contact(s, nodes):
+    """Prepare free ends, the equations of flight and contact, and the nodes that land as one."""
+    last, link = nodes.shape[1] - 1, s.contact_link
+    s.is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
+    s.relaxation_rate = math.inf
+    if s.is_massless and s.is_viscous:
+        s.relaxation_rate = nodes[ROW.stiffness, 0] / nodes[ROW.viscosity, 0]
+    # A dashpot that takes half of the momentum of a free end in half a step ends its alternation
+    if link > 0:
+        nodes[ROW.viscosity, link - 1] += s.rate * nodes[ROW.mass, link]
+    if link + 2 <= last:
+        nodes[ROW.viscosity, link + 1] += s.rate * nodes[ROW.mass, link + 1]
+    factorise(s, nodes, 1 if s.is_massless else 0, 0)
+    factorise(s, nodes, 1 if link == 0 else 0, 1)
+    s.contact = True
+    _choose_system(s)
+    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
+    # such cells part meet as one.
+    below, above = link, link + 1
+    while below > 1 and nodes[ROW.implicit_stiffness, below - 1] > 0.0:
+        below -= 1
+    while above < last and nodes[ROW.implicit_stiffness, above] > 0.0:
+        above += 1
+    s.collision_nodes[0], s.collision_nodes[1] = below, above
+    for j in range(below, above + 1):
+        s.collision_masses[0 if j <= link else 1] += nodes[ROW.mass, j]
+    for j in range(link + 1, last + 1):
+        s.carried_mass += nodes[ROW.mass, j]
+
+
+@inlined
+def _inverse_square(length, shortest):
+    """Compute one over the square of a length, and below the shortest along the tangent."""
+    inverse = 1.0 / max(length, shortest)
+    ratio = length * inverse
+    return inverse * inverse * (3.0 - (ratio + ratio))
+
+
+@part
+def _prepare_rest(s, nodes):
+    """Compute loads, strains and heights at rest: each cell carries the weight above it."""
+    top = s.first_node + s.cells
+    carried = s.mass * s.gravity
+    for j in range(top - 1, s.first_node - 1, -1):
+        if s.first_node > 0:
+            own = nodes[ROW.mass, j + 1] - (s.face_node_mass if j + 1 == top else 0.0)
+            carried += own * s.gravity
+        nodes[ROW.static_load, j] = carried
+        inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
+        if modulus > 0.0:
+            nodes[ROW.static_strain, j] = 1.0 - _static_stretch(carried / modulus)
+            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
+            nodes[ROW.linear_stiffness, j] = modulus * inverse
+            nodes[ROW.inverse_square_factor, j] = modulus / (inverse * inverse)
+            nodes[ROW.rest_length, j] = (1.0 - nodes[ROW.static_strain, j]) / inverse
+            nodes[ROW.min_length, j] = nodes[ROW.min_stretch, j] / inverse
+            square = _inverse_square(nodes[ROW.rest_length, j], 0.0)
+            nodes[ROW.constant_tension, j] = nodes[ROW.inverse_square_factor, j] * square
+        else:
+            nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
+    for j in range(s.first_node, top):
+        length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
+        nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
+    s.rest_height = nodes[ROW.rest_height, top]
+    s.edge_strains[0] = nodes[ROW.static_strain, s.first_node]
+    s.edge_strains[1] = nodes[ROW.static_strain, top - 1]
+    s.plate_force = s.carried_mass * s.gravity
+
+
+@kernel
+def prepare(core: Any, nodes: Any, bodies: Any, omega: float) -> None:
+    """Complete the third record from step, cells, masses and gravity, and cut the bodies."""
+    s = core[2]
+    s.rate = 2.0 / s.step
+    s.event_time = s.fastest_shock = math.inf
+    s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
+    cut(s, nodes, bodies)
+    _prepare_links(s, nodes, omega)
+    _prepare_contact(s, nodes)
+    _prepare_rest(s, nodes)
+
+
+@inlined
+def _elastic_tension(s, nodes):
+    """Compute the elastic tension of all links, and the heating of Maxwell elements."""
+    now = s.index & 1
+    if s.is_curved:
+        _neo_hookean_tension(s, nodes)
+    else:
+        for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+            stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+            nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
+    if s.has_maxwell:
+        s.maxwell_heating = _update_maxwell(s, nodes)
+
+
+@reduction
+def _neo_hookean_tension(s, nodes):
+    """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
+    now, fastest = s.index & 1, -s.fastest_shock
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+        square = _inverse_square(nodes[ROW.rest_length, j] + stretch, nodes[ROW.min_length, j])
+        pull = nodes[ROW.constant_tension, j] - nodes[ROW.inverse_square_factor, j] * square
+        closing = min(nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j], 0.0)
+        shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
+        nodes[ROW.tension + now, j] = nodes[ROW.linear_stiffness, j] * stretch + pull - shock
+
+
+@reduction
+def _update_maxwell(s, nodes):
+    """Add the tension of the Maxwell elements, by the trapezoidal rule; return their heating."""
+    now, heat_0, heat_1, heat_2 = s.index & 1, 0.0, 0.0, 0.0
+    decay_0, decay_1, decay_2 = s.maxwell_decay[0], s.maxwell_decay[1], s.maxwell_decay[2]
+    gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
+    row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+        change = stretch - nodes[ROW.previous_stretch, j]
+        nodes[ROW.previous_stretch, j] = stretch
+        first = decay_0 * nodes[row, j] + gain_0 * change
+        second = decay_1 * nodes[row + 1, j] + gain_1 * change
+        third = decay_2 * nodes[row + 2, j] + gain_2 * change
+        nodes[row, j], nodes[row + 1, j], nodes[row + 2, j] = first, second, third
+        pull_0 = nodes[stiffness, j] * first
+        pull_1, pull_2 = nodes[stiffness + 1, j] * second, nodes[stiffness + 2, j] * third
+        nodes[ROW.tension + now, j] += pull_0 + pull_1 + pull_2
+        heat_0 += pull_0 * first
+        heat_1 += pull_1 * second
+        heat_2 += pull_2 * third
+    rates = s.maxwell_rates
+    return rates[0] * heat_0 + rates[1] * heat_1 + rates[2] * heat_2
+
+
+@inlined
+def _accelerate(s, nodes):
+    """Compute the velocities of all nodes at the whole step."""
+    if not s.contact:  # both sides of the contact are free of the weight
+        nodes[ROW.tension + (s.index & 1), s.contact_link] = s.carried_mass * s.gravity
+    solve(s, nodes, s.index & 1, 1 if s.contact else 0)
+
+
+@inlined
+def _link_tension(s, nodes, j):
+    """Compute the tension of a link with its viscous part, and that of a stiff cell."""
+    now, case = s.index & 1, 1 if s.contact else 0
+    rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
+    change = rate - nodes[ROW.velocity, j + 1] + nodes[ROW.velocity, j]
+    viscous = nodes[ROW.viscosity + case, j] * rate  # eta u_ty, added to Eq. (2)
+    implicit = nodes[ROW.implicit_stiffness, j] * change * s.rate
+    return nodes[ROW.tension + now, j] + viscous + implicit
+
+
+@inlined
+def _apply_plate_motion(s, nodes, path):
+    """Move an underdamped plate by rotations of a phasor, evaluated anew for every block."""
+    k = s.index & (BLOCK - 1)
+    if k == 0:
+        start_block(s, s.index)
+    real = s.cosine * path[0, k] - s.sine * path[1, k]
+    imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
+    height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+    acceleration = s.factor * (s.turn * real + s.growth * imaginary)
+    _move_first_node(s, nodes, height, s.factor * imaginary, acceleration)
+
+
+@part
+def _apply_sampled_motion(s, nodes, path):
+    """Move a plate whose motion is given in pieces."""
+    height, speed, acceleration = motion_at(s, path, s.index * s.step)
+    _move_first_node(s, nodes, height, speed, acceleration)
+
+
+@inlined
+def _move_first_node(s, nodes, height, speed, acceleration):
+    """Move the lowest node, and the node above it if the contact or the spring ties it."""
+    now, before = s.index & 1, nodes[ROW.displacement, 0]
+    s.plate_acceleration = acceleration
+    nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
+    nodes[ROW.velocity, 0] = speed - 0.5 * s.step * acceleration
+    if s.contact_link == 0 and s.contact:
+        nodes[ROW.displacement, 1], nodes[ROW.mean_velocity + now, 1] = height, speed
+        nodes[ROW.velocity, 1] = nodes[ROW.velocity, 0]
+    elif s.is_massless and not s.contact:
+        _creep(s, nodes, now, s.below_before - before)
+
+
+@part
+def _creep(s, nodes, now, stretch):
+    """Move the free end of a layer without mass towards its length without load."""
+    free = s.carried_mass * s.gravity / nodes[ROW.stiffness, 0]
+    stretch = (stretch - free) * math.exp(-s.relaxation_rate * s.step)
+    nodes[ROW.displacement, 1] = nodes[ROW.displacement, 0] + free + stretch
+    nodes[ROW.velocity, 1] = (nodes[ROW.displacement, 1] - s.below_before) / s.step
+    rate = s.relaxation_rate * stretch if s.is_lossy else 0.0
+    nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
+
+
+@part
+def _carried_speed(s, nodes):
+    """Compute the speed of the common centre of mass above the contact, at the half step."""
+    momentum = 0.0
+    for j in range(s.contact_link + 1, nodes.shape[1]):
+        momentum += nodes[ROW.mass, j] * nodes[ROW.velocity, j]
+    return momentum / s.carried_mass
+
+
+@part
+def _record_event(s, events, kind, fraction, height, velocity):
+    """Write down an event in the last step."""
+    s.event_time, s.event_velocity = (s.index - 1 + fraction) * s.step, velocity
+    note_event(s, events, kind, s.event_time, height, velocity)
+
+
+@inlined
+def _contact_forces(s, nodes):
+    """Compute the forces of the layer on plate and projectile, and that in the contact."""
+    now, last = s.index & 1, nodes.shape[1] - 1
+    j, face = s.contact_link + 1, s.cells + 1
+    weight = s.mass * s.gravity
+    change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
+    force = s.carried_mass * s.gravity + nodes[ROW.mass, j] * s.rate * change
+    if j < last:
+        force -= _link_tension(s, nodes, j)
+    if s.contact:
+        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        s.force = force
+        s.known_forces += 1
+    pushed = 0.0
+    if s.contact or s.contact_link == 0:
+        change = nodes[ROW.mean_velocity + now, face] - nodes[ROW.velocity, face]
+        pushed = weight + s.face_node_mass * s.rate * change
+        if face < last:
+            pushed -= _link_tension(s, nodes, face)
+    s.on_projectile_now = pushed
+    if s.contact_link == 0:
+        s.on_plate_now = -force if s.contact else 0.0
+    else:
+        inertia = nodes[ROW.mass, 0] * s.plate_acceleration
+        s.on_plate_now = _link_tension(s, nodes, s.first_node) - inertia - weight
+
+
+@part
+def _first_root(a, b, c, d):
+    """Find the root of a + b x + c x^2 + d x^3 in a step, to the last bit."""
+    low, high = 0.0, 1.0
+    while True:
+        x = 0.5 * (low + high)
+        if not low < x < high:
+            return x
+        if a + x * (b + x * (c + x * d)) < 0.0:
+            high = x
+        else:
+            low = x
+
+
+@part
+def _handle_release(s, nodes, events):
+    """Release the projectile at the root of the force, which is below zero now."""
+    after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
+    if s.known_forces < 4:  # so short after a landing it is a line
+        earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
+    third = (after - first + 3.0 * (earlier - before)) / 6.0
+    second = 0.5 * (earlier + after) - before
+    slope = after - before - second - third
+    part = _first_root(before, slope, second, third)
+    # Impulse of the force less the weight from half of the step on; the mean velocity of the step
+    # is that at its middle and a 24th of its curvature
+    impulse = (before - s.carried_mass * s.gravity) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
+    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
+    impulse -= (after - before) / 24.0
+    velocity = _carried_speed(s, nodes) + s.step * impulse / s.carried_mass
+    s.contact = False
+    _choose_system(s)
+    _record_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
+
+
+@part
+def _handle_landing(s, nodes, events):
+    """Land the projectile at the root of the gap, which is negative now."""
+    j = s.contact_link
+    u, v = nodes[ROW.displacement], nodes[ROW.velocity]
+    before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
+    gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
+    bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
+    part = _first_root(gap, closed - gap - bend, bend, 0.0)
+    face = s.cells + 1
+    height = u[face] - s.step * (1.0 - part) * (v[face] + part * (v[face] - before[face]))
+    velocity = _carried_speed(s, nodes) - s.gravity * s.step * (part - 0.5)
+    overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
+    part_above = 1.0
+    if j > 0:
+        part_above = s.collision_masses[0] / (s.collision_masses[0] + s.collision_masses[1])
+        for k in range(s.collision_nodes[0], j + 1):
+            u[k] -= (1.0 - part_above) * overlap
+            v[k] -= (1.0 - part_above) * approach
+    else:
+        s.work += s.collision_masses[1] * approach * v[0]
+    for k in range(j + 1, s.collision_nodes[1] + 1):
+        u[k] += part_above * overlap
+        v[k] += part_above * approach
+    s.contact = True
+    _choose_system(s)
+    s.known_forces = 0
+    s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
+    _record_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
+
+
+@inlined
+def _march(s, nodes, path, events, goal):
+    """Advance to step `goal`, or into one with more events than there is room for."""
+    step, joint = s.step, s.contact_link
+    while s.index < goal and s.events <= events.shape[0]:
+        now = s.index & 1
+        s.below_before = nodes[ROW.displacement, joint]
+        s.above_before = nodes[ROW.displacement, joint + 1]
+        for j in range(nodes.shape[1]):
+            velocity = 2.0 * nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
+            nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
+            nodes[ROW.displacement, j] += step * velocity  # u^{n+1} = u^n + h v^{n+1/2}
+        s.index += 1
+        s.event_time = math.inf
+        s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
+        s.work_before, s.heat_before = s.work, s.heat
+        if s.plate_kind == DAMPED:
+            _apply_plate_motion(s, nodes, path)
+        else:
+            _apply_sampled_motion(s, nodes, path)
+        gap = nodes[ROW.displacement, joint + 1] - nodes[ROW.displacement, joint]
+        lands = not s.contact and gap < 0.0
+        if lands:
+            _handle_landing(s, nodes, events)
+        _elastic_tension(s, nodes)
+        leaves = False
+        while True:
+            _accelerate(s, nodes)
+            _contact_forces(s, nodes)
+            if leaves:
+                break
+            s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
+            s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
+            leaves = s.contact and not lands and s.force < s.release_threshold
+            if not leaves:
+                break
+            _handle_release(s, nodes, events)  # and compute the step again, in flight
+        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
+        s.work += 0.5 * step * (s.power + power)
+        s.power = power
+        if s.is_lossy:
+            heating = s.maxwell_heating
+            if s.is_curved:
+                heating = _stress_power(nodes, s.index & 1, joint)
+            if s.is_viscous:
+                heating += _heating(nodes, s.index & 1)
+            s.heat += 0.5 * step * (s.heating + heating)
+            s.heating = heating
+        if s.events == 0:
+            _compare_loads(s, nodes)
+        elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
+            part = s.event_time / step - (s.index - 1)
+            s.first_work = s.work_before + part * (s.work - s.work_before)
+
+
+@reduction
+def _stress_power(nodes, now, joint):
+    """Compute the power of all tensions in cells but the viscous ones."""
+    total = 0.0
+    for j in range(nodes.shape[1] - 1):
+        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
+        total += nodes[ROW.tension + now, j] * rate
+    rate = nodes[ROW.mean_velocity + now, joint + 1] - nodes[ROW.mean_velocity + now, joint]
+    return total - nodes[ROW.tension + now, joint] * rate  # the weight, in flight
+
+
+@reduction
+def _heating(nodes, now):
+    """Compute the power that viscosity turns to heat in the layer."""
+    total = 0.0
+    for j in range(nodes.shape[1] - 1):
+        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
+        total += nodes[ROW.viscosity + 1, j] * rate * rate
+    return total
+
+
+@part
+def _strain_of(nodes, positions, j):
+    """Compute the strain of a cell from displacements or positions."""
+    stretch = positions[j + 1] - positions[j]
+    return stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
+
+
+@inlined
+def _compare_loads(s, nodes):
+    """Update the running maxima."""
+    for j in range(nodes.shape[1] - 1):
+        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+        strain = abs(stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j])
+        if strain > nodes[ROW.peak_strain, j]:  # noqa: PLR1730 - numba makes vectors of this
+            nodes[ROW.peak_strain, j] = strain
+    for end in range(2):
+        strain = _strain_of(nodes, nodes[ROW.displacement], s.edge_cells[end, 0])
+        other = _strain_of(nodes, nodes[ROW.displacement], s.edge_cells[end, 1])
+        strain += s.edge_weights[end] * (other - strain)
+        s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
+    acceleration = s.on_projectile_now / s.mass - s.gravity
+    s.acceleration = max(s.acceleration, abs(acceleration))
+    s.plate_force = max(s.plate_force, abs(s.on_plate_now))
+
+
+@part
+def _motion(s, nodes, j, part):
+    """Interpolate displacement and velocity of a node between the last two steps."""
+    u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
+    if s.index == 0:
+        return u, v
+    now = s.index & 1
+    # Changes of velocity in half a step, of an acceleration that is linear in time
+    old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
+    before = u - step * v
+    if j == s.contact_link or j == s.contact_link + 1:  # which a landing may have moved
+        before = s.below_before if j == s.contact_link else s.above_before
+    bend = old * (2.0 - part) + new * (1.0 + part)
+    height = before + part * (u - before) - step * part * (1.0 - part) * bend / 3.0
+    turn = old * (2.0 * part - part * part - 2.0 / 3.0) + new * (part * part - 1.0 / 3.0)
+    return height, v + turn
+
+
+@kernel
+def _advance(core, nodes, path, events, time):
+    """Advance to `time`; return the number of events until now, or an error code."""
+    grid, s = core[0], core[1]
+    if not time >= s.time:
+        return BACKWARDS
+    step = grid.step
+    if time >= 4e15 * step:
+        return TOO_FAR
+    goal = int(time / step)
+    while goal * step < time:
+        goal += 1
+    while goal > 0 and (goal - 1) * step >= time:
+        goal -= 1
+    if goal * step > grid.horizon:
+        return BEYOND_HORIZON
+    if nodes.shape[1] == _USUAL_NODES:  # a constant, so that no loop checks for overlap
+        _march(grid, nodes, path, events, goal)
+    else:
+        _march(grid, nodes, path, events, goal)
+    if grid.events > events.shape[0]:
+        return TOO_MANY_EVENTS
+    piece = s.piece  # the grid's may be further on
+    core[1] = core[0]
+    s.piece = piece
+    s.time = time
+    s.fraction = 1.0
+    if goal > 0:
+        s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
+    s.work = s.work_before + s.fraction * (s.work - s.work_before)
+    s.heat = s.heat_before + s.fraction * (s.heat - s.heat_before)
+    on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
+    if time < s.event_time:  # the event is still to come
+        if s.event_time < math.inf:
+            s.contact = not s.contact
+            s.events -= 1
+        on_plate, on_projectile, weight = s.on_plate_until, s.on_projectile_until, s.fraction
+    state = s.state
+    state[TIME] = time
+    state[PLATE_POSITION], state[PLATE_VELOCITY], _ = motion_at(s, path, time)
+    height, state[PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
+    state[PROJECTILE_POSITION] = s.rest_height + height
+    s.surface, _ = _motion(s, nodes, s.first_node + s.cells, s.fraction)
+    rise = on_plate - s.on_plate_before
+    state[PLATE_FORCE] = s.on_plate_before + weight * rise
+    rise = on_projectile - s.on_projectile_before
+    state[PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
+    return s.events
+
+
+@part
+def _move_nodes(s, nodes):
+    """Interpolate all nodes, and the forces through all cells, at the requested time."""
+    now, part = s.index & 1, s.fraction if s.index > 0 else 1.0
+    before = 1 - now
+    back, bend = (part - 1.0) * s.step, (part - 1.0) * s.step * part / 3.0
+    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
+    for j in range(nodes.shape[1]):  # as `_motion`
+        u, v = nodes[ROW.displacement, j], nodes[ROW.velocity, j]
+        first = v - nodes[ROW.mean_velocity + before, j]
+        second = nodes[ROW.mean_velocity + now, j] - v
+        turn = first * (2.0 - part) + second * (1.0 + part)
+        nodes[ROW.position, j] = u + back * v + bend * turn
+        nodes[ROW.speed, j] = v + from_old * first + from_new * second
+    for j in range(s.contact_link, s.contact_link + 2):
+        nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, part)
+    nodes[ROW.position, 0], nodes[ROW.speed, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
+    case = 1 if s.contact else 0
+    for j in range(nodes.shape[1] - 1):  # as `_link_tension`
+        middle = nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j]
+        first = nodes[ROW.mean_velocity + before, j + 1] - nodes[ROW.mean_velocity + before, j]
+        second = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
+        viscosity = nodes[ROW.viscosity + case, j]
+        implicit = nodes[ROW.implicit_stiffness, j] * s.rate
+        earlier = viscosity * first + implicit * (middle - first)
+        later = viscosity * second + implicit * (second - middle)
+        earlier += nodes[ROW.tension + before, j]
+        later += nodes[ROW.tension + now, j]
+        nodes[ROW.force, j] = nodes[ROW.static_load, j] - earlier - part * (later - earlier)
+
+
+@kernel
+def _read_layer(core, nodes, places, out):
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    one = np.uintp(1)  # any other index is looked at whether it counts from the end
+    for n in range(places.size):
+        j, k = np.uintp(places[n].cell), np.uintp(places[n].beside)
+        part, weight = places[n].part, places[n].weight
+        below = nodes[ROW.rest_height, j] + nodes[ROW.position, j]
+        above = nodes[ROW.rest_height, j + one] + nodes[ROW.position, j + one]
+        out[0, n] = below + part * (above - below)
+        out[1, n] = nodes[ROW.speed, j] + part * (nodes[ROW.speed, j + one] - nodes[ROW.speed, j])
+        out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
+        if out.shape[0] > 3:
+            here = _strain_of(nodes, nodes[ROW.position], places[n].cell)
+            there = _strain_of(nodes, nodes[ROW.position], places[n].beside)
+            out[3, n] = here + weight * (there - here)
+
+
+@part
+def _elastic_energy(ratio, least):
+    """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
+    held = max(ratio, least)
+    slope = 1.0 + 2.0 / held**3
+    beyond = ratio - held
+    return 0.5 * held**2 + 1.0 / held + beyond * (held - 1.0 / held**2 + 0.5 * beyond * slope)
+
+
+@kernel
+def energies(core: Any, nodes: Any) -> tuple[float, float]:
+    """Add up kinetic and potential energy against rest, and the energy of all springs."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    position, speed = nodes[ROW.position], nodes[ROW.speed]
+    weight = s.carried_mass * s.gravity
+    moving = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
+    moving += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
+    total = 0.0
+    rest = 1.0 - s.fraction if s.index > 0 else 0.0
+    for j in range(position.size - 1):
+        stretch = position[j + 1] - position[j]
+        total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
+        if nodes[ROW.third_modulus, j] > 0.0:
+            start, least = 1.0 - nodes[ROW.static_strain, j], nodes[ROW.min_stretch, j]
+            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], least)
+            elastic -= _elastic_energy(start, least)
+            total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
+            constant = nodes[ROW.constant_tension, j] - nodes[ROW.third_modulus, j] * start
+            total += constant * stretch
+        for element in range(3):  # which go on by their last rate
+            memory = nodes[ROW.maxwell_stretch + element, j]
+            change = nodes[ROW.previous_stretch, j] - stretch
+            memory -= change - rest * s.step * s.maxwell_rates[element] * memory
+            total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * memory**2
+        moving += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
+    return moving, total
+
+
+@kernel
+def reset(core: Any, nodes: Any) -> None:
+    """Reset the record and the nodes to rest."""
+    s = core[0]
+    for j in range(nodes.shape[1]):
+        nodes[ROW.displacement, j] = nodes[ROW.velocity, j] = nodes[ROW.previous_stretch, j] = 0.0
+        for case in range(2):
+            nodes[ROW.mean_velocity + case, j] = nodes[ROW.tension + case, j] = 0.0
+        for element in range(3):
+            nodes[ROW.maxwell_stretch + element, j] = 0.0
+        nodes[ROW.peak_strain, j] = nodes[ROW.static_strain, j]
+    s.cosine = 1.0
+    weight = s.mass * s.gravity
+    s.force = s.carried_mass * s.gravity
+    s.known_forces = 1
+    s.on_plate_now = -s.force if s.contact_link == 0 else -weight
+    s.on_projectile_now = weight
+    s.on_plate_before = s.on_plate_until = s.on_plate_now
+    s.on_projectile_before = s.on_projectile_until = weight
+    core[1] = core[0]
+
+
+@kernel
+def prepare_ratios(
+    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, cells: int,
+    projectile_cells: int, is_on_projectile: bool,
+) -> None:
+    """Make a record at rest in units of layer mass, crossing time and amplitude."""
+    mu, kappa, zeta, gravity = ratios
+    omega = 2.0 * math.pi / kappa
+    s = core[2]
+    s.step, s.cells = step, cells
+    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, cells)
+    s.mass = mu
+    s.face_node_mass = 0.5 * mu / projectile_cells if projectile_cells > 0 else mu
+    s.gravity = gravity * omega * omega
+    s.release_threshold = -FORCE_NOISE * omega
+    write_underdamped(s, path, omega, omega, zeta, s.step)
+    top_sheet = bodies.size - (2 if projectile_cells > 0 else 1)
+    for end in range(2):
+        edge = s.first_node + (cells - 1 if end == 1 else 0)
+        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
+        if bodies[top_sheet if end == 1 else 0].count > 1:
+            s.edge_cells[end, 1] = edge + (1 - 2 * end)
+            s.edge_weights[end] = -0.5
+    prepare(core, nodes, bodies, omega)
+
+
+_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
+
+advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
+"""Returns the compiled `_advance`."""
+
+read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(PLACE)[::1], _ROWS)
+"""Returns the compiled `_read_layer`."""

@@ -1,0 +1,487 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+First releases and loads of many throws, in SI units, by a suitable method for each throw.
+
+Without loss and strong gravity the closed form is exact and fast; steppers compute others. The
+method of a release is the same with and without loads; otherwise the release of a layer near a
+discontinuity could jump when its loads are computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
+from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
+from soft_throw_ros.core.models import LayerModel, model_of
+from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
+from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
+from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedError
+
+Floats = NDArray[np.float64]
+
+Cancelled = Callable[[], bool]
+"""Called between batches of throws; returns whether to give up."""
+
+Changes: TypeAlias = Mapping[str, Floats | float]
+"""Other values of a rig by name: of engine and layer, `mass` of the projectile, `gravity` [SI]."""
+
+SEARCH_CELLS = 16
+"""Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
+
+_STRONG_GRAVITY = 0.2
+"""Gravity over the plate's acceleration beyond which the closed form slows down. [-]"""
+
+_HOLDING_GRAVITY = 4.0
+r"""
+Gravity over the plate's acceleration that holds every projectile on a stiff layer. [-]
+
+On a spring the acceleration is :math:`2 q^2 / (q^2 - 1)` times the plate's at most, 2.7 for
+frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the largest seen.
+"""
+
+_CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
+"""Throws per batch: some tenths of a second, so that a cancelled search ends soon."""
+
+_WAIT = 8.0
+"""Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
+
+
+class SearchCancelledError(RuntimeError):
+    """Nobody waits for the result any more."""
+
+
+def check_cancelled(cancelled: Cancelled | None) -> None:
+    """Raise SearchCancelledError if nobody waits any more."""
+    if cancelled is not None and cancelled():
+        raise SearchCancelledError('the search was cancelled')
+
+
+class Throws(NamedTuple):
+    r"""
+    First releases of many throws and their loads; arrays of one shape, NaN without a release.
+
+    Attributes
+    ----------
+    ejection_time : ndarray
+        :math:`t_e`. [s]
+    ejection_speed : ndarray
+        :math:`V_e`. [m/s]
+    energy_transfer : ndarray
+        :math:`\alpha`. [-]
+    peak_strain : ndarray
+        Largest magnitude of the strain in the layer. [-]
+    peak_acceleration : ndarray
+        Largest magnitude of the projectile's acceleration. [m/s2]
+    peak_force : ndarray
+        Largest magnitude of the layer's force on the plate. [N]
+    plate_work : ndarray
+        Work of the plate up to the release. [J]
+
+    """
+
+    ejection_time: Floats
+    ejection_speed: Floats
+    energy_transfer: Floats
+    peak_strain: Floats
+    peak_acceleration: Floats
+    peak_force: Floats
+    plate_work: Floats
+
+
+def throw_many(
+    rig: Rig | Sequence[Rig],
+    changes: Changes | None = None,
+    *,
+    model: str = 'travelling_wave',
+    loads: bool = False,
+    cells: int | None = None,
+    threads: int | None = None,
+    cancelled: Cancelled | None = None,
+) -> Throws:
+    """
+    Compute the first releases of rigs, or of a rig with other values.
+
+    Parameters
+    ----------
+    rig : Rig or sequence of Rig
+        Several rigs may differ in the values of `Changes` only.
+    changes : mapping of str to array_like, optional
+        Values that replace values of the rig; arrays broadcast against each other.
+    model : str
+        One of `models.MODELS`; its fallback follows layers that it cannot.
+    loads : bool
+        Whether strains, accelerations, forces and work are needed; they may be NaN otherwise.
+    cells : int, optional
+        Number of cells of the layer in models with cells; chosen for errors of 1e-4 if not given.
+    threads : int, optional
+        Largest number of threads, all cores if not given. The number does not change the results.
+    cancelled : callable, optional
+        Called between batches of some tenths of a second; returns whether to give up.
+
+    Returns
+    -------
+    Throws
+        Arrays of the common shape; NaN without a release, or where a thickness, a wave speed or a
+        mass is not positive.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model, or it has no method for many throws.
+    SearchCancelledError
+        If `cancelled` returns True.
+
+    """
+    method = model_of(model)
+    if method.batch is None:
+        raise ValueError(f'the model {model} has no method for many throws')
+    changes = changes or {}
+    if not isinstance(rig, Rig):
+        changes = _values_of(rig) | dict(changes)
+        rig = rig[0]
+    values: dict[str, Floats | float] = {**_values(rig), **changes}
+    shape = np.broadcast_shapes(*map(np.shape, values.values()))
+    found = np.full((len(Throws._fields), math.prod(shape)), math.nan)
+    rows = found.reshape(len(found), *shape)
+    if rig.engine.motion:
+        cases = {name: np.broadcast_to(each, shape).ravel() for name, each in changes.items()}
+        for batch in _batches(np.ones(found.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
+            part = {name: each[batch].tolist() for name, each in cases.items()}
+            found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
+        return Throws(*rows)
+    cases = {name: _row(each, shape) for name, each in _ratios(rig, values).items()}
+    for name, chosen in _methods(rig, cases, method).items():
+        is_fast = name in ('closed_form', 'spring') and not loads
+        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
+        for batch in _batches(chosen, size, cancelled):
+            part = {ratio: each[batch] for ratio, each in cases.items()}
+            if name == 'cells':
+                found[:, batch] = _throw_with_cells(rig, part, method, cells, threads)
+            elif name == 'spring':
+                found[:3, batch] = spring_mass.first_release(
+                    frequency_ratio=part['speed_ratio']
+                    / (2.0 * math.pi * np.sqrt(part['mass_ratio']))
+                )
+            else:
+                found[:, batch] = _throw_with_waves(part, name, loads, threads)
+    found[1:, np.isnan(found[0])] = math.nan  # a method may have loads without a release
+    # The methods return ratios; these are their units.
+    omega = 2.0 * math.pi * values['frequency']
+    speed = values['amplitude'] * omega
+    impedance = values['density'] * values['wave_speed'] * _section(values)
+    units = (
+        1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
+        speed * omega, speed * impedance, values['mass'] * speed**2,
+    )
+    for n, unit in enumerate(units):
+        rows[n] *= unit
+    return Throws(*rows)
+
+
+def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
+    """
+    Return a rig with other values.
+
+    Parameters
+    ----------
+    rig : Rig
+        Sheets of a stack, and a motion of the plate, change in proportion to the whole.
+    changes : mapping of str to float
+        See `Changes`.
+
+    """
+    of_engine = _of(Engine, changes)
+    engine = replace(rig.engine, **of_engine)
+    if engine.motion and (of_engine.keys() & {'frequency', 'amplitude'}):
+        motion = engine.motion.scaled(
+            time=rig.engine.frequency / engine.frequency,
+            height=engine.amplitude / rig.engine.amplitude,
+        )
+        engine = replace(engine, motion=motion)
+    return replace(
+        rig,
+        engine=engine,
+        layer=_layer_with(rig.layer, _of(Layer, changes)),
+        projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
+        gravity=changes.get('gravity', rig.gravity),
+    )
+
+
+def _of(part: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
+    """Return the changes of an engine or of a layer."""
+    return {each.name: changes[each.name] for each in fields(part) if each.name in changes}
+
+
+def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
+    """Return a layer with other values, in proportion for each sheet of a stack."""
+    if not isinstance(layer, Stack):
+        return replace(layer, **changes)
+
+    def of_sheet(sheet: Layer, name: str) -> Any:
+        whole = getattr(layer, name)
+        return changes[name] * getattr(sheet, name) / whole if whole else changes[name]
+
+    return Stack(
+        sheets=tuple(
+            replace(sheet, **{name: of_sheet(sheet, name) for name in changes})
+            for sheet in layer.sheets
+        )
+    )
+
+
+def _values(rig: Rig) -> dict[str, float]:
+    """Return the values of a rig that `Changes` may replace."""
+    values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
+    values = {name: value for name, value in values.items() if isinstance(value, float)}
+    return {**values, 'mass': rig.projectile.mass}
+
+
+def _values_of(rigs: Sequence[Rig]) -> dict[str, Floats]:
+    """Return the values of several rigs as arrays."""
+    rows = [_values(rig) for rig in rigs]
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _row(value: Floats | float, shape: tuple[int, ...]) -> Floats:
+    """Repeat a value for all throws."""
+    row = np.empty(shape)
+    row[...] = value
+    return row.ravel()
+
+
+def _section(values: Changes) -> Floats | float:
+    return 0.25 * math.pi * values['diameter'] ** 2
+
+
+def _ratios(rig: Rig, values: Changes) -> dict[str, Floats | float]:
+    """Return the ratios that decide throws: arguments of `cell_stepper.first_throws`."""
+    projectile, section = rig.projectile, _section(values)
+    mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
+    omega = 2.0 * math.pi * frequency
+    spring = projectile.youngs_modulus * section / projectile.length
+    with np.errstate(divide='ignore'):  # a layer without thickness
+        speed_ratio = values['wave_speed'] / (thickness * frequency)
+        mass_ratio = mass / (values['density'] * section * thickness)
+    is_linear = rig.layer.stress_strain_law == 'linear'
+    return {
+        'mass_ratio': mass_ratio,
+        'speed_ratio': speed_ratio,
+        'damping_ratio': values['damping_ratio'],
+        'gravity_ratio': values['gravity'] / (values['amplitude'] * omega * omega),
+        'loss_tangent': values['loss_tangent'],
+        'crossing_ratio': np.sqrt(mass / spring) * frequency * speed_ratio,
+        'strain_ratio': 0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
+        'constant_loss': float(rig.layer.loss == 'constant'),
+    }
+
+
+def _batches(
+    chosen: NDArray[np.bool_], size: int, cancelled: Cancelled | None
+) -> Iterator[NDArray[np.int64]]:
+    """Yield the indices of batches; raise before one if nobody waits any more."""
+    indices = np.flatnonzero(chosen)
+    for start in range(0, indices.size, size):
+        check_cancelled(cancelled)
+        yield indices[start:start + size]
+
+
+def _methods(
+    rig: Rig, cases: Mapping[str, Floats], model: LayerModel
+) -> dict[str, NDArray[np.bool_]]:
+    """Return the throws that each method computes."""
+    mu, kappa, gravity = cases['mass_ratio'], cases['speed_ratio'], cases['gravity_ratio']
+    exist = (mu > 0.0) & (mu < math.inf) & (kappa > 0.0) & (kappa < math.inf)
+    if model.batch == 'spring':
+        return {'spring': exist}
+    with np.errstate(invalid='ignore', divide='ignore'):  # layers that do not exist
+        # about the lowest frequency of projectile and layer over the plate's
+        q = kappa / (2.0 * math.pi * np.sqrt(np.abs(mu) + 4.0 / math.pi**2))
+    exist &= (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
+    if model.batch == 'cells':
+        return {'cells': exist}
+    is_strong = gravity > _STRONG_GRAVITY
+    is_lossy = cases['loss_tangent'] > 0.0
+    needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
+    return {
+        'closed_form': exist & ~needs_cells & ~is_strong,
+        'waves': exist & ~needs_cells & is_strong,
+        'cells': exist & needs_cells,
+    }
+
+
+def _throw_with_waves(
+    part: Mapping[str, Floats], method: str, loads: bool, threads: int | None
+) -> Floats:
+    """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
+    names = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
+    ratios = {name: part[name] for name in names}
+    found = np.full((len(Throws._fields), part['mass_ratio'].size), math.nan)
+    if loads or method == 'waves':
+        found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
+    if method == 'closed_form':
+        found[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
+    return found
+
+
+def _throw_with_cells(
+    rig: Rig, part: Mapping[str, Floats], model: LayerModel, cells: int | None, threads: int | None
+) -> Floats:
+    """Compute the rows of `FirstThrows` by finite differences."""
+    ratios = dict(part)
+    if not model.has_elastic_projectile:
+        del ratios['crossing_ratio']
+    return np.asarray(
+        cell_stepper.first_throws(
+            **ratios,
+            glued_to=model.glued_to,
+            cells=cells,
+            stack=rig.layer if isinstance(rig.layer, Stack) else None,
+            unresolved='nan',
+            threads=threads,
+        )
+    )
+
+
+def _throw_with_steppers(
+    rig: Rig,
+    changes: Mapping[str, list[float]],
+    count: int,
+    model: str,
+    cells: int | None,
+    threads: int | None,
+) -> Floats:
+    """Compute the rows of `Throws` for a sampled motion, throw by throw."""
+    found = np.full((len(Throws._fields), count), math.nan)
+
+    def run(first: int, parts: int) -> None:
+        for n in range(first, count, parts):
+            try:
+                there = rig_with(rig, {name: each[n] for name, each in changes.items()})
+                found[:, n] = _throw_with_stepper(there, model, cells)
+            except (ValueError, EventLimitError):  # the model cannot follow this throw
+                continue
+
+    in_threads(run, count=count, per_thread=16, threads=threads)
+    return found
+
+
+def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:
+    """Follow one throw of a sampled motion to its first release; without one it is NaN."""
+    motion = rig.engine.motion
+    assert motion is not None
+    model = model_for(rig, model)
+    cells = cells if model_of(model).batch == 'cells' else None
+    stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
+    own_period = 1.0 / rig.natural_frequency + rig.crossing_time
+    release = advance_to_release(
+        stepper, latest=motion.end_time + _WAIT * own_period, step=0.25 * own_period
+    )
+    if release is None:
+        return (math.nan,) * len(Throws._fields)
+    loads, transfer = stepper.loads, (release.velocity / motion.peak_velocity) ** 2
+    return (
+        release.time, release.velocity, transfer, loads.strain, loads.acceleration,
+        loads.plate_force, stepper.plate_work,
+    )
+
+
+def advance_to_release(stepper: Stepper, *, latest: float, step: float) -> Event | None:
+    """
+    Advance a stepper in steps until the first release.
+
+    Parameters
+    ----------
+    stepper : Stepper
+        Stepper at its start.
+    latest : float
+        Time after which to give up. [s]
+    step : float
+        Time of each step. [s]
+
+    Returns
+    -------
+    Event or None
+        The first release; None if there is none by then.
+
+    """
+    steps = 0
+    while not stepper.advance_to(min(steps * step, latest)):
+        if steps * step >= latest:
+            return None
+        steps += 1
+    return stepper.events()[0]
+
+
+class LastRelease(NamedTuple):
+    """Time and speed at which a projectile leaves for good, and its flight."""
+
+    time: float
+    """From the start of the throw. [s]"""
+    speed: float
+    """[m/s]"""
+    rise: float
+    """Above where it rested on the layer. [m]"""
+    height: float
+    """Of its apex, above the same; infinite without gravity. [m]"""
+
+
+def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
+    """
+    Follow one throw until the projectile has left for good.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    model : str
+        One of `models.MODELS`; its fallback follows layers that it cannot.
+
+    Raises
+    ------
+    ThrowUnresolvedError
+        If the projectile does not leave, or the model cannot follow it.
+
+    Examples
+    --------
+    >>> last = last_release(Rig())
+    >>> round(last.speed, 4), round(1e3 * last.height, 2)
+    (1.375, 100.51)
+
+    """
+    try:
+        throw = simulate(rig, model=model_for(rig, model))
+    except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
+        raise ThrowUnresolvedError(f'the last release is unknown: {error}') from error
+    last, rest_height = throw.last_release, throw.rest_height
+    return LastRelease(
+        last.time,
+        last.velocity,
+        last.position - rest_height,
+        throw.apex_height - rest_height,
+    )
+
+
+def require_uniform(rig: Rig) -> Rig:
+    """Return the rig if its layer is of one material, or raise ValueError."""
+    if isinstance(rig.layer, Stack):
+        count = len(rig.layer.sheets)
+        raise ValueError(f'only layers of one material are designed, got a stack of {count}')
+    return rig

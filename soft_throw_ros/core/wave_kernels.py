@@ -1,0 +1,802 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+r"""
+Kernels of the travelling waves: a delay line, contact, release, flight and landing.
+
+Notes
+-----
+With :math:`p = v_+` and :math:`m = v_-` of Sec. IV of [1]_, at the top of the layer
+
+.. math::
+
+    p(t) &= V_p(t - t_s) - m(t - 2 t_s) \\
+    \tau \dot V + V &= 2 p, \quad m = V - p \qquad \text{in contact} \\
+    m &= p + g \tau \qquad\qquad\qquad\quad \text{in flight}
+
+where everything counts from the static equilibrium, and the layer pushes the projectile with
+:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, and is
+in contact again when the gap closes, its speed unchanged. Flight, landing and gravity are not in
+[1]_'s analytical model.
+
+The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
+and the kinks that the start of an underdamped plate sends through the layer, at odd multiples of
+:math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
+:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
+and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
+release is of fourth order in h. Releases and landings are roots within a step.
+
+A landing makes m jump, and a release makes its slope jump, between two grid points. A jump travels
+through the layer for ever, and meets the top every :math:`2 t_s` at the same fraction of a step. A
+queue holds all jumps in the order of their arrival: with :math:`F = 2 p - V + g \tau`, a landing
+sends a jump F of p back to the top, and a release :math:`-F`, which is 0 unless a jump has caused
+it. The equation of V is solved on both sides of a jump, where p is a line. So later events are of
+second order in h.
+
+A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
+seen.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.kernels import compiled, kernel, part
+from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
+    DAMPED,
+    motion_at,
+    piece_at,
+    PLATE,
+    start_block,
+    velocity_of_piece,
+    write_underdamped,
+)
+from soft_throw_ros.core.stepper import (
+    BACKWARDS,
+    BEYOND_HORIZON,
+    LANDING,
+    note_event,
+    PLATE_FORCE,
+    PLATE_POSITION,
+    PLATE_VELOCITY,
+    PROJECTILE_FORCE,
+    PROJECTILE_POSITION,
+    PROJECTILE_VELOCITY,
+    RECONTACT,
+    RELEASE,
+    TIME,
+    TOO_FAR,
+    TOO_MANY_EVENTS,
+)
+
+Floats = NDArray[np.float64]
+
+PAD = 8
+"""Steps that are kept beyond those that are read, for the cubics. [-]"""
+
+_SPARE_STEPS = 1024
+"""Spare steps in the memory of waves, so that it is rarely moved. [-]"""
+
+_NOISE = 1e-12
+"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
+
+_SMALLEST_JUMP = 1e-6
+"""Smallest jump of a wave that is followed, over the plate's peak speed. [-]"""
+
+_EXACT_EVENTS = 100
+"""
+Number of events up to which jumps are followed. [-]
+
+Each event sends a jump, and each jump may release the projectile again. On a thin stiff layer the
+number of events would grow to many thousands, whose flights no longer matter.
+"""
+
+_EVENTS_PER_STEP = 8
+"""Most events in a step; a projectile that chatters faster waits for the next step. [-]"""
+
+_RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
+
+# A stepper has three records: the state at a grid point, a state between two grid points, and the
+# initial state for a reset. Lengths count from the static equilibrium, offsets are in steps.
+RECORD = np.dtype(
+    [
+        # constants
+        ('step', 'f8'),  # h [s]
+        ('steps', 'i8'),  # N = t_s / h
+        ('rate', 'f8'),  # h / tau
+        ('decay', 'f8'),  # e^{-h / tau}
+        ('cubic', 'f8', (4,)),  # V(t + h) = decay V(t) + cubic . p, of four points
+        ('smallest_jump', 'f8'),  # smaller jumps of p are not followed [m/s]
+        ('relaxation', 'f8'),  # tau [s]
+        ('gravity', 'f8'),  # g [m/s2]
+        ('gravity_offset', 'f8'),  # g tau [m/s]
+        ('release_threshold', 'f8'),  # 2 p - V at which the projectile leaves: -g tau, less noise
+        ('thickness', 'f8'),
+        ('impedance', 'f8'),
+        ('rest_height', 'f8'),  # of the projectile's lower face [m]
+        # how the plate moves, and where it has got to
+        *PLATE,
+        ('block', 'i8'),
+        # where the waves have got to
+        ('time', 'f8'),
+        ('cell', 'i8'),  # grid point
+        ('offset', 'f8'),  # beyond it
+        ('base', 'i8'),  # grid point at index 0 of the waves
+        ('filled', 'i8'),  # up to where p is known at the plate
+        ('discontinuity', 'i8'),  # next grid point at which p has a kink at the top
+        ('jumps', 'i8'),  # number of jumps on their way in the layer
+        ('next_jump', 'i8'),  # row of the one that reaches the top next
+        ('reflected', 'i8'),  # number of the next jumps that have already left the plate
+        ('last_jump', 'i8'),  # grid point before the last jump at the top
+        # the mass and the top of the layer
+        ('contact', '?'),
+        ('landed', '?'),
+        ('velocity', 'f8'),  # V in contact
+        ('sum', 'f8'),  # of p at the top by the trapezoidal rule, over h
+        ('top', 'f8'),  # height of the top less 2 P - tau V, in flight less 2 P + g tau t
+        ('launch_cell', 'i8'),
+        ('launch_offset', 'f8'),
+        ('launch_height', 'f8'),
+        ('launch_velocity', 'f8'),
+        ('events', 'i8'),
+        # loads up to the first release
+        ('compared', 'i8'),  # first grid point of the waves p that are not compared yet
+        ('peak_contact_force', 'f8'),  # of the scaled contact force 2 p - V
+        ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
+        ('peak_strain', 'f8'),  # of the same anywhere in the layer
+        ('first_work', 'f8'),
+        ('work', 'f8'),  # sum of power over the impedance and h
+        ('power', 'f8'),  # last addend
+        # at `time`
+        ('upward', 'f8', (2,)),  # p at plate and top
+        ('downward', 'f8', (2,)),  # m at plate and top
+        ('surface', 'f8'),  # height of the top of the layer
+        ('state', 'f8', (7,)),
+    ],
+    align=True,
+)
+"""State of a throw by travelling waves."""
+
+
+@part
+def _moments(x):
+    """Compute e^{-x} and the integrals of e^{-x (1 - u)} u^n over [0, 1] for n = 0 ... 3."""
+    if x < 1.0:
+        series = 1.0
+        for n in range(19, 4, -1):
+            series = 1.0 - x * _RECIPROCAL[n] * series
+        third = 0.25 * series
+        second = (1.0 - x * third) * _RECIPROCAL[3]
+        first = (1.0 - x * second) * 0.5
+        zeroth = 1.0 - x * first
+        return 1.0 - x * zeroth, zeroth, first, second, third
+    decay = math.exp(-x)
+    zeroth = (1.0 - decay) / x
+    first = (1.0 - zeroth) / x
+    second = (1.0 - 2.0 * first) / x
+    return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
+
+
+@kernel
+def prepare(
+    core: Any, N: int, crossing: float, relaxation: float, gravity: float, impedance: float,
+    speed: float,
+) -> None:
+    """Complete the third record, which has the plate's motion already."""
+    s = core[2]
+    s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
+    decay, m0, m1, m2, m3 = _moments(s.rate)
+    s.decay = decay
+    # The cubic through p at -1, 0, 1 and 2, integrated against e^{-x (1 - u)}
+    x = 2.0 * s.rate
+    cubic = s.cubic
+    cubic[0] = x * (-m1 / 3.0 + m2 / 2.0 - m3 / 6.0)
+    cubic[1] = x * (m0 - m1 / 2.0 - m2 + m3 / 2.0)
+    cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
+    cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
+    s.smallest_jump = _SMALLEST_JUMP * speed
+    s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
+    s.gravity_offset = gravity * relaxation
+    s.release_threshold = -s.gravity_offset - _NOISE * speed
+    s.base = -N - PAD
+    s.block = -1
+    s.last_jump = -3
+    s.contact = True
+    s.discontinuity = N if s.plate_kind == DAMPED else 1 << 62
+    s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
+
+
+@kernel
+def prepare_underdamped(
+    core: Any, path: Any, N: int, mu: float, kappa: float, zeta: float, gravity: float
+) -> None:
+    """Make a record at rest in units of 1 / f, A omega and the layer's impedance."""
+    write_underdamped(core[2], path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * N))
+    prepare(core, N, 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, 1.0, 1.0)
+
+
+@part
+def _mass_velocity(s, d, V, a, b, c, e):
+    """Solve tau V' + V = 2 p over d steps during which p = a + b u + c u^2 + e u^3."""
+    decay, zeroth, first, second, third = _moments(s.rate * d)
+    drive = a * zeroth + d * (b * first + d * (c * second + d * e * third))
+    return decay * V + 2.0 * s.rate * d * drive
+
+
+@part
+def _jump_cell(s, jumps, number):
+    """Return the grid point before one of the next jumps of p arrives at the top."""
+    if number >= s.jumps:
+        return 1 << 62
+    return int(jumps[(s.next_jump + number) % jumps.shape[0], 0])
+
+
+@part
+def _reflect_jump(s, jumps, offset, size, slope):
+    """Append a jump of p that returns to the top last of all, or add to one at the same time."""
+    cell, capacity = s.cell + 2 * s.steps, jumps.shape[0]
+    last = jumps[(s.next_jump + s.jumps + capacity - 1) % capacity]
+    if s.jumps > 0 and last[0] == cell and last[1] == offset:
+        last[2] += size
+        last[3] += slope
+    elif s.events <= _EXACT_EVENTS and max(abs(size), abs(slope)) > s.smallest_jump:
+        row = jumps[(s.next_jump + s.jumps) % capacity]
+        row[0], row[1], row[2], row[3] = cell, offset, size, slope
+        s.jumps += 1
+
+
+@part
+def _expand(s, waves, jumps):
+    """Expand p at the top after `s.cell`, up to a jump, from points without jumps and kinks."""
+    i = s.cell - s.base - s.steps
+    here, ahead = waves[0, i], waves[0, i + 1]
+    if s.cell <= s.last_jump + 1 or s.cell + 1 >= _jump_cell(s, jumps, 0):
+        number = 0
+        while _jump_cell(s, jumps, number) == s.cell:
+            row = jumps[(s.next_jump + number) % jumps.shape[0]]
+            ahead -= row[2] + (1.0 - row[1]) * row[3]
+            number += 1
+        return here, ahead - here, 0.0, 0.0
+    aside = 1 if s.cell == s.discontinuity else (-1 if s.cell + 1 == s.discontinuity else 0)
+    i += aside
+    behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
+    e = _RECIPROCAL[6] * (beyond - behind + 3.0 * (here - ahead))
+    c = 0.5 * (behind + ahead) - here
+    b = ahead - here - c - e
+    if aside == 0:
+        return here, b, c, e
+    d = -float(aside)
+    return here + d * (b + d * (c + d * e)), b + d * (2.0 * c + 3.0 * d * e), c + 3.0 * d * e, e
+
+
+@part
+def _free_flight(s, offset):
+    """Compute time since the launch, height and velocity of the projectile."""
+    time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
+    height = s.launch_height + time * (s.launch_velocity - 0.5 * s.gravity * time)
+    return time, height, s.launch_velocity - s.gravity * time
+
+
+@part
+def _excess(s, offset, d, V, P, here, slope, a, b, c, e):
+    """Compute the scaled force, or the gap in flight, d steps after an offset."""
+    if s.contact:
+        p = a + d * (b + d * (c + d * e))
+        return 2.0 * p - _mass_velocity(s, d, V, a, b, c, e) - s.release_threshold
+    time, height, _ = _free_flight(s, offset + d)
+    area = s.step * d * (here + 0.5 * slope * d)
+    return height - s.top - 2.0 * (P + area) - s.gravity_offset * time
+
+
+@part
+def _is_event(s, offset, d, V, P, here, slope, a, b, c, e):
+    """Return whether the force has fallen below zero, or a gap that closes is negative."""
+    if not _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
+        return False
+    if s.contact:
+        return True
+    speed = s.launch_velocity - s.gravity * _free_flight(s, offset + d)[0]
+    return speed < 2.0 * (here + slope * d) + s.gravity_offset
+
+
+@part
+def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
+    """Return the steps from an offset to the first event before an end, or -1 without one."""
+    if not _is_event(s, offset, end, V, P, here, slope, a, b, c, e):
+        return -1.0
+    low, high = 0.0, end
+    for _ in range(54):  # bisect
+        d = 0.5 * (low + high)
+        if _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
+            high = d
+        else:
+            low = d
+    return high
+
+
+@part
+def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
+    """Release or land the projectile, and return its velocity."""
+    time = (s.cell + offset) * s.step
+    if s.contact:
+        height = s.top + 2.0 * P - s.relaxation * V
+        if s.events == 0:
+            s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
+        note_event(s, events, RELEASE, time, height, V)
+        s.launch_cell, s.launch_offset = s.cell, offset
+        s.launch_height, s.launch_velocity = height, V
+        s.top = height - 2.0 * P
+    else:
+        _, height, V = _free_flight(s, offset)
+        s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
+        note_event(s, events, LANDING if s.landed else RECONTACT, time, height, V)
+        s.top = height - 2.0 * P + s.relaxation * V
+    if is_whole:
+        # m is V - p in contact and p + g tau in flight; the plate turns the sign of its jumps
+        size, slope = 2.0 * a + s.gravity_offset - V, 2.0 * b - s.rate * (2.0 * a - V)
+        sign = -1.0 if s.contact else 1.0
+        _reflect_jump(s, jumps, offset, sign * size, sign * slope)
+    s.contact = not s.contact
+    return V
+
+
+@part
+def _cross_step(s, waves, jumps, events, target):
+    """
+    Go through jumps and events of the step after `s.cell`, up to an offset of `target`.
+
+    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    """
+    a, b, c, e = _expand(s, waves, jumps)
+    i = s.cell - s.base - s.steps
+    here = waves[0, i]
+    slope = b if _jump_cell(s, jumps, 0) == s.cell else waves[0, i + 1] - here  # for heights
+    V, P, offset, is_whole = s.velocity, s.step * s.sum, 0.0, target == 1.0
+    chances, is_after_jump = _EVENTS_PER_STEP, False
+    while True:
+        is_jump = _jump_cell(s, jumps, 0) == s.cell
+        row = jumps[s.next_jump]
+        end, d = (row[1] if is_jump else 1.0) - offset, -1.0
+        if chances > 0:
+            if is_after_jump and s.contact:
+                d = _event_in(s, offset, 0.0, V, P, here, slope, a, b, c, e)
+            if d < 0.0:
+                d = _event_in(s, offset, end, V, P, here, slope, a, b, c, e)
+        happens = d >= 0.0
+        if not happens:
+            d = end
+        is_beyond = offset + d > target
+        if is_beyond:
+            d = target - offset
+        if s.contact:
+            V = _mass_velocity(s, d, V, a, b, c, e)
+        P += s.step * d * (here + 0.5 * slope * d)
+        offset += d
+        here += slope * d
+        a, b, c = (
+            a + d * (b + d * (c + d * e)),
+            b + d * (2.0 * c + 3.0 * d * e),
+            c + 3.0 * d * e,
+        )
+        if is_beyond or (offset >= target and not happens and not is_jump):
+            break
+        is_after_jump = False
+        if happens:
+            chances -= 1
+            V = _change_contact(s, jumps, events, offset, V, P, a, b, is_whole)
+        elif is_jump:
+            offset, size, bend = row[1], row[2], row[3]
+            here, a, slope, b = here + size, a + size, slope + bend, b + bend
+            s.next_jump = (s.next_jump + 1) % jumps.shape[0]
+            s.jumps -= 1
+            s.reflected -= 1
+            s.last_jump = s.cell
+            is_after_jump = True
+            if is_whole and s.contact:
+                _reflect_jump(s, jumps, offset, size, bend - 2.0 * s.rate * size)
+            elif is_whole:
+                _reflect_jump(s, jumps, offset, -size, -bend)
+    if is_whole:
+        _end_step(s, waves, V, P)
+    else:
+        _write_top(s, offset, a, V, P)
+
+
+@part
+def _end_step(s, waves, V, P):
+    """Write the sample of m at the next grid point, and account for the step."""
+    s.cell += 1
+    s.sum = P / s.step
+    s.velocity = V if s.contact else 0.0
+    j = s.cell - s.base
+    p = waves[0, j - s.steps]
+    waves[1, j] = V - p if s.contact else p + s.gravity_offset  # m = V - p, Sec. IV
+    p, m = waves[0, j], waves[1, j - s.steps]
+    s.power = (p - m + s.gravity_offset) * (p + m)
+    s.work += s.power
+
+
+@part
+def _correct_work(s, waves, jumps):
+    """Correct the trapezoidal rule of the work for steps with a jump at the plate."""
+    while _jump_cell(s, jumps, s.reflected) - s.steps < s.cell:
+        row = jumps[(s.next_jump + s.reflected) % jumps.shape[0]]
+        i = int(row[0]) - s.steps - s.base
+        now = waves[0, i] + waves[1, i - s.steps]
+        speed = now + row[1] * (waves[0, i + 1] + waves[1, i + 1 - s.steps] - now)
+        s.work += ((1.0 - 2.0 * row[1]) * row[2] - row[1] * (1.0 - row[1]) * row[3]) * speed
+        s.reflected += 1
+
+
+@part
+def _write_top(s, offset, a, V, P):
+    """Write the state of projectile and top within a step, where p is a."""
+    s.upward[1] = a
+    if s.contact:
+        s.downward[1] = V - a
+        s.surface = s.top + 2.0 * P - s.relaxation * V
+        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
+        s.state[PROJECTILE_VELOCITY] = V
+        force = s.impedance * (2.0 * a - V + s.gravity_offset)
+        s.state[PROJECTILE_FORCE] = force
+    else:
+        time, height, velocity = _free_flight(s, offset)
+        s.downward[1] = a + s.gravity_offset
+        s.surface = s.top + 2.0 * P + s.gravity_offset * time
+        s.state[PROJECTILE_POSITION] = s.rest_height + height
+        s.state[PROJECTILE_VELOCITY] = velocity
+        s.state[PROJECTILE_FORCE] = 0.0
+
+
+@part
+def _run_in_contact(s, waves, count):
+    """Advance by up to `count` steps, stopping before a release."""
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, downward = waves[0, first - N - 1:], waves[1, first + 1:]
+    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
+    decay, threshold = s.decay, s.release_threshold
+    w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
+    behind, here, ahead = top[0], top[1], top[2]
+    V, total, work, power = s.velocity, s.sum, s.work, s.power
+    done = count
+    for n in range(count):
+        beyond = top[n + 3]
+        drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
+        following = decay * V + drive  # tau V' + V = 2 p, Sec. IV
+        if 2.0 * ahead - following < threshold:
+            done = n
+            break
+        V = following
+        downward[n] = V - ahead
+        total += 0.5 * (here + ahead)
+        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
+        work += power
+        behind, here, ahead = here, ahead, beyond
+    s.cell += done
+    s.velocity, s.sum, s.work, s.power = V, total, work, power
+    return done
+
+
+@part
+def _run_in_flight(s, waves, count):
+    """Advance by up to `count` steps, stopping before a landing."""
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, downward = waves[0, first - N + 1:], waves[1, first + 1:]
+    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
+    twice, height = 2.0 * s.step, s.launch_height - s.top
+    speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
+    start = s.cell + 1 - s.launch_cell - s.launch_offset
+    here, total, work, power = waves[0, first - N], s.sum, s.work, s.power
+    done = count
+    for n in range(count):
+        ahead = top[n]
+        area = total + 0.5 * (here + ahead)
+        time = (start + n) * s.step
+        if height + time * (speed - fall * time) < twice * area:
+            done = n
+            break
+        downward[n] = ahead + offset
+        total, here = area, ahead
+        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
+        work += power
+    s.cell += done
+    s.sum, s.work, s.power = total, work, power
+    return done
+
+
+@part
+def _fill(s, waves, path, last):
+    """Compute p at the plate up to grid point `last`, from m a crossing earlier."""
+    while s.filled < last:
+        first = s.filled + 1
+        count = last - s.filled
+        leaving, coming = waves[0, first - s.base:], waves[1, first - s.base - s.steps:]
+        if s.plate_kind == DAMPED:
+            # Rotations of a phasor that is evaluated anew for every block
+            k = first % BLOCK
+            if first // BLOCK != s.block:
+                s.block = first // BLOCK
+                start_block(s, s.block * BLOCK)
+            real, imaginary = s.factor * s.cosine, s.factor * s.sine
+            count = min(count, BLOCK - k)
+            cosines, sines = path[0, k:], path[1, k:]
+            for n in range(count):
+                velocity = real * sines[n] + imaginary * cosines[n]  # Eq. (D2), derived
+                leaving[n] = velocity - coming[n]
+        else:
+            for n in range(count):
+                time = (first + n) * s.step
+                velocity = velocity_of_piece(path, piece_at(s, path, time), time)
+                leaving[n] = velocity - coming[n]  # p(t) = V_p(t - t_s) - m(t - 2 t_s), Sec. IV
+        s.filled += count
+
+
+@part
+def _march(s, waves, jumps, path, events, goal):
+    """Advance to grid point `goal`, or until there is no more room for events."""
+    while s.cell < goal and s.events <= events.shape[0]:
+        while s.discontinuity < s.cell:
+            s.discontinuity += 2 * s.steps
+        if s.filled == s.cell:
+            if s.cell + 3 - s.base > waves.shape[1]:
+                # Loads up to the first release look back three crossings
+                shift = s.cell - s.base - PAD - (3 if s.events == 0 else 1) * s.steps
+                for j in range(s.cell + 2 - s.base - shift):
+                    waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
+                s.base += shift
+            room = s.base + waves.shape[1] - 2
+            _fill(s, waves, path, min(goal, room, s.cell + s.steps - 1))
+        count, jump = s.filled - s.cell, _jump_cell(s, jumps, 0)
+        if not s.contact:
+            done = _run_in_flight(s, waves, min(count, jump - s.cell))
+        elif s.cell <= s.last_jump + 1:
+            done = 0
+        else:
+            smooth = max(0, min(s.discontinuity, jump) - 1 - s.cell)
+            done = _run_in_contact(s, waves, min(count, smooth))
+        if s.events == 0:
+            while s.cell - s.compared >= 2 * s.steps:
+                _compare_loads(s, waves, s.steps)
+        if done < count:
+            if s.events == 0:
+                _complete_loads(s, waves)
+            _cross_step(s, waves, jumps, events, 1.0)
+        _correct_work(s, waves, jumps)
+
+
+@part
+def _compare_loads(s, waves, count):
+    """
+    Compare `count` waves p, a crossing at most, with the waves m that meet them.
+
+    The stress in the layer is p(a) - m(b) + g tau, of a wave p that leaves the plate at a and a
+    wave m that leaves the top at b; they meet in the layer if a and b differ by less than a
+    crossing, and at the plate or at the top if by a whole crossing. So the extremes of m in
+    windows of two crossings are computed: in the common part of all windows, then backwards and
+    forwards from the common part.
+    """
+    if count == 0:
+        return
+    N, offset, i = s.steps, s.gravity_offset, s.compared - s.base
+    p, before, after, later = waves[0, i:], waves[1, i - N:], waves[1, i:], waves[1, i + N:]
+    lowest, highest = waves[2], waves[3]
+    low = high = after[0]
+    for n in range(1, N):
+        low, high = min(low, after[n]), max(high, after[n])
+    common_low, common_high = low, high
+    for n in range(N - 1, -1, -1):
+        low, high = min(low, before[n]), max(high, before[n])
+        lowest[n], highest[n] = low, high
+    low, high = common_low, common_high
+    strain, stress, push = s.peak_strain, s.peak_plate_stress, s.peak_contact_force
+    for n in range(count):
+        low, high = min(low, later[n]), max(high, later[n])
+        here = p[n] + offset
+        strain = max(strain, here - min(low, lowest[n]), max(high, highest[n]) - here)
+        stress = max(stress, abs(here - before[n]))
+        push = max(push, p[n] - later[n])
+    s.peak_strain, s.peak_plate_stress, s.peak_contact_force = strain, stress, push
+    s.compared += count
+
+
+@part
+def _complete_loads(s, waves):
+    """Compare the waves p that are still in the layer with the waves m that have met them."""
+    N, i = s.steps, s.cell - s.base
+    _compare_loads(s, waves, max(s.cell - N + 1 - s.compared, 0))
+    low = high = waves[1, i - N]
+    for k in range(N):
+        # Before the first wave that is kept there was rest
+        older = waves[1, i - N - k] if i - N - k >= 0 else 0.0
+        newer = waves[1, i - N + k]
+        low, high = min(low, older, newer), max(high, older, newer)
+        p = waves[0, i - k] + s.gravity_offset
+        s.peak_strain = max(s.peak_strain, p - low, high - p)
+        s.peak_plate_stress = max(s.peak_plate_stress, abs(p - older))
+
+
+@kernel
+def _advance(core, waves, jumps, path, events, time):
+    """Advance to `time`; return the number of events so far, or an error code."""
+    grid, s = core[0], core[1]
+    if not time >= s.time:
+        return BACKWARDS
+    if time > grid.horizon:
+        return BEYOND_HORIZON
+    step = grid.step
+    if time >= 4e15 * step:
+        return TOO_FAR
+    goal = int(time / step)
+    while goal * step > time:
+        goal -= 1
+    while (goal + 1) * step <= time:
+        goal += 1
+    _march(grid, waves, jumps, path, events, goal)
+    records = core.view(np.float64)
+    size = records.size // 3
+    for k in range(size):
+        records[size + k] = records[k]
+    if s.cell != goal or s.events > events.shape[0]:
+        return TOO_MANY_EVENTS
+    s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
+    _cross_step(s, waves, jumps, events, s.offset)
+    if s.events > events.shape[0]:
+        return TOO_MANY_EVENTS
+    i = goal - s.base - s.steps
+    m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
+    height, speed, _ = motion_at(s, path, time)
+    s.time = time
+    s.upward[0] = speed - m
+    s.downward[0] = m
+    s.state[TIME] = time
+    s.state[PLATE_POSITION] = height
+    s.state[PLATE_VELOCITY] = speed
+    s.state[PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
+    return s.events
+
+
+@kernel
+def _read_layer(core, waves, out):
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    s = core[1]
+    height, velocity, force = out[0], out[1], out[2]
+    i = s.cell - s.base
+    rest = s.offset if s.offset > 0.0 else 1.0
+    # From the last grid point to now, waves go on along a line; these places are written later.
+    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / rest
+    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / rest
+    last = force.size - 1
+    spacing, offset, start = s.steps / last, s.gravity_offset, i - s.steps - 1
+    p_wave, m_wave = waves[0, start:], waves[1, start:]
+    at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
+    for n in range(last + 1):
+        place = at_plate - spacing * n
+        j = np.uintp(place)
+        p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (place - j)
+        place = at_top + spacing * n
+        j = np.uintp(place)
+        m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (place - j)
+        velocity[n] = p + m
+        force[n] = p - m + offset
+    for end in range(2):
+        velocity[end * last] = s.upward[end] + s.downward[end]
+        force[end * last] = s.upward[end] - s.downward[end] + offset
+    # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
+    cell = s.thickness / last
+    stretch = 0.5 * cell * s.steps * s.step / s.thickness
+    squeezed = 0.0
+    height[0] = 0.0
+    for n in range(1, last + 1):
+        squeezed += force[n - 1] + force[n]
+        height[n] = squeezed
+    low, high = s.state[PLATE_POSITION], s.rest_height + s.surface
+    error = (high - low - s.thickness + stretch * squeezed) / last
+    for n in range(last + 1):
+        height[n] = low + n * (cell + error) - stretch * height[n]
+        if out.shape[0] > 3:
+            out[3, n] = -force[n] * s.steps * s.step / s.thickness
+        force[n] *= s.impedance
+
+
+@part
+def _square_error(s, waves, jumps, number, count, w, n):
+    """Return the error of the trapezoidal rule for the square of a wave, in a step with jumps."""
+    sign, start, end = 1.0 - 2.0 * w, waves[w, n], waves[w, n + 1]
+    slope = end - start
+    for k in range(number, number + count):
+        row = jumps[(s.next_jump + k) % jumps.shape[0]]
+        slope -= sign * (row[2] + (1.0 - row[1]) * row[3])
+    here, offset, area = start, 0.0, -0.5 * (start**2 + end**2)
+    for k in range(number, number + count):
+        row = jumps[(s.next_jump + k) % jumps.shape[0]]
+        before = here + slope * (row[1] - offset)
+        area += 0.5 * (row[1] - offset) * (here**2 + before**2)
+        here, slope, offset = before + sign * row[2], slope + sign * row[3], row[1]
+    return area + 0.5 * (1.0 - offset) * (here**2 + end**2)
+
+
+@kernel
+def stored_energy(core: Any, waves: Any, jumps: Any) -> float:
+    """
+    Add up the energy of layer and projectile against rest.
+
+    That is the energy at the last grid point, by the trapezoidal rule, and the work since.
+    """
+    s, now = core[0], core[1]
+    i, N, total = s.cell - s.base, s.steps, 0.0
+    for w in range(2):
+        total += 0.5 * (waves[w, i - N] ** 2 + waves[w, i] ** 2)
+        for n in range(i - N + 1, i):
+            total += waves[w, n] ** 2
+    number = 0
+    while number < s.jumps:
+        cell, count = _jump_cell(s, jumps, number), 1
+        while _jump_cell(s, jumps, number + count) == cell:
+            count += 1
+        w = 0 if number < s.reflected else 1
+        n = cell - s.base - (1 + w) * N
+        if i - N <= n < i:
+            total += _square_error(s, waves, jumps, number, count, w, n)
+        number += count
+    V, gap = s.velocity, 0.0
+    if s.contact:
+        # Where the mass takes power V (2 p - V) from the waves, the rule is not exact (as it is at
+        # the plate, of work and waves alike): Euler's and Maclaurin's correction
+        p = waves[0, i - N]
+        force, slope = 2.0 * p - V, waves[0, i - N + 1] - p
+        total += (s.rate * force * (force - V) + 2.0 * V * slope) / 12.0
+    else:
+        time, height, V = _free_flight(s, 0.0)
+        gap = height - s.top - 2.0 * s.step * s.sum - s.gravity_offset * time
+    speed = 0.5 * (waves[0, i] + waves[1, i - N] + now.upward[0] + now.downward[0])
+    plate = now.state[PLATE_POSITION] - now.offset * s.step * speed
+    mass = s.impedance * s.relaxation
+    waves_energy = s.impedance * s.step * (total + now.offset * s.power)
+    mass_energy = mass * (0.5 * V**2 + s.gravity * (plate + gap))
+    return waves_energy + mass_energy  # type: ignore[no-any-return]
+
+
+@kernel
+def update_loads(core: Any, waves: Any) -> None:
+    """Bring the loads of the second record up to the last grid point before the first release."""
+    if core[0].events == 0:
+        _complete_loads(core[1], waves)
+
+
+def make_waves(steps: int) -> Floats:
+    """Make room for waves p and m, and for two series in `_compare_loads`."""
+    return np.zeros((4, 4 * steps + _SPARE_STEPS))
+
+
+def clear_waves(waves: Floats, steps: int) -> None:
+    """Forget the waves: those that are read before they are written."""
+    waves[:2, : steps + PAD + 1] = 0.0
+
+
+_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
+
+advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, _ROWS, nb.float64)
+"""Returns the compiled `_advance`."""
+
+read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
+"""Returns the compiled `_read_layer`."""

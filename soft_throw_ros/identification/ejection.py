@@ -1,0 +1,131 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The first release of a fitted rig, with standard errors and alternatives near a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.identification.forward import FirstReleases
+from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.rig_fit import RigFit
+
+Floats = NDArray[np.float64]
+
+_DRAWS = 400
+"""Number of rigs drawn from the covariance of a fit; the errors are then known to 4 %."""
+
+_MIN_PROBABILITY = 0.025
+"""
+Smallest probability of a reported alternative.
+
+The intervals of 95 % of the result and its alternatives then contain the truth with 95 %.
+"""
+
+
+class AlternativeRelease(NamedTuple):
+    """The first release if it comes after more, or fewer, echoes of the wave."""
+
+    echoes: int
+    """Number of echoes more than in the most likely rig; negative if fewer."""
+    probability: float
+    """Share of the rigs drawn from the errors of the fit that release so. [-]"""
+    time: Estimate
+    """[s]"""
+    speed: Estimate
+    """[m/s]"""
+    energy_transfer: Estimate
+    """[-]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ejection:
+    r"""
+    The first release of the projectile, with standard errors.
+
+    Ejection time and energy transfer jump where the release passes an odd multiple of the
+    crossing time. If the errors of the fit reach such a jump, the releases beyond it are
+    `alternatives`, and the standard errors are those on the near side of the jump.
+    """
+
+    time: Estimate
+    r""":math:`t_e`, since the plate began to move. [s]"""
+    speed: Estimate
+    r""":math:`V_e`. [m/s]"""
+    peak_plate_speed: Estimate
+    r""":math:`V_p^*`. [m/s]"""
+    energy_transfer: Estimate
+    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
+    alternatives: tuple[AlternativeRelease, ...] = ()
+    """Releases after another number of echoes, the most probable one first."""
+    time_budget: Mapping[str, float] = field(default_factory=dict)
+    """Contributions to the error of the time, see `RigFit.release_time_budget`. [s]"""
+
+
+def ejection_of(found: RigFit) -> Ejection:
+    r"""
+    Compute the first release of a fitted rig.
+
+    Raises
+    ------
+    FitError
+        If the projectile does not leave the layer.
+
+    Notes
+    -----
+    Errors are the deviations of rigs that are drawn from the covariance of the fit, since
+    :math:`t_e` and :math:`\alpha` jump and have no derivative there. They include the unseen
+    effects, such as a layer that sticks and releases the projectile later.
+
+    """
+    releases = found.releases(_DRAWS)
+    if np.isnan(releases.time[0]):
+        raise FitError('the projectile of the rig that was fitted does not leave the layer')
+    is_released = ~np.isnan(releases.time)
+    echoes = releases.echoes - releases.echoes[0]
+    is_near = is_released & (echoes == 0)
+
+    def estimate(values: Floats) -> Estimate:
+        deviations = values[is_near] - values[0]
+        return Estimate(float(values[0]), float(np.sqrt(np.mean(deviations**2))))
+
+    alternatives = [
+        _alternative(releases, is_released & (echoes == other), int(other))
+        for other in np.unique(echoes[is_released])
+        if other and np.mean(echoes[is_released] == other) > _MIN_PROBABILITY
+    ]
+    return Ejection(
+        time=estimate(releases.time),
+        speed=estimate(releases.speed),
+        peak_plate_speed=estimate(releases.peak_plate_speed),
+        energy_transfer=estimate(releases.energy_transfer),
+        alternatives=tuple(sorted(alternatives, key=lambda each: -each.probability)),
+        time_budget=found.release_time_budget(),
+    )
+
+
+def _alternative(
+    releases: FirstReleases, chosen: NDArray[np.bool_], echoes: int
+) -> AlternativeRelease:
+    """Return the mean and the spread of some of the releases."""
+    time, speed, energy_transfer = (
+        Estimate(float(values[chosen].mean()), float(values[chosen].std(ddof=1)))
+        for values in (releases.time, releases.speed, releases.energy_transfer)
+    )
+    probability = float(chosen.sum() / np.isfinite(releases.time).sum())
+    return AlternativeRelease(echoes, probability, time, speed, energy_transfer)

@@ -1,0 +1,109 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The order of the values of a fit: shared parameters, and those of one or some throws."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from soft_throw_ros.identification.fit_description import DEFAULTS, FitDescription, UNSEEN
+from soft_throw_ros.identification.tracks import ThrowTracks
+
+START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
+"""Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
+
+RINGING = 'plate.ringing'
+"""Oscillation of the plate from before the throw."""
+
+WAVES = {RINGING: ('plate.ringing_cosine', 'plate.ringing_sine')}
+"""Terms that are waves, and their amplitudes."""
+
+TERM_OF = {part: name for name, parts in WAVES.items() for part in parts}
+"""Terms by the names of their parts."""
+
+
+@dataclass(frozen=True)
+class ParameterLayout:
+    """
+    The order of the values of a fit; made by `of`.
+
+    Parameters
+    ----------
+    groups : dict
+        Numbers of the throws that share each value, in the order of the values, by the name of
+        the parameter and a key. The key is None if all throws share it, and the number of the
+        throw if it belongs to a single one.
+    is_single : bool
+        Whether there is one throw only.
+
+    """
+
+    groups: dict[tuple[str, Hashable], list[int]]
+    is_single: bool
+
+    @classmethod
+    def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
+        """Return the layout of a fit: first the values that all throws share."""
+        groups: dict[tuple[str, Hashable], list[int]] = {}
+        for name in (name for name in DEFAULTS if name not in UNSEEN):
+            for number, throw in enumerate(throws):
+                is_seen = throw.projectile is not None or name.startswith(('engine', 'plate'))
+                if is_seen and description.treatment(name, throw.name).is_varied:
+                    key = description.group(name, throw.name, number)
+                    for part in WAVES.get(name, (name,)):
+                        groups.setdefault((part, key), []).append(number)
+        own = [START]
+        own += [] if description.heights == 'absolute' else [PLATE_ZERO]
+        own += [PROJECTILE_ZERO] if description.heights == 'own' else []
+        for number, throw in enumerate(throws):
+            for name in own:
+                if name != PROJECTILE_ZERO or throw.projectile is not None:
+                    groups[name, number] = [number]
+        ordered = sorted(groups.items(), key=lambda item: item[0][1] is not None)
+        return cls(dict(ordered), len(throws) == 1)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.indices
+
+    @cached_property
+    def indices(self) -> dict[str, dict[int, int]]:
+        """Indices of each parameter among the values, by throw."""
+        indices: dict[str, dict[int, int]] = {}
+        for index, ((name, _), throws) in enumerate(self.groups.items()):
+            indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
+        return indices
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; of some of several throws, with the number of the first from 1."""
+        return tuple(
+            name if key is None or self.is_single else f'{name}[{throws[0] + 1}]'
+            for (name, key), throws in self.groups.items()
+        )
+
+    def indices_of(self, name: str) -> list[int]:
+        """Return the indices of a parameter among the values, of all throws."""
+        return sorted(set(self.indices[name].values()))
+
+    def waves_of(self, throw: int) -> list[int]:
+        """Return the indices of the waves of the plate of a throw."""
+        parts = [part for part in TERM_OF if throw in self.indices.get(part, ())]
+        return [self.indices[part][throw] for part in parts]
+
+    def is_per_throw(self, name: str) -> bool:
+        """Return whether each throw has its own value of a parameter."""
+        return any(isinstance(key, int) for part, key in self.groups if part == name)

@@ -1,0 +1,391 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+r"""
+Effects that the tracks hardly show, as part of the errors of a fit.
+
+Notes
+-----
+A projectile that sticks for 0.1 ms, a layer whose stress is no linear function of the strain, or
+a second mode of the plate change the release by more than the tracks show. They are not fitted.
+Each is a column :math:`C_k` of changes of all heights for one standard deviation of its prior.
+Least squares with the gain :math:`G = (J^T W J)^{-1} J^T W` are then off by :math:`G C_k`, which
+the covariance of the fit gets as :math:`G C_k C_k^T G^T` (as "consider" parameters of a Kalman
+filter [1]_). The error of the time and speed of the release is the change due to the shifted
+parameters, minus the effect itself.
+
+The size of an effect is the root mean square of its posterior: an effect that the tracks would
+show, and do not, is small, and one that the residuals show keeps its size.
+
+References
+----------
+.. [1] S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+   Control Systems 3, 293 (1966).
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
+from soft_throw_ros.core.throw import ejections
+from soft_throw_ros.identification.fit_description import PLATE_MODE, STICKING
+from soft_throw_ros.identification.least_squares import Fit
+from soft_throw_ros.identification.linear_fit import LinearFit
+from soft_throw_ros.identification.parameter_layout import RINGING, WAVES
+from soft_throw_ros.identification.plate_waves import Mode, PlateWithWaves
+from soft_throw_ros.identification.rig_model import Change, RigModel
+
+Floats = NDArray[np.float64]
+
+STRESS_LAW = 'layer.stress_strain_law'
+"""Name of the effect of a law that a linear layer with another wave speed does not follow."""
+
+ROUNDING = 'rounding'
+"""Name of the effect of heights that are rounded while a body hardly moves."""
+
+_MODE_FREQUENCIES = np.linspace(2.75, 7.25, 19)
+"""Possible frequencies of a second mode, over the frequency of the plate. [-]"""
+
+_MODE_DAMPING = 0.02
+"""Damping ratio of a second mode, typical of metal structures. [-]"""
+
+_RINGING = 0.02
+"""Default size of ringing with another damping than the plate, over the amplitude. [-]"""
+
+_RINGING_MARGIN = 2.0
+"""Factor on the effect of undamped ringing, since its true damping is not known. [-]"""
+
+_WAITED = 3.0
+"""Time until which a projectile is released. [periods of the plate]"""
+
+_JERK_STEP = 0.05
+"""Part of the ejection time before the release over which the contact force vanishes. [-]"""
+
+_SPEED_STEP = 0.01
+"""Relative step of the wave speed for the derivative of the release. [-]"""
+
+_LONG_RUN = 3
+"""Number of consecutive equal heights from which on rounding errors are correlated."""
+
+
+class UnseenEffect(NamedTuple):
+    """Changes by one standard deviation of each of k independent causes."""
+
+    name: str
+    heights: Floats
+    """Changes of all samples of all tracks, shape (k, n). [m]"""
+    time: Floats
+    """Changes of the ejection time of the first throw, shape (k,). [s]"""
+    speed: Floats
+    """Changes of the ejection speed, shape (k,). [m/s]"""
+    are_pairs: bool = False
+    """Whether only one pair of neighbouring causes is there."""
+    margin: float = 1.0
+    """Factor on the sizes of an effect whose shape is known roughly only. [-]"""
+    is_linear: bool = True
+    """Whether shifts of the fitted values cancel parts of the change of the release."""
+
+    def draw(
+        self, random: np.random.Generator, sizes: Floats, count: int
+    ) -> tuple[Floats, Floats]:
+        """Draw the causes, shape (count, k), and changes of time and speed, shape (count, 2)."""
+        causes = random.normal(size=(count, sizes.size))
+        others = causes if self.is_linear else random.normal(size=causes.shape)
+        return causes, others @ (sizes[:, None] * np.column_stack([self.time, self.speed]))
+
+    def sizes(self, seen: Floats, products: Floats) -> Floats:
+        """
+        Return the sizes after a fit, over those before.
+
+        Parameters
+        ----------
+        seen, products : ndarray, shape (k,)
+            See `LinearFit.score`.
+
+        """
+        precision = 1.0 + seen
+        best = products / precision
+        squares = 1.0 / precision + best**2
+        if self.are_pairs:
+            evidence = 0.5 * (best**2 * precision - np.log(precision))
+            pairs = evidence.reshape(-1, 2).sum(axis=1)
+            weights = np.exp(pairs - pairs.max())
+            squares *= np.repeat(weights / weights.sum(), 2)
+        return np.asarray(self.margin * np.sqrt(squares))
+
+
+class ReleaseShift(NamedTuple):
+    """Change of the first release."""
+
+    time: float
+    """[s]"""
+    speed: float
+    """[m/s]"""
+
+
+_NO_SHIFT = ReleaseShift(0.0, 0.0)
+
+
+def release_shift(model: RigModel, values: Floats, throw: int) -> ReleaseShift:
+    """Return the effect of the waves of the plate on the first release."""
+    rig, motion = model.motion(values, throw)
+    plain = _release(model, rig, PlateWithWaves(motion.step))
+    return _difference(_release(model, rig, motion, near=plain), plain)
+
+
+def unseen_effects(
+    model: RigModel, values: Floats
+) -> tuple[list[UnseenEffect], list[str]]:
+    """
+    Compute the effects that the description of a fit leaves open, at the values of the fit.
+
+    Return the effects, and sentences about effects whose throws cannot be simulated.
+    """
+    makers: dict[str, Callable[[], UnseenEffect]] = {}
+    size = model.description.treatment(PLATE_MODE).error
+    if size is not None:
+        makers[PLATE_MODE] = partial(
+            _of_changes, PLATE_MODE, model, values, _modes(size), are_pairs=True
+        )
+    if any(part in model.layout for part in WAVES[RINGING]):
+        size = model.description.treatment(RINGING).error or _RINGING
+        makers[RINGING] = partial(
+            _of_changes, RINGING, model, values, _undamped(size), base=_without_ringing,
+            margin=_RINGING_MARGIN,
+        )
+    if model.projectiles:
+        size = model.description.treatment(STICKING).error
+        if size is not None:
+            makers[STICKING] = partial(_sticking, model, values, size)
+        if 'layer.stiffening' in model.layout:
+            makers[STRESS_LAW] = partial(_stress_law, model, values)
+    effects, skipped = [], []
+    for name, make in makers.items():
+        try:
+            effects.append(make())
+        except ValueError as error:
+            skipped.append(f'the errors do not include the effect of {name}: {error}')
+    return effects, skipped
+
+
+def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list[str]]:
+    """Add unseen effects and rounding to the covariance of a fit; see `unseen_effects`."""
+    linear = LinearFit(model, fit)
+    effects, skipped = unseen_effects(model, fit.values)
+    shifts = {}
+    for index, effect in enumerate(effects):
+        sizes = effect.sizes(*linear.score(effect.heights))
+        shifts[effect.name] = sizes[:, None] * linear.shifts(linear.gradients(effect.heights))
+        effects[index] = effect._replace(time=sizes * effect.time, speed=sizes * effect.speed)
+    rounding = linear.shifts(_rounding_gradients(model, linear))
+    if rounding.size:
+        shifts[ROUNDING] = rounding
+        zeros = np.zeros(len(rounding))
+        effects.append(UnseenEffect(ROUNDING, np.zeros((len(rounding), 0)), zeros, zeros))
+    return fit.with_unseen(shifts), effects, skipped
+
+
+def _heights(
+    model: RigModel, values: Floats, change: Change | None = None, *, by_cells: bool | None = None
+) -> Floats:
+    """Predict all tracks of changed rigs in one series [m]."""
+    paths = model.paths(values, change=change, by_cells=by_cells)
+    return np.concatenate([path.height for path in paths])
+
+
+def _of_changes(
+    name: str,
+    model: RigModel,
+    values: Floats,
+    changes: Sequence[Change],
+    *,
+    base: Change = lambda rig, motion: (rig, motion),
+    are_pairs: bool = False,
+    margin: float = 1.0,
+) -> UnseenEffect:
+    """Return the effects of changes of the motion of the plate, each beside a base."""
+    heights = _heights(model, values, base)
+    rig, motion = base(*model.motion(values, 0))
+    plain = _release(model, rig, motion)
+    moved = [
+        _difference(_release(model, *change(rig, motion), near=plain), plain)
+        for change in changes
+    ]
+    columns = [_heights(model, values, change) - heights for change in changes]
+    time, speed = np.array(moved).T
+    return UnseenEffect(name, np.array(columns), time, speed, are_pairs, margin)
+
+
+def _modes(size: float) -> list[Change]:
+    """Return changes that add a second mode of the plate, by frequency and phase."""
+
+    def with_mode(rig: Rig, motion: PlateWithWaves, mode: Mode) -> tuple[Rig, PlateWithWaves]:
+        frequency = mode.frequency * rig.engine.frequency
+        return rig, motion._replace(mode=mode._replace(frequency=frequency))
+
+    return [
+        partial(with_mode, mode=Mode(frequency, _MODE_DAMPING, *sizes))
+        for frequency in _MODE_FREQUENCIES.tolist()
+        for sizes in ((size, 0.0), (0.0, size))
+    ]
+
+
+def _without_ringing(rig: Rig, motion: PlateWithWaves) -> tuple[Rig, PlateWithWaves]:
+    """Return the motion without ringing."""
+    return rig, motion._replace(ringing=(0.0, 0.0))
+
+
+def _undamped(size: float) -> list[Change]:
+    """Return ringing without damping, as of a plate that its drive damps during a throw only."""
+
+    def with_ringing(
+        rig: Rig, motion: PlateWithWaves, ringing: tuple[float, float]
+    ) -> tuple[Rig, PlateWithWaves]:
+        return rig, motion._replace(ringing=ringing, ringing_damping=0.0)
+
+    return [partial(with_ringing, ringing=ringing) for ringing in ((size, 0.0), (0.0, size))]
+
+
+def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
+    """Return the effect of a layer that pulls the projectile for a while before it lets go."""
+    columns = []
+    for throw, body, track in model.channels:
+        column = np.zeros(track.time.size)
+        rig, motion = model.motion(values, throw)
+        releases = ejections(_events(model, rig, motion))
+        if body == 'projectile' and releases:
+            jerk = _jerk(model, rig, motion, releases[-1])
+            after = model.since(values, throw, body, track.time) - releases[-1].time
+            held = np.clip(after, 0.0, duration)
+            free = np.maximum(after - duration, 0.0)
+            column = jerk * (held**3 / 6.0 + 0.5 * duration**2 * free)
+        columns.append(column)
+    rig, motion = model.motion(values, 0)
+    release = _release(model, rig, motion)
+    jerk = _jerk(model, rig, motion, release) if release else 0.0
+    return UnseenEffect(
+        STICKING,
+        np.concatenate(columns)[None, :],
+        np.array([duration if release else 0.0]),
+        np.array([0.5 * jerk * duration**2]),
+        is_linear=False,  # it is quadratic in the duration
+    )
+
+
+def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
+    """
+    Return the effect of a layer that follows the neo-Hookean law.
+
+    The part that another wave speed of a linear layer explains is left out: it belongs to
+    `layer.stiffening`.
+    """
+
+    def with_law(law: str) -> Change:
+        def change(rig: Rig, motion: PlateWithWaves) -> tuple[Rig, PlateWithWaves]:
+            return replace(rig, layer=replace(rig.layer, stress_strain_law=law)), motion
+
+        return change
+
+    ends, releases = [], []
+    rig, motion = model.motion(values, 0)
+    for law in ('linear', 'neo_hookean'):
+        ends.append(_heights(model, values, with_law(law), by_cells=True))
+        releases.append(_release(model, *with_law(law)(rig, motion), by_cells=True))
+    column = ends[1] - ends[0]
+    moved = np.array(_difference(releases[1], releases[0]))
+    if 'layer.wave_speed' in model.layout:
+        faster = values.copy()
+        faster[model.layout.indices_of('layer.wave_speed')] *= 1.0 + _SPEED_STEP
+        slope = _heights(model, faster) - _heights(model, values)
+        noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
+        weighted = slope / noise**2
+        part = float(weighted @ column) / max(float(weighted @ slope), 1e-300)
+        column = column - part * slope
+        plain = _release(model, rig, motion)
+        quicker = _release(model, *model.motion(faster, 0), near=plain)
+        moved -= part * np.array(_difference(quicker, plain))
+    return UnseenEffect(STRESS_LAW, column[None, :], moved[:1], moved[1:])
+
+
+def _events(
+    model: RigModel, rig: Rig, motion: PlateWithWaves, *, by_cells: bool | None = None
+) -> tuple[Event, ...]:
+    """Return the events of the first few periods of the plate."""
+    end = np.array([_WAITED / rig.engine.frequency])
+    is_by_cells = model.by_cells if by_cells is None else by_cells
+    return model.simulator.follow(rig, end, motion=motion, by_cells=is_by_cells).events
+
+
+def _release(
+    model: RigModel,
+    rig: Rig,
+    motion: PlateWithWaves,
+    *,
+    near: Event | None = None,
+    by_cells: bool | None = None,
+) -> Event | None:
+    """
+    Return the release nearest to another one, by default to the release without waves, or None.
+
+    Waves of the plate may release the projectile briefly, long before the throw.
+    """
+    if near is None:
+        step = PlateWithWaves(motion.step)
+        near = next(iter(ejections(_events(model, rig, step, by_cells=by_cells))), None)
+    if near is None:
+        return None
+    time = near.time
+    events = _events(model, rig, motion, by_cells=by_cells)
+    releases = [event for event in events if event.kind == 'release']
+    return min(releases, key=lambda event: abs(event.time - time), default=None)
+
+
+def _difference(release: Event | None, plain: Event | None) -> ReleaseShift:
+    """Return by how much a release differs from another one; 0 if there is none."""
+    if release is None or plain is None:
+        return _NO_SHIFT
+    return ReleaseShift(release.time - plain.time, release.velocity - plain.velocity)
+
+
+def _jerk(model: RigModel, rig: Rig, motion: PlateWithWaves, release: Event) -> float:
+    """Return the rate at which the contact force over the mass falls at a release [m/s3]."""
+    since = _JERK_STEP * release.time
+    before = np.array([release.time - since])
+    path = model.simulator.follow(rig, before, motion=motion, by_cells=model.by_cells)
+    return float(
+        2.0 * (path.velocity[0] - release.velocity - rig.gravity * since) / max(since, 1e-12)**2
+    )
+
+
+def _rounding_gradients(model: RigModel, linear: LinearFit) -> Floats:
+    """Return the gradients of chi squared by the rounding errors of runs of equal heights."""
+    gradients = [np.zeros((0, linear.fit.values.size))]
+    for (_, track), slopes in zip(
+        model.tracks(), linear.split(linear.slopes_over_variance), strict=True
+    ):
+        step = track.rounding_step
+        if step > 0.0:
+            starts = np.flatnonzero(np.diff(track.position, prepend=np.nan) != 0.0)
+            is_long = np.diff(starts, append=track.time.size) >= _LONG_RUN
+            sums = np.add.reduceat(slopes, starts, axis=0)[is_long]
+            gradients.append(step / math.sqrt(12.0) * sums)
+    return np.concatenate(gradients)

@@ -1,0 +1,100 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Bounded time to the end of a process, even if the middleware hangs."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import threading
+
+_CLOCK_MONOTONIC = 1
+_SIGEV_THREAD = 2
+_STANDARD_ERROR = 2
+
+
+class _Event(ctypes.Structure):
+    """Linux's `struct sigevent`, for a function that is called in a thread of its own."""
+
+    _fields_ = (
+        ('value', ctypes.c_int64),
+        ('signal', ctypes.c_int),
+        ('notify', ctypes.c_int),
+        ('function', ctypes.c_void_p),
+        ('attributes', ctypes.c_void_p),
+        ('reserved', ctypes.c_int64 * 4),
+    )
+
+
+def exit_after(seconds: float, code: int) -> ctypes.c_void_p:
+    """
+    End the process after a time [s] unless the timer that is returned is cancelled.
+
+    The middleware may hang in a call that holds the lock of Python's interpreter, and then no
+    thread of Python runs any more. So a thread of the C library ends the process.
+    """
+    libc = ctypes.CDLL(None)
+    function = ctypes.cast(libc._exit, ctypes.c_void_p).value
+    event = _Event(value=code, notify=_SIGEV_THREAD, function=function)
+    timer = ctypes.c_void_p()
+    if libc.timer_create(_CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
+        raise OSError('the system has no timer left')
+    whole, fraction = divmod(round(1e9 * seconds), 1_000_000_000)
+    times = (ctypes.c_long * 4)(0, 0, whole, fraction)  # the zero interval disables repetition
+    libc.timer_settime(timer, 0, times, None)
+    return timer
+
+
+def cancel_exit(timer: ctypes.c_void_p) -> None:
+    """Cancel a timer of `exit_after`."""
+    ctypes.CDLL(None).timer_delete(timer)
+
+
+class SignalWatchdog:
+    """
+    End the process if its main thread does not react to a signal.
+
+    Python's handler of a signal runs in the main thread, which may hang in the middleware. Its C
+    code also writes a byte to a pipe at once, and a thread here reads that.
+
+    Parameters
+    ----------
+    limit : float
+        Longest time from the signal to the call of `close`. [s]
+
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+        self._has_reacted = threading.Event()
+        self._pipe, self._other_end = os.pipe()
+        os.set_blocking(self._other_end, False)
+        self._former = signal.set_wakeup_fd(self._other_end, warn_on_full_buffer=False)
+        self._thread = threading.Thread(name='signal watchdog', target=self._watch, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Watch no longer: the main thread has reacted."""
+        self._has_reacted.set()
+        signal.set_wakeup_fd(self._former)
+        os.close(self._other_end)
+        self._thread.join()
+        os.close(self._pipe)
+
+    def _watch(self) -> None:
+        if os.read(self._pipe, 1) and not self._has_reacted.wait(self._limit):
+            text = f'no reaction to a signal within {self._limit:g} s: the process ends at once'
+            os.write(_STANDARD_ERROR, f'{text}\n'.encode())
+            os._exit(1)

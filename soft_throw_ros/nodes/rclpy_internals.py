@@ -1,0 +1,73 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+All private parts of rclpy that this package uses, each with the reason.
+
+`test/nodes/test_rclpy_internals.py` names the part that a new version of rclpy has changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from typing import Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
+
+
+def take_messages(
+    subscription: Subscription, message_type: Any
+) -> Generator[tuple[bytes, Mapping[str, Any]], None, None]:
+    """
+    Yield the messages that wait at a subscription, as bytes with their information.
+
+    An executor takes one message each time it wakes, which costs more than everything else that a
+    recorder does.
+    """
+    handle = subscription.handle
+    with handle:
+        while (taken := handle.take_message(message_type, True)) is not None:
+            yield taken
+
+
+def open_event(handle: Any, kind: Any) -> Any:
+    """
+    Return an event of a publisher or subscription, to be polled by `take_event`.
+
+    An executor that waits for events wakes for every message as well.
+    """
+    with handle:
+        return rclpy_implementation.EventHandle(handle, kind)
+
+
+def take_event(event: Any) -> Any:
+    """Return the status of an event that occurred since the last call, or None."""
+    with event:
+        return event.take_event()
+
+
+def close_event(event: Any) -> None:
+    """Release an event, which would keep its publisher or subscription."""
+    event.destroy_when_not_in_use()
+
+
+def parameter_overrides(node: Node) -> list[Parameter]:
+    """
+    Return the parameters given to a node at its start, including undeclared ones.
+
+    Undeclared parameters are misspelled names, which rclpy ignores and this package refuses.
+    """
+    return list(node._parameter_overrides.values())

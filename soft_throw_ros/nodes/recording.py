@@ -1,0 +1,324 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+One recording: topics on their way into a bag, and the viewer that shows them meanwhile.
+
+One thread takes the received messages every few milliseconds; another one writes them. The viewer
+is a process with subscriptions of its own.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from importlib import util
+import json
+from pathlib import Path
+import sys
+import threading
+import time
+
+from rclpy.node import Node
+from soft_throw_ros.configuration import files, RECORDER, Settings, TWIN
+from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, RawSubscriptions
+from soft_throw_ros.nodes.topics import full_name
+from soft_throw_ros.nodes.transport import distribution
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.cdr import decode, MessageError
+from soft_throw_ros.recording.child_process import RestartedProcess
+from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.writer_thread import WriterThread
+from soft_throw_ros.twin import journal
+
+DRAIN_TIME = 0.01
+"""Time between two calls that take the received messages. [s]"""
+
+PUBLISHER_TIMEOUT = 2.0
+"""Time after which wanted topics without a publisher are logged. [s]"""
+
+SILENCE_LIMIT = 30
+"""
+Time without states after which a recorder reports twins that are present. [s]
+
+A killed twin counts as present for another 20 s.
+"""
+
+
+class Recording:
+    """
+    One recording from start to stop: subscriptions, bag and viewer.
+
+    Attributes
+    ----------
+    subscriptions : RawSubscriptions
+        Subscriptions to the recorded topics.
+    writer : WriterThread or None
+        Thread that writes the bag; None if nothing is written.
+    viewer : RestartedProcess or None
+        Process that shows the topics; None if nothing is shown.
+
+    """
+
+    def __init__(
+        self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()
+    ) -> None:
+        self._wanted = [full_name(recorder, name) for name in settings['topics']]
+        self._is_silence_told = False
+        self._is_failure_told = False
+        self._node = recorder
+        self._states_received = 0  # by the last call of `watch_states`
+        self._silent_seconds = 0
+        self.subscriptions = RawSubscriptions(recorder, self._wanted)
+        self.writer: WriterThread | None = None
+        self.viewer: RestartedProcess | None = None
+        self._settings = settings
+        self._began = time.monotonic()
+        self._twins: dict[str, object] = {}
+        if settings['storage'] == 'mcap':
+            self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
+            text = files.render(settings, table=RECORDER, title='How this was recorded.')
+            self._attach(self.writer, 'recorder.yaml', text)
+        if settings['rerun.sink'] != 'none' and has_rerun(settings):
+            self.viewer = RestartedProcess(self._viewer_command(recorder, arguments))
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def bag(self) -> Path | None:
+        """Folder of the bag; None if there is none, or none yet."""
+        written = self.writer.bag if self.writer is not None else None
+        return written.folder if written is not None else None
+
+    @property
+    def error(self) -> str:
+        """Reason why nothing is written at present; empty if the bag is being written."""
+        return self.writer.error if self.writer is not None else ''
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether all threads run; a defect may have ended one."""
+        return self._thread.is_alive() and (self.writer is None or self.writer.is_alive)
+
+    @property
+    def received(self) -> int:
+        """Number of received messages."""
+        return sum(item.received for item in self.subscriptions)
+
+    @property
+    def silence(self) -> str:
+        """Report on twins that are present while no states arrive; empty otherwise."""
+        if self._silent_seconds < SILENCE_LIMIT:
+            return ''
+        return (
+            f'no states received for {self._silent_seconds} s, although their publishers are '
+            'present: if `ros2 topic hz` shows states, restart this recorder'
+        )
+
+    def watch_states(self) -> bool:
+        """Note the received states; call once a second. Return whether a silence begins."""
+        received = sum(item.received for item in self._states)
+        is_present = any(self._node.count_publishers(item.channel.topic) for item in self._states)
+        is_silent = is_present and received == self._states_received
+        self._silent_seconds = self._silent_seconds + 1 if is_silent else 0
+        self._states_received = received
+        return self._silent_seconds == SILENCE_LIMIT
+
+    def take_silent_topics(self) -> list[str]:
+        """Return, once, the wanted topics without a publisher after `PUBLISHER_TIMEOUT`."""
+        if self._is_silence_told or time.monotonic() - self._began < PUBLISHER_TIMEOUT:
+            return []
+        self._is_silence_told = True
+        topics = [item.channel.topic for item in self.subscriptions]
+        return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
+
+    def take_viewer_failure(self) -> str:
+        """Return, once, the reason why the viewer is given up; empty otherwise."""
+        reason = self.viewer.failure if self.viewer is not None else ''
+        if not reason or self._is_failure_told:
+            return ''
+        self._is_failure_told = True
+        return f'the viewer is not started any more: {reason}; recording goes on without it'
+
+    def losses(self) -> dict[str, int]:
+        """Return the number of lost messages by topic: published, but not in the bag."""
+        lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
+        if self.writer is not None:
+            for channel, count in self.writer.lost().items():
+                lost[channel.topic] += count
+        return dict(sorted((+lost).items()))
+
+    def missed_before_join(self) -> dict[str, int]:
+        """Return the number of messages by topic that were published before the first one."""
+        counts = Counter(
+            {item.channel.topic: item.missed_before_join for item in self.subscriptions}
+        )
+        return dict(sorted((+counts).items()))
+
+    @property
+    def saved(self) -> int:
+        """Number of received messages that the writer has not lost."""
+        lost = sum(self.writer.lost().values()) if self.writer is not None else 0
+        return max(self.received - lost, 0)
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether, after `stop`, the bag has no end, or has none of the received messages."""
+        return bool(self.error) or 0 == self.saved < self.received
+
+    def stop(self, on_stall: Callable[[str], None]) -> None:
+        """
+        Take the last messages, and finish bag and viewer; see `error` and `has_failed`.
+
+        `on_stall` is called with a sentence if the disk holds up the end.
+        """
+        if self.viewer is not None:
+            self.viewer.terminate()  # it ends while the bag is finished
+        self._is_stopping.set()
+        self._thread.join()
+        if self.writer is not None:
+            self.writer.flush()  # first, since the process may be killed soon
+        self.subscriptions.close()
+        if self.writer is not None:
+            losses = self.losses()
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
+            if missed := self.missed_before_join():
+                self._note(self.writer, 'published before recording', missed)
+            self.writer.close(on_stall)
+        if self.viewer is not None:
+            self.viewer.close()
+
+    def summary(self) -> str:
+        """Return a sentence with the numbers of recorded and lost messages."""
+        seconds = time.monotonic() - self._began
+        losses = self.losses()
+        text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
+        text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
+        if self.bag is not None:
+            text += f', in {self.bag}'
+        if missed := self.missed_before_join():
+            text += f'; joined late, after {sum(missed.values())} messages'
+            text += ''.join(f', {count} of {topic}' for topic, count in missed.items())
+        if self.error:
+            text += f'; the end is missing: {self.error}'
+            if self.saved and self.bag is not None:
+                text += f'; `soft-throw recover {self.bag}` writes a repaired bag'
+        return text
+
+    @property
+    def _states(self) -> list[RawSubscription]:
+        """Subscriptions to states, which a twin publishes with every tick."""
+        known = (
+            (item, find_topic(item.channel.topic, item.channel.type))
+            for item in self.subscriptions
+        )
+        return [item for item, found in known if found and found.topic == TWIN_TOPICS.joint_states]
+
+    def _open_bag(self) -> BagWriter:
+        settings = self._settings
+        return BagWriter(
+            bag_path(settings),
+            distribution=distribution(),
+            compression=settings['compression'],
+            max_size=settings['split.size'],
+            max_duration=settings['split.duration'],
+            sync=settings['sync'],
+        )
+
+    def _run(self) -> None:
+        """Drain received messages until `stop` is called, and then once more."""
+        while not self._is_stopping.wait(DRAIN_TIME):
+            self._take()
+        self._take()
+
+    def _take(self) -> None:
+        messages = self.subscriptions.drain()
+        if not messages:
+            return
+        if self.writer is not None:
+            self.writer.put(messages)
+            for message in messages:
+                if message.channel.type == TWIN_TOPICS.journal.type:
+                    self._read_journal(self.writer, message)
+
+    def _read_journal(self, writer: WriterThread, message: Message) -> None:
+        """Write the settings of a twin into the bag, at first and after changes."""
+        channel = message.channel
+        source = find_topic(channel.topic, channel.type)
+        if source is None or source.topic != TWIN_TOPICS.journal:
+            return
+        try:
+            entry = journal.decode(decode(channel.type, channel.schema, message.data).data)
+            settings, versions = journal.checked_settings(entry, 'settings'), entry['versions']
+        except (MessageError, journal.JournalError, KeyError):
+            return  # an entry without settings, or a topic of another package
+        node = source.node
+        if node not in self._twins:
+            name = f'{node.strip("/").replace("/", "_")}.yaml'
+            text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
+            self._attach(writer, name, text)
+        if self._twins.get(node) != (settings, versions):
+            self._twins[node] = settings, versions
+            self._note(writer, f'parameters of {node}', settings)
+            self._note(writer, f'versions of {node}', versions)
+
+    @staticmethod
+    def _attach(writer: WriterThread, name: str, text: str) -> None:
+        """Attach a file of parameters to the bag."""
+        data, now = text.encode(), time.time_ns()
+        writer.call(lambda bag: bag.attach(name, data, 'application/yaml', time=now))
+
+    @staticmethod
+    def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
+        """Add named values to the metadata of the bag."""
+        texts = {key: str(value) for key, value in values.items()}
+        writer.call(lambda bag: bag.add_metadata(name, texts))
+
+    def _viewer_command(self, recorder: Node, arguments: Sequence[str]) -> list[str]:
+        """Return the command that shows the recorded topics."""
+        settings = self._settings
+        path = bag_path(settings) if self.bag is None else self.bag / self.bag.name
+        parameters = {
+            'topics': self._wanted,
+            'sink': settings['rerun.sink'],
+            'port': settings['rerun.port'],
+            'file': f'{path.absolute()}.rrd' if settings['rerun.sink'] == 'file' else '',
+        }
+        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
+        names = [f'__node:={recorder.get_name()}_viewer', f'__ns:={recorder.get_namespace()}']
+        is_secured = '--enclave' in arguments
+        enclave = arguments[arguments.index('--enclave'):][:2] if is_secured else ()
+        return [
+            settings['rerun.python'] or sys.executable,
+            *('-m', 'soft_throw_ros', 'viewer', '--ros-args', *enclave),
+            *(word for name in names for word in ('-r', name)),
+            *(word for rule in rules for word in ('-p', rule)),
+        ]
+
+
+def has_rerun(settings: Settings) -> bool:
+    """Return whether Rerun is installed, as far as that can be known without starting it."""
+    return bool(settings['rerun.python']) or util.find_spec('rerun') is not None
+
+
+def bag_path(settings: Settings) -> Path:
+    """Return the folder of a bag that is opened now."""
+    name = settings['name'] or f'{datetime.now().astimezone():soft_throw_%Y_%m_%d-%H_%M_%S}'
+    folder = Path(settings['folder']).expanduser()
+    if settings['name']:
+        return folder / name
+    names = [name, *(f'{name}_{number}' for number in range(2, 100))]
+    return next((folder / name for name in names if not (folder / name).exists()), folder / name)

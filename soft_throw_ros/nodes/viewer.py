@@ -1,0 +1,142 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The node `viewer`: shows twins live in Rerun.
+
+A recorder starts it as a child process; it may also be started by hand. It has its own
+subscriptions, so neither twins nor recorder wait for the viewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+from typing import Any
+
+from soft_throw_ros.configuration import ParameterError
+from soft_throw_ros.configuration.interface import VIEWER_TOPICS
+from soft_throw_ros.configuration.recorder import VIEWER
+from soft_throw_ros.nodes.conversions import status_to_msg
+from soft_throw_ros.nodes.exit_deadline import exit_after
+from soft_throw_ros.nodes.parameters import NodeParameters
+from soft_throw_ros.nodes.process import EXIT_TIME, run, RunnableNode
+from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
+from soft_throw_ros.nodes.topics import full_name, Publishers
+
+DRAIN_PERIOD = 1.0 / 30.0
+"""Time between two calls that take the received messages. [s]"""
+
+DISCOVERY_PERIOD = 0.2
+"""Time between two searches for new topics. [s]"""
+
+
+class Viewer(RunnableNode):
+    """
+    Node that shows the topics of twins live in Rerun.
+
+    Attributes
+    ----------
+    raw_subscriptions : RawSubscriptions
+        Subscriptions to all topics that can be drawn.
+
+    Raises
+    ------
+    ParameterError
+        In one line, if a parameter is refused, Rerun is missing, or the sink cannot be opened.
+
+    """
+
+    def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__('viewer', **kwargs)
+        self.parameters = NodeParameters(
+            self,
+            VIEWER,
+            describe=lambda _name: ', when the viewer is started again',
+            arguments=arguments,
+        )
+        settings = self.parameters.settings
+        for error in VIEWER.contradictions(settings, settings):
+            raise error
+        try:
+            from soft_throw_ros.recording.live_display import LiveDisplay
+            from soft_throw_ros.recording.rerun_view import is_drawn
+        except ModuleNotFoundError as error:
+            raise ParameterError(
+                f"Rerun is needed: pip install 'soft_throw_ros[rerun]' ({error})"
+            ) from error
+        self._outgoing = Publishers(self, VIEWER_TOPICS)
+        wanted = [full_name(self, name) for name in settings['topics']]
+        self.raw_subscriptions = RawSubscriptions(self, wanted, is_accepted=is_drawn)
+        path = Path(settings['file']).expanduser()
+        self._display: LiveDisplay | None = None
+        try:
+            self._display = LiveDisplay(
+                settings['sink'], settings['port'], path, self.get_logger().info
+            )
+        except (OSError, ValueError) as error:
+            raise ParameterError(str(error)) from error
+        self.at_end(self.close)
+        self.call_every(DISCOVERY_PERIOD, self._discover)
+        self.call_every(DRAIN_PERIOD, self._drain)
+        self.call_every(1.0, self._report)
+
+    def start(self) -> None:
+        """Subscribe to the topics that are there."""
+        self._discover()
+        self.get_logger().info('ready')
+
+    def close(self) -> None:
+        """Draw the last messages, and close the sink."""
+        display, self._display = self._display, None
+        if display is None:
+            return
+        display.put(self.raw_subscriptions.drain())
+        self.raw_subscriptions.close()
+        display.close()
+        received = sum(item.received for item in self.raw_subscriptions)
+        text = f'{received} messages, {display.dropped} not shown'
+        self.get_logger().info(text)
+
+    def _discover(self) -> None:
+        for topic in self.raw_subscriptions.discover():
+            reason = self.raw_subscriptions.refused[topic]
+            self.get_logger().warning(f'{topic} is not shown: {reason}')
+
+    def _drain(self) -> None:
+        if self._display is not None:
+            self._display.put(self.raw_subscriptions.drain())
+
+    def _report(self) -> None:
+        """Publish how many messages are not shown."""
+        display = self._display
+        if display is None:
+            return
+        lost = sum(item.lost for item in self.raw_subscriptions)
+        values = {'dropped': display.dropped, 'lost': lost, 'damaged': display.damaged}
+        missing = sum(values.values())
+        text = '; '.join(filter(None, [f'{missing} messages not shown', display.damage]))
+        status = status_to_msg(
+            self.get_fully_qualified_name(), 'display', text, values, warn=missing > 0
+        )
+        now = self.get_clock().now().nanoseconds
+        self._outgoing.send(VIEWER_TOPICS.diagnostics, now, [status])
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node, and end the process although Rerun may wait for a viewer that hangs."""
+    os.environ.setdefault('RUST_LOG', 'off')  # its messages would repeat those of the node
+    code = run('viewer', Viewer, args)
+    exit_after(EXIT_TIME, code)
+    return code

@@ -1,0 +1,199 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Maps over two axes, drawn by Matplotlib: into files, and as images for Rerun."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import functools
+import io
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Marks = Iterable[tuple[str, float, float]]
+"""Marked points: title, and values on both axes."""
+
+DPI = 100
+"""Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
+
+MAP_SIZE = 620, 250
+"""Width and height of the map of layers in the viewer. [pixel]"""
+
+FRAME_SIZE = 620, 190
+"""Width and height of the frame around the strain of a throw. [pixel]"""
+
+FRAME_BOX = 50, 28, 490, 117
+"""Left and upper edge, width and height of the strain within its frame. [pixel]"""
+
+_BAR_BOX = 550, 28, 12, 117
+"""The same of the bar of colours. [pixel]"""
+
+_BACKGROUND, _TEXT, _LINE = '#0d1011', 'white', '#b0b0b0'
+"""Colours of the images, as the viewer of Rerun has them."""
+
+_STYLE: dict[Any, Any] = {
+    'axes.edgecolor': _LINE,
+    'axes.labelcolor': _TEXT,
+    'figure.facecolor': _BACKGROUND,
+    'font.size': 9.0,
+    'text.color': _TEXT,
+    'xtick.color': _LINE,
+    'ytick.color': _LINE,
+}
+
+# Both are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
+_SIGNED = mpl.colormaps['PuOr'].with_extremes(bad=_LINE)
+_UNSIGNED = 'viridis'
+
+
+class MapAxis(NamedTuple):
+    """An axis of a map."""
+
+    title: str  # quantity and unit
+    values: Floats  # (n,) in the unit of the title, spaced evenly or by a constant factor
+
+    @property
+    def scale(self) -> str:
+        """Spacing of the values, as Matplotlib names it."""
+        values = self.values
+        is_log = values.size > 2 and values[0] > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-9
+        return 'log' if is_log else 'linear'
+
+
+def draw_map(
+    panel: Any,
+    axes: tuple[MapAxis, MapAxis],
+    values: Floats,
+    *,
+    label: str,
+    colours: str = _UNSIGNED,
+    highest: float | None = None,
+    marks: Marks = (),
+) -> None:
+    """
+    Draw values over two axes as colours, with a bar of colours and up to two marks.
+
+    Parameters
+    ----------
+    panel : Axes
+        Axes of Matplotlib, to draw into.
+    axes : tuple of MapAxis
+        Horizontal and vertical axis.
+    values : ndarray, shape (n, m)
+        Values along the first and the second axis, from 0 on; NaN where there are none.
+    label : str
+        Name of the values.
+    colours : str
+        Name of the map of colours.
+    highest : float, optional
+        Value where the colours end; by default the largest one.
+    marks : iterable of tuple
+        Marked points, whose titles are for the legend.
+
+    """
+    x, y = axes
+    image = panel.pcolormesh(
+        x.values, y.values, values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
+    )
+    extend = 'neither' if highest is None else 'max'
+    panel.figure.colorbar(image, ax=panel, label=label, extend=extend)
+    panel.set(facecolor='0.75')
+    for letter, axis in zip('xy', axes, strict=True):
+        limits = axis.values[0], axis.values[-1]
+        panel.set(**{
+            f'{letter}scale': axis.scale, f'{letter}label': axis.title, f'{letter}lim': limits
+        })
+        if axis.scale == 'log':
+            ticks = getattr(panel, f'{letter}axis')
+            ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ticks.set_major_formatter('{x:g}')
+            ticks.set_minor_locator(NullLocator())
+    for marker, (title, *point) in zip('o*', marks, strict=False):
+        panel.plot(
+            *point, marker, mfc='white', mec='black', ms=9, ls='', label=title, clip_on=False
+        )
+
+
+def energy_figure(
+    axes: tuple[MapAxis, MapAxis], values: Floats, *, label: str, marks: Marks
+) -> Figure:
+    """Draw energy transfer over the layers, as the viewer shows it."""
+    with mpl.rc_context(_STYLE):
+        figure = _new_figure(MAP_SIZE, layout='constrained')
+        panel = figure.subplots()
+        draw_map(panel, axes, values, label=label, marks=marks)
+        figure.legend(
+            loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white', frameon=True
+        )
+    return figure
+
+
+@functools.lru_cache(maxsize=16)
+def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
+    """
+    Draw the axes around the strain of a throw, and the bar of its colours, as PNG.
+
+    The strain itself is another image, in `FRAME_BOX`: many throws have the same frame, and to
+    draw one takes 100 ms.
+
+    Parameters
+    ----------
+    duration, thickness : float
+        Where the axes end. [ms], [mm]
+    limit : float
+        Where the colours end, to either side. [%]
+
+    """
+    with mpl.rc_context(_STYLE):
+        figure = _new_figure(FRAME_SIZE)
+        panel = figure.add_axes(_in_figure(FRAME_BOX))
+        panel.set(
+            xlim=(0.0, duration), ylim=(0.0, thickness), xlabel='t (ms)', ylabel='y (mm)'
+        )
+        image = ScalarMappable(Normalize(-limit, limit), _SIGNED)
+        figure.colorbar(image, cax=figure.add_axes(_in_figure(_BAR_BOX)), label='ε (%)')
+        return to_png(figure)
+
+
+def signed_colours(values: Floats, limit: float) -> Bytes:
+    """Return colours, shape (..., 3), of values from -limit to limit; grey for NaN."""
+    scaled = np.ma.masked_invalid(0.5 + 0.5 * values / limit)
+    return np.ascontiguousarray(_SIGNED(scaled, bytes=True)[..., :3])
+
+
+def to_png(figure: Figure, *, dpi: float = DPI) -> bytes:
+    """Return a figure as PNG."""
+    output = io.BytesIO()
+    figure.savefig(output, format='png', dpi=dpi, metadata={'Software': None})
+    return output.getvalue()
+
+
+def _new_figure(size: tuple[int, int], **options: Any) -> Figure:
+    """Return a figure of a given size [pixel]."""
+    return Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, **options)
+
+
+def _in_figure(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """Convert pixels, from the top left, into parts of the frame, from the bottom left."""
+    (left, top, width, height), (full, high) = box, FRAME_SIZE
+    return left / full, 1.0 - (top + height) / high, width / full, height / high

@@ -1,0 +1,175 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Messages drawn into Rerun as they come, by a thread of its own.
+
+Rerun blocks the thread that calls it for as long as its viewer hangs. The other threads of the
+process go on meanwhile; messages beyond a limit are dropped and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+import queue
+import socket
+import threading
+import time
+
+import rerun as rr
+from soft_throw_ros.recording import rerun_output as output
+from soft_throw_ros.recording import rerun_viewer
+from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.rerun_view import Scene
+
+LIVE_PERIOD = 1.0 / 30.0
+"""Time between two updates of a viewer. [s]"""
+
+FILE_PERIOD = 0.5
+"""Time between two updates of a file; longer times make a smaller file. [s]"""
+
+EXIT_TIME = 0.7
+"""Longest wait of `LiveDisplay.close` for a viewer. [s]"""
+
+MAX_WAITING = 20_000
+"""Number of messages that may wait to be drawn; further ones are dropped and counted."""
+
+
+class LiveDisplay:
+    """
+    Draws messages into a viewer, for viewers that connect, or into a file.
+
+    Parameters
+    ----------
+    sink : str
+        'viewer', 'serve' or 'file'.
+    port : int
+        Port of the viewer or of the server, on this machine.
+    path : Path
+        The file, if there is one.
+    log : callable
+        Takes sentences for the user.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of messages that came too fast to be drawn.
+
+    Raises
+    ------
+    ValueError
+        If the port is taken.
+    OSError
+        If the file cannot be written.
+
+    """
+
+    def __init__(self, sink: str, port: int, path: Path, log: Callable[[str], None]) -> None:
+        self.dropped = 0
+        self._scene = Scene('live', is_live=True)
+        self._stream = output.new_stream()
+        self._connection: _ViewerConnection | None = None
+        self._is_file = sink == 'file'
+        if sink == 'viewer':
+            self._connection = _ViewerConnection(self._scene, self._stream, port, log)
+        elif sink == 'serve':
+            output.serve(self._stream, port)
+            log(f'to see it: rerun {rerun_viewer.url_of(port)}')
+        else:
+            output.save_to(self._stream, path, is_live=True)
+        if self._connection is None:
+            self._scene.connect(self._stream)
+        self._inbox: queue.Queue[Message] = queue.Queue(MAX_WAITING)
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(name='drawing', target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def damaged(self) -> int:
+        """Number of messages that could not be read."""
+        return self._scene.damaged
+
+    @property
+    def damage(self) -> str:
+        """The error of the first unreadable message, or an empty text."""
+        return self._scene.damage
+
+    def put(self, messages: Iterable[Message]) -> None:
+        """Queue messages to be drawn; drop and count those beyond `MAX_WAITING`."""
+        for message in messages:
+            try:
+                self._inbox.put_nowait(message)
+            except queue.Full:
+                self.dropped += 1
+
+    def close(self) -> None:
+        """Draw the waiting messages, for at most `EXIT_TIME` in a viewer, completely in a file."""
+        self._is_closing.set()
+        self._thread.join(None if self._is_file else EXIT_TIME)
+
+    def _run(self) -> None:
+        is_last = False
+        while not is_last:
+            is_last = self._is_closing.wait(FILE_PERIOD if self._is_file else LIVE_PERIOD)
+            if self._connection is not None:
+                self._connection.check()
+            self._scene.show([self._inbox.get() for _ in range(self._inbox.qsize())])
+        self._scene.finish(is_waiting=False)
+        if output.flush(self._stream, EXIT_TIME):
+            self._stream.disconnect()
+
+
+class _ViewerConnection:
+    """A stream to a viewer that comes and goes."""
+
+    def __init__(
+        self, scene: Scene, stream: rr.RecordingStream, port: int, log: Callable[[str], None]
+    ) -> None:
+        self._scene = scene
+        self._stream = stream
+        self._port = port
+        self._log = log
+        self._connection: socket.socket | None = None
+        self._next_probe = 0.0  # by `time.monotonic` [s]
+        if rerun_viewer.listens(port):
+            return
+        if rerun_viewer.has_display():
+            threading.Thread(target=self._start, name='viewer', daemon=True).start()
+        else:
+            log(output.no_screen(port, '-p sink:=file (rerun.sink:=file of a recorder)'))
+
+    def check(self) -> None:
+        """Detach from a viewer that is gone, or connect to one that is there."""
+        if self._connection is not None:
+            if rerun_viewer.is_open(self._connection):
+                return
+            self._connection.close()
+            self._connection = None
+            self._scene.connect(None)
+            self._log(f'the viewer at {rerun_viewer.HOST}:{self._port} has gone; waiting for one')
+        if time.monotonic() < self._next_probe:
+            return
+        self._next_probe = time.monotonic() + output.PROBE_TIME
+        self._connection = rerun_viewer.connect(self._port)
+        if self._connection is not None:
+            self._stream.connect_grpc(rerun_viewer.url_of(self._port))
+            self._scene.connect(self._stream)
+            self._log(f'connected to the viewer at {rerun_viewer.HOST}:{self._port}')
+
+    def _start(self) -> None:
+        """Start a viewer that stays when this process ends."""
+        try:
+            rerun_viewer.Viewer(self._port, *output.WINDOW, stays=True)
+        except rerun_viewer.ViewerError as error:
+            self._log(str(error))

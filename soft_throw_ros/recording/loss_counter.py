@@ -1,0 +1,115 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Count the lost messages of a topic by the sequence numbers of its publishers."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+import threading
+
+_MAX_JUMPS = 1000  # number of jumps that wait for the next call of `update`
+
+
+class LossCounter:
+    """
+    Numbers of lost messages, and of messages published before joining, of one topic.
+
+    Parameters
+    ----------
+    has_one_publisher : bool
+        Whether publishers of this topic follow one another and never publish at the same time.
+
+    Notes
+    -----
+    A publisher numbers its messages from 1 on. The messages before its first received message
+    were published before joining; later gaps are losses.
+
+    Before ROS 2 Kilted, the middleware does not identify the publisher of a message. Then all
+    messages form one sequence. The number after a jump is the first one of another publisher if
+    it is not above the previous number, or if a discovered publisher has not sent yet. If there
+    are more first numbers than publishers, several publish at the same time; then, and on topics
+    that several publishers share, only the losses reported by the middleware count.
+
+    One thread calls `add`; other methods and attributes are for all threads.
+
+    """
+
+    def __init__(self, *, has_one_publisher: bool) -> None:
+        self._has_one_publisher = has_one_publisher
+        self._has_numbers = True
+        self._lost = self._missed = self._reported = 0
+        self._last: dict[bytes, int] = {}  # latest number by publisher
+        # for messages without a publisher
+        self._latest = 0
+        self._jumps: deque[tuple[int, int]] = deque()  # numbers before and after
+        self._senders = 0  # publishers that have sent
+        self._publishers: set[bytes] = set()  # discovered ones
+        self._lock = threading.Lock()
+
+    @property
+    def lost(self) -> int:
+        """Number of lost messages."""
+        return self._lost if self._is_by_number else self._reported
+
+    @property
+    def missed_before_join(self) -> int:
+        """Number of messages that publishers had published before the first received one."""
+        return self._missed if self._is_by_number else 0
+
+    def add(self, number: int | None, publisher: bytes | None) -> None:
+        """Count a message by its sequence number and publisher, each None if unknown."""
+        if number is None:
+            self._has_numbers = False
+        elif publisher is not None:
+            last = self._last.get(publisher)
+            if last is None:
+                self._missed += number - 1
+            else:
+                self._lost += max(number - last - 1, 0)
+            self._last[publisher] = max(number, last or 0)
+        else:
+            if not self._latest or number != self._latest + 1:
+                self._jumps.append((self._latest, number))
+                if len(self._jumps) > _MAX_JUMPS:
+                    self._count_jumps()
+            self._latest = number
+
+    def update(self, publishers: Iterable[bytes], reported: int) -> None:
+        """Note the publishers of the topic, and the number of losses that are reported so far."""
+        self._publishers.update(publishers)
+        self._reported = reported
+        self._count_jumps()
+
+    def _count_jumps(self) -> None:
+        """Count the waiting jumps; lower numbers have precedence as starts of publishers."""
+        with self._lock:
+            jumps = [self._jumps.popleft() for _ in range(len(self._jumps))]
+            starts = sum(after <= before or not before for before, after in jumps)
+            unassigned = len(self._publishers) - self._senders - starts
+            for before, after in jumps:
+                is_start = after <= before or not before
+                if is_start or unassigned > 0:
+                    unassigned -= not is_start
+                    self._senders += 1
+                    self._missed += after - 1
+                else:
+                    self._lost += after - before - 1
+
+    @property
+    def _is_by_number(self) -> bool:
+        """Whether each sequence number can be assigned to a publisher."""
+        publishers = max(len(self._publishers), 1)
+        is_assigned = self._senders <= publishers and (publishers == 1 or self._has_one_publisher)
+        return self._has_numbers and (is_assigned or not self._senders)

@@ -1,0 +1,266 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Comparison of the recorded states and numbers of a twin with a repeated session."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Sequence
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.interface import JOINTS
+from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.recording.cdr import JointStateReader, MessageError
+from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.twin.journal import STATE
+from soft_throw_ros.twin.results import State
+
+MAX_STATES = 5_000_000
+"""Largest number of states that are compared [-]: they take 400 MB, and 83 minutes at 1 kHz."""
+
+ORDER_TIME = 50_000_000
+"""Longest time between the receipt of a number and of its line of the journal. [ns]"""
+
+_NUMBER = struct.Struct('<d')
+
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Step(NamedTuple):
+    """A step of the repeated session."""
+
+    due_ns: int
+    number: int
+    state: State
+
+
+def count_skipped(sequences: Sequence[int], *, is_from_first: bool) -> int:
+    """
+    Return how many messages are missing by the numbers that publishers gave them, from 1.
+
+    A number that is not above the one before is of another publisher. Numbers are 0 if they are
+    not known.
+
+    Examples
+    --------
+    >>> count_skipped([3, 4, 7, 1, 2], is_from_first=True)
+    4
+
+    """
+    steps = np.diff(np.array(sequences, np.int64))
+    return int((steps[steps > 1] - 1).sum()) + max(sequences[0] - 1, 0) * is_from_first
+
+
+def count_missing(is_recorded: Flags, longest_end: int) -> NDArray[np.int64]:
+    """
+    Return how many outputs of a run are missing at its ends, and between recorded ones.
+
+    More than `longest_end` outputs after the last recorded one count as between.
+
+    Examples
+    --------
+    >>> count_missing(np.array([0, 1, 0, 0, 1, 0], bool), 1).tolist()
+    [2, 2]
+
+    """
+    recorded = np.flatnonzero(is_recorded)
+    missing = is_recorded.size - recorded.size
+    if not recorded.size:
+        return np.array([missing, 0])
+    end = is_recorded.size - 1 - int(recorded[-1])
+    at_ends = int(recorded[0]) + (end if end <= longest_end else 0)
+    return np.array([at_ends, missing - at_ends])
+
+
+class RecordedStates:
+    """
+    The states in a bag, found by their stamps.
+
+    Parameters
+    ----------
+    reader : BagReader
+        The bag; BagError if it has more than `MAX_STATES`.
+    topic : str
+        Topic of the states.
+
+    Attributes
+    ----------
+    sequences : array of int
+        Numbers that publishers gave to the messages.
+    unreadable : int
+        Number of messages that are no state of plate and projectile [-].
+
+    """
+
+    def __init__(self, reader: BagReader, topic: str) -> None:
+        self.unreadable = 0
+        self.sequences = array('L')
+        stamps, values, read = array('q'), array('d'), JointStateReader().read
+        for message in reader.messages(topic, by_log_time=False):
+            self.sequences.append(message.sequence)
+            try:
+                stamp, names, *series = read(message.data)
+            except MessageError:
+                self.unreadable += 1
+                continue
+            if names != JOINTS or any(len(numbers) != len(JOINTS) for numbers in series):
+                self.unreadable += 1
+                continue
+            if len(stamps) == MAX_STATES:
+                raise BagError(
+                    f'{reader.path}: {topic} has more than {MAX_STATES} states; check the files '
+                    'of the bag one by one'
+                )
+            stamps.append(stamp)
+            for numbers in series:
+                values.extend(numbers)
+        recorded = np.asarray(stamps)
+        self._order = np.argsort(recorded, kind='stable')
+        self._stamps: Integers = recorded[self._order]
+        self._bits: Integers = np.asarray(values).view(np.int64).reshape(-1, len(State._fields))
+        self._is_used = np.zeros(len(recorded), np.bool_)  # as sorted
+        self._repeated: list[tuple[int, int]] = []  # first and last stamps of repeated steps [ns]
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def compare(self, steps: Sequence[Step]) -> tuple[Flags, list[tuple[Step, State]]]:
+        """
+        Compare the states of steps with the recorded states of the same stamps, to the last bit.
+
+        Returns
+        -------
+        is_recorded : array of bool, shape (n,)
+            Whether each step has a recorded state.
+        different : list of (Step, State)
+            Steps with the recorded state where that is different.
+
+        """
+        is_recorded = np.zeros(len(steps), np.bool_)
+        if not steps:
+            return is_recorded, []
+        due = np.array([step.due_ns for step in steps], np.int64)
+        self._repeated.append((int(due.min()), int(due.max())))
+        bits = np.frombuffer(b''.join(STATE.pack(*step.state) for step in steps), np.int64)
+        bits = bits.reshape(len(steps), -1)
+        different = []
+        first, last = (np.searchsorted(self._stamps, due, side) for side in ('left', 'right'))
+        if np.unique(due).size == due.size:  # the quick way for steps with one state
+            indices = np.flatnonzero(last - first == 1)
+            rows = first[indices]
+            is_same = ~self._is_used[rows]
+            is_same &= (self._bits[self._order[rows]] == bits[indices]).all(axis=1)
+            self._is_used[rows[is_same]] = True
+            is_recorded[indices[is_same]] = True
+        for index in np.flatnonzero((first < last) & ~is_recorded).tolist():
+            rows = np.arange(first[index], last[index])
+            rows = rows[~self._is_used[rows]]
+            if not rows.size:
+                continue
+            is_same = (self._bits[self._order[rows]] == bits[index]).all(axis=1)
+            row = rows[is_same.argmax()]
+            self._is_used[row] = is_recorded[index] = True
+            if not is_same.any():
+                recorded = self._bits[self._order[row]].view(np.float64)
+                different.append((steps[index], State(*recorded.tolist())))
+        return is_recorded, different
+
+    def unmatched(self) -> tuple[Integers, Integers]:
+        """Return the stamps of states without a step: between repeated steps, and elsewhere."""
+        stamps = self._stamps[~self._is_used]
+        starts = [start for start, _ in sorted(self._repeated)]
+        ends = np.maximum.accumulate([0, *(end for _, end in sorted(self._repeated))])
+        is_between = stamps <= ends[np.searchsorted(starts, stamps, 'right')]
+        return stamps[is_between], stamps[~is_between]
+
+
+class RecordedNumbers:
+    """
+    The numbers of one topic `~/throw/*`, compared in their order because they have no stamps.
+
+    A recorded number belongs to the last throw with the same value in the journal so far. Numbers
+    before the start of a run may belong to the run, since a recorder that joins late receives the
+    last number and the journal at once.
+
+    Attributes
+    ----------
+    last_step : int
+        Step of the last expected number of this run.
+    unreadable : int
+        Number of messages that are no number [-].
+
+    """
+
+    def __init__(self) -> None:
+        self.unreadable = 0
+        self.last_step = 0
+        self._recorded: list[tuple[bytes, int, bool]] = []  # log time [ns], whether in the run
+        self._expected: list[bytes] = []
+
+    def add(self, message: Message, *, is_in_run: bool) -> None:
+        """Add a recorded message std_msgs/Float64."""
+        if message.data[:2] != b'\0\1' or len(message.data) < 12:
+            self.unreadable += 1
+        else:
+            self._recorded.append((message.data[4:12], message.log_time, is_in_run))
+
+    def expect(self, value: float, step: int) -> None:
+        """Add a number of the repeated session, and its step."""
+        self._expected.append(_NUMBER.pack(value))
+        self.last_step = step
+
+    def end_run(self, result_times: Sequence[int]) -> tuple[Flags, list[float], int]:
+        """
+        Compare the numbers of a run, and begin another one.
+
+        Parameters
+        ----------
+        result_times : sequence of int
+            Log times of the lines of the journal about results of the stage of the number. [ns]
+
+        Returns
+        -------
+        is_recorded : array of bool, shape (n,)
+            Whether each expected number is recorded.
+        different : list of float
+            Recorded numbers that are not expected.
+        unchecked : int
+            How many recorded numbers may be of a throw before the run [-].
+
+        """
+        indices: dict[bytes, list[int]] = {}
+        for index, number in enumerate(self._expected):
+            indices.setdefault(number, []).append(index)
+        is_recorded = np.zeros(len(self._expected), np.bool_)
+        limit, unchecked = len(self._expected), 0
+        different: list[float] = []
+        for number, time, is_in_run in reversed(self._recorded):
+            limit = min(limit, bisect_right(result_times, time + ORDER_TIME))
+            fitting = indices.get(number, [])
+            while fitting and fitting[-1] >= limit:
+                fitting.pop()
+            if fitting:
+                limit = fitting.pop()
+                is_recorded[limit] = True
+            elif is_in_run:
+                different.extend(_NUMBER.unpack(number))
+            else:
+                unchecked += 1
+        self._recorded, self._expected = [], []
+        return is_recorded, different, unchecked

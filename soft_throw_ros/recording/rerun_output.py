@@ -1,0 +1,148 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Recordings of Rerun and their sinks: a file, a viewer, or viewers that connect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import errno
+import math
+import os
+from pathlib import Path
+import time
+from typing import TYPE_CHECKING
+
+from soft_throw_ros.recording import rerun_viewer
+from soft_throw_ros.recording.rerun_viewer import HOST, listens, Viewer, ViewerError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+PORT = 9876
+"""Default port of the viewer."""
+
+PROBE_TIME = 1.0
+"""Time between two attempts to connect to a viewer. [s]"""
+
+WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
+"""Options of a viewer with a window."""
+
+_APPLICATION = 'soft_throw_ros'
+"""Name of the application in Rerun."""
+
+_SERVER_MEMORY = '256MB'
+
+
+def new_stream() -> rr.RecordingStream:
+    """Return a new recording without a sink."""
+    import rerun as rr
+
+    batches = rr.ChunkBatcherConfig.LOW_LATENCY()
+    return rr.RecordingStream(_APPLICATION, batcher_config=batches, send_properties=False)
+
+
+def store_of(stream: rr.RecordingStream) -> str:
+    """Return the name of a recording in a viewer."""
+    return f'Recording:{_APPLICATION}:{stream.get_recording_id()}'
+
+
+def flush(stream: rr.RecordingStream, seconds: float) -> bool:
+    """Send all waiting data, and return whether that succeeded in time."""
+    try:
+        stream.flush(timeout_sec=seconds)
+    except RuntimeError:
+        return False
+    return True
+
+
+def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+    """Write a recording to a file from now on; raise OSError if that is not possible."""
+    try:
+        stream.save(path, write_footer=not is_live)  # a footer grows in memory with time
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+
+
+def save_recording(stream: rr.RecordingStream, path: Path, draw: Callable[[], None]) -> None:
+    """Draw a recording into a file; raise OSError if it is not written completely."""
+    save_to(stream, path, is_live=False)
+    draw()
+    is_written = flush(stream, math.inf)
+    stream.disconnect()
+    if not is_written:
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+
+def serve(stream: rr.RecordingStream, port: int) -> None:
+    """Send a recording to viewers that connect, on this machine only."""
+    import rerun as rr
+
+    if listens(port):
+        raise ValueError(f'port {port} of {HOST} is in use; choose another one')
+    sink = rr.GrpcServerSink(bind_ip=HOST, port=port, server_memory_limit=_SERVER_MEMORY)
+    stream.set_sinks(sink)
+
+
+def no_screen(port: int, instead: str) -> str:
+    """Return the message for a machine with neither a screen nor a viewer."""
+    return (
+        'there is no screen for a window (DISPLAY and WAYLAND_DISPLAY are not set), and no viewer '
+        f'at {HOST}:{port}; take {instead}, or start one where there is a screen: '
+        f'{rerun_viewer.find_viewer()} --bind {HOST} --port {port}'
+    )
+
+
+def check_viewer(port: int, instead: str) -> None:
+    """Raise ViewerError if there is neither a viewer nor a screen; `instead` is the remedy."""
+    if not listens(port) and not rerun_viewer.has_display():
+        raise ViewerError(no_screen(port, instead))
+
+
+def send_recording(
+    stream: rr.RecordingStream, port: int, draw: Callable[[], None], *, within: float = math.inf
+) -> None:
+    """
+    Draw a recording into the running viewer, or into a new one that stays.
+
+    Parameters
+    ----------
+    stream : RecordingStream
+        The recording; still connected afterwards.
+    port : int
+        Port of the viewer.
+    draw : callable
+        Draws into `stream`.
+    within : float
+        Longest wait until the viewer has received everything. [s]
+
+    Raises
+    ------
+    ViewerError
+        If there is no viewer, or it does not receive everything.
+
+    """
+    if not listens(port):
+        Viewer(port, *WINDOW, stays=True)
+    connection = rerun_viewer.connect(port)
+    if connection is None:
+        raise ViewerError(f'nobody listens at {HOST}:{port} any more')
+    with connection:
+        stream.connect_grpc(rerun_viewer.url_of(port))
+        draw()
+        deadline = time.monotonic() + within
+        while not flush(stream, PROBE_TIME):
+            if not rerun_viewer.is_open(connection):
+                raise ViewerError('the viewer was closed before it had everything')
+            if time.monotonic() > deadline:
+                raise ViewerError(f'the viewer at {HOST}:{port} does not take it')

@@ -1,0 +1,289 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The viewer of Rerun as a local process, and its requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import contextlib
+from functools import partial
+from importlib import util
+import os
+from pathlib import Path
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from typing import NoReturn, TYPE_CHECKING, TypeVar
+
+from soft_throw_ros.recording.child_process import bound_to_parent
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient, ViewerState
+
+Answer = TypeVar('Answer')
+
+HOST = '127.0.0.1'
+
+START_TIME = 20.0
+"""Longest wait for a viewer to listen. [s]"""
+
+_ANSWER_TIME = 60.0
+"""Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
+
+_END_TIME = 5.0
+"""Longest wait until a viewer that no longer answers ends. [s]"""
+
+_POLL = 0.05
+"""Time between two looks whether a viewer listens. [s]"""
+
+_FRAME_PAUSE = 0.25
+"""Time between two pictures that are compared, or two questions. [s]"""
+
+_MAX_PICTURES = 40
+"""Number of pictures after which a view that still moves is taken as it is."""
+
+_CONNECT_TIME = 0.2
+"""Longest wait for a connection on this machine. [s]"""
+
+_MEMORY = ('--memory-limit', '2GB', '--server-memory-limit', '256MB')
+
+_NO_GRAPHICS = ('render context', 'adapter')
+"""Words in the last message of a viewer that finds no Vulkan."""
+
+_CLIENT_ERRORS = (RuntimeError, OSError)
+"""Exceptions of a client whose viewer is gone or too slow (OSError: connection, timeout)."""
+
+
+class ViewerError(RuntimeError):
+    """The viewer cannot be used; the message has the reason and the remedy."""
+
+
+class NoGraphicsError(ViewerError):
+    """The viewer cannot draw, because the machine has no Vulkan."""
+
+
+def find_viewer() -> Path:
+    """Return the path of the program `rerun`; raise ViewerError if there is none."""
+    package = util.find_spec('rerun_cli')
+    if package is not None and package.origin is not None:
+        path = Path(package.origin).with_name('rerun')
+        if path.exists():
+            return path
+    found = shutil.which('rerun', path=f'{Path(sys.executable).parent}:{os.environ.get("PATH")}')
+    if found is None:
+        raise ViewerError("no program rerun is on the PATH; pip install 'soft_throw_ros[rerun]'")
+    return Path(found)
+
+
+def has_display() -> bool:
+    """Return whether a window could be opened."""
+    return any(os.environ.get(name) for name in ('WAYLAND_DISPLAY', 'WAYLAND_SOCKET', 'DISPLAY'))
+
+
+def url_of(port: int) -> str:
+    """Return the address of a viewer on a port of this machine."""
+    return f'rerun+http://{HOST}:{port}/proxy'
+
+
+def connect(port: int) -> socket.socket | None:
+    """Return a connection to the process that listens on a port; None if there is none."""
+    try:
+        connection = socket.create_connection((HOST, port), _CONNECT_TIME)
+    except OSError:
+        return None
+    connection.setblocking(False)
+    return connection
+
+
+def is_open(connection: socket.socket) -> bool:
+    """Return whether the other end of a connection still exists."""
+    try:
+        return bool(connection.recv(4096))
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+
+
+def listens(port: int) -> bool:
+    """Return whether a process listens on a port."""
+    with connect(port) or contextlib.nullcontext() as connection:
+        return connection is not None
+
+
+def free_port() -> int:
+    """Return an unused port."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+class Viewer:
+    """
+    A viewer process in a session of its own.
+
+    It listens on this machine only, has limits on its memory, and sends no statistics.
+
+    Parameters
+    ----------
+    port : int
+        Port to listen on.
+    *options : str or path_like
+        Options of the program.
+    stays : bool
+        Whether it is for a user, and goes on when this process ends.
+
+    Raises
+    ------
+    ViewerError
+        If it ends, or does not listen within `START_TIME`.
+
+    """
+
+    def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
+        viewer = str(find_viewer())
+        command = [viewer, '--bind', HOST, '--port', str(port), *_MEMORY, *map(str, options)]
+        if not stays:
+            command = bound_to_parent(command)
+        self.port = port
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
+        environment = {'RUST_LOG': 'error', **os.environ, 'CI': '1'}
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._errors,
+            start_new_session=True,
+            env=environment,
+        )
+        deadline = time.monotonic() + START_TIME
+        while not listens(port):
+            self.check()
+            if time.monotonic() > deadline:
+                self.end()
+                raise ViewerError(f'the viewer has not answered within {START_TIME:g} s')
+            time.sleep(_POLL)
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    @property
+    def pid(self) -> int:
+        """Return the id of the process, and of its group."""
+        return self._process.pid
+
+    def check(self) -> None:
+        """Raise ViewerError if the process has ended."""
+        if self._process.poll() is not None:
+            self._raise_reason()
+
+    def client(self) -> ViewerClient:
+        """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
+        from rerun.experimental import ViewerClient
+
+        with self._explained_errors():
+            client = ViewerClient.connect(url_of(self.port))
+            # the viewer answers other requests before it can draw
+            _ask(partial(client.take_screenshot, max_size=64))
+        return client
+
+    def photograph(self, timeline: str, seconds: float | None) -> bytes:
+        """Return a picture (PNG) of a time [s] on a timeline; raise ViewerError if that fails."""
+        client = self.client()
+        with self._explained_errors():
+            _ask(client.get_state, _has_loaded)
+            if seconds is not None:
+                client.set_time(timeline, duration=seconds, play_state='paused')
+            picture = b''
+            for _ in range(_MAX_PICTURES):  # axes move for a while
+                before, picture = picture, _ask(client.take_screenshot)
+                if picture == before:
+                    break
+                time.sleep(_FRAME_PAUSE)
+            return picture
+
+    def end(self) -> None:
+        """End the process."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._errors.close()
+
+    @contextlib.contextmanager
+    def _explained_errors(self) -> Iterator[None]:
+        """Convert errors of the client into ViewerError, with the reason if it is known."""
+        try:
+            yield
+        except _CLIENT_ERRORS as error:
+            # without graphics the viewer closes its connections a moment before it ends
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_END_TIME)
+                self._raise_reason()
+            raise ViewerError(f'the viewer does not draw: {error}') from None
+
+    def _raise_reason(self) -> NoReturn:
+        """Raise ViewerError for a viewer that has ended, with its last message."""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors='replace').strip().splitlines()
+        self.end()
+        if any(word in line for line in lines for word in _NO_GRAPHICS):
+            raise NoGraphicsError(
+                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
+                'mesa-vulkan-drivers libvulkan1` installs a software renderer'
+            )
+        raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
+
+
+def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:
+    """Move the cursor of a viewer to a time of a recording, if the viewer can do that [s]."""
+    from rerun.experimental import ViewerClient
+
+    if seconds is None:
+        return
+    with contextlib.suppress(*_CLIENT_ERRORS):
+        client = ViewerClient.connect(url_of(port))
+        _ask(
+            client.get_state,
+            lambda state: any(each.store_id == recording for each in state.recordings),
+        )
+        client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
+
+
+def _has_loaded(state: ViewerState) -> bool:
+    return bool(state.recordings and state.views and not state.loading)
+
+
+def _ask(
+    question: Callable[[], Answer], is_enough: Callable[[Answer], bool] = lambda _: True
+) -> Answer:
+    """Repeat a request to a viewer until the result is enough; a busy one may time out."""
+    deadline = time.monotonic() + _ANSWER_TIME
+    while True:
+        try:
+            answer = question()
+            if is_enough(answer):
+                return answer
+        except TimeoutError:
+            pass
+        if time.monotonic() > deadline:
+            raise TimeoutError(f'not within {_ANSWER_TIME:g} s')
+        time.sleep(_FRAME_PAUSE)

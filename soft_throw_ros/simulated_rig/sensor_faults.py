@@ -1,0 +1,196 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Faults of the sensors of plate and projectile.
+
+The node `rig` measures sample by sample, and the trials measure whole throws; therefore all
+functions take floats and arrays alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from soft_throw_ros.core import checks
+
+Numbers: TypeAlias = Any
+"""A float or an array; typing has no name for functions that keep the one they are given."""
+Flags: TypeAlias = Any
+"""A bool or an array of bools."""
+
+# Size of the smallest outlier over that of the largest. [-]
+_SMALLEST_OUTLIER = 0.1
+
+# Time after which the drift changes its sign, so that heights stay bounded. [s]
+_DRIFT_TURNS = 1.0
+
+# Number of samples in a block of random numbers; drawing numbers one by one is slow. [-]
+_BLOCK = 4096
+
+
+class Chances(NamedTuple):
+    """
+    Random numbers of one sample, or arrays for many samples.
+
+    `jitter`, `stamp` and the sizes of outliers are uniform in [-1, 1], noise is standard normal,
+    and all others are uniform in [0, 1).
+    """
+
+    jitter: Numbers
+    stamp: Numbers
+    missing: Numbers
+    plate_noise: Numbers
+    plate_outlier: Numbers
+    plate_outlier_size: Numbers
+    projectile_noise: Numbers
+    projectile_outlier: Numbers
+    projectile_outlier_size: Numbers
+
+
+class Sample(NamedTuple):
+    """A measured stamp [s] and heights [m], and whether the message arrives."""
+
+    stamp: Numbers
+    plate: Numbers
+    projectile: Numbers
+    is_received: Flags
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFaults:
+    """
+    Faults of the sensors; no faults by default.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of heights. [m]
+    jitter : float
+        Largest deviation of a sample from its nominal time; the stamp follows the sample. [s]
+    stamp_error : float
+        Largest deviation of a stamp from the time of its sample. [s]
+    outlier_rate : float
+        Share of the heights that are outliers. [-]
+    outlier_size : float
+        Largest deviation of an outlier; the smallest is a tenth as large. [m]
+    drift : float
+        Rate of change of both heights; its sign changes every second. [m/s]
+    projectile_delay : float
+        Age of the projectile's height at its stamp. [s]
+    projectile_scale : float
+        Measured height of the projectile over the true height. [-]
+    missing_rate : float
+        Share of the samples that are lost. [-]
+    rounding : float
+        Resolution of the heights; 0 for no rounding. [m]
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or if one other than a drift or a delay is negative.
+
+    """
+
+    noise: float = 0.0
+    jitter: float = 0.0
+    stamp_error: float = 0.0
+    outlier_rate: float = 0.0
+    outlier_size: float = 0.0
+    drift: float = 0.0
+    projectile_delay: float = 0.0
+    projectile_scale: float = 1.0
+    missing_rate: float = 0.0
+    rounding: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            is_signed = field.name in ('drift', 'projectile_delay')
+            check = checks.require_finite if is_signed else checks.require_not_negative
+            object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
+
+    def measure(
+        self,
+        time: Numbers,
+        plate: Callable[[Numbers], Numbers],
+        projectile: Callable[[Numbers], Numbers],
+        chances: Chances,
+    ) -> Sample:
+        """
+        Measure the heights of plate and projectile.
+
+        Parameters
+        ----------
+        time : float or ndarray, shape (n,)
+            Nominal times of the samples. [s]
+        plate, projectile : callable
+            True heights [m] as functions of time [s].
+        chances : Chances
+            Random numbers of the same shape as `time`.
+
+        """
+        taken = time + self.jitter * chances.jitter
+        drift = self.drift * (_DRIFT_TURNS - abs(taken % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
+        heights = plate(taken), self.projectile_scale * projectile(taken - self.projectile_delay)
+        stamp = taken + self.stamp_error * chances.stamp
+        return Sample(
+            stamp,
+            self._disturb(heights[0] + drift, *chances[3:6]),
+            self._disturb(heights[1] + drift, *chances[6:9]),
+            chances.missing >= self.missing_rate,
+        )
+
+    def _disturb(
+        self, height: Numbers, noise: Numbers, outlier: Numbers, size: Numbers
+    ) -> Numbers:
+        """Add noise and outliers, and round."""
+        measured = height + self.noise * noise
+        return self._round(measured + (outlier < self.outlier_rate) * self._outlier(size))
+
+    def _outlier(self, size: Numbers) -> Numbers:
+        """Map a uniform number in [-1, 1] to an outlier of either sign."""
+        share = _SMALLEST_OUTLIER + (1.0 - _SMALLEST_OUTLIER) * abs(size)
+        if isinstance(share, float):
+            return math.copysign(self.outlier_size * share, size)
+        return np.copysign(self.outlier_size * share, size)
+
+    def _round(self, height: Numbers) -> Numbers:
+        """Round to the nearest step."""
+        if self.rounding == 0.0:
+            return height
+        steps = height / self.rounding
+        rounded = round(steps) if isinstance(steps, float) else np.rint(steps)
+        return rounded * self.rounding
+
+
+def draw_chances(random: np.random.Generator, samples: int) -> Chances:
+    """Draw the random numbers of a number of samples."""
+    jitter, stamp, plate_size, projectile_size = random.uniform(-1.0, 1.0, (4, samples))
+    missing, plate_outlier, projectile_outlier = random.uniform(size=(3, samples))
+    plate_noise, projectile_noise = random.standard_normal((2, samples))
+    return Chances(
+        jitter, stamp, missing,
+        plate_noise, plate_outlier, plate_size,
+        projectile_noise, projectile_outlier, projectile_size,
+    )
+
+
+def chances_one_by_one(random: np.random.Generator) -> Iterator[Chances]:
+    """Yield the random numbers of one sample after another, without end."""
+    while True:
+        block = draw_chances(random, _BLOCK)
+        yield from map(Chances, *(np.asarray(column).tolist() for column in block))

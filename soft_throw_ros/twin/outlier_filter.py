@@ -1,0 +1,177 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Outliers among the measured positions of a body, judged as samples arrive."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.core.kernels import Record
+
+Floats = NDArray[np.float64]
+
+MEDIAN_DEVIATION = 0.6745
+"""Median of the magnitude of standard normal numbers. [-]"""
+
+OUTLIER_SIGMAS = 6.0
+"""Standard errors beyond which a sample is an outlier; noise is so far off once in 5e8. [-]"""
+
+MAX_OUTLIERS_IN_A_ROW = 3
+"""Outliers in a row that show that the expectation is wrong, and not the samples. [-]"""
+
+_LIKELY_ACCELERATION = 1.5
+"""Largest acceleration between three valid samples, over the engine's acceleration. [-]"""
+
+_POSSIBLE_ACCELERATION = 3.0
+"""Largest acceleration if the next sample confirms it, over the engine's acceleration. [-]"""
+
+_TRACKING = 1.05
+"""Correction factor of the running median of the deviations, per sample. [-]"""
+
+_MEMORY = np.dtype(
+    [
+        ('acceleration', 'f8'),  # of the engine [m/s2]
+        ('noise', 'f8'),  # standard deviation of positions [m]
+        ('stamp_error', 'f8'),  # standard deviation of stamps [s]
+        ('median_deviation', 'f8'),  # running median of deviations over standard errors [-]
+        ('count', 'i8'),  # accepted positions, up to two
+        ('before', 'f8', (2,)),  # time [s] and position [m] accepted before the last
+        ('last', 'f8', (2,)),  # time [s] and position [m] accepted last
+        ('outlier', 'f8', (2,)),  # time [s] and position [m] of the last outlier
+        ('in_a_row', 'i8'),  # outliers since the last accepted position
+    ],
+    align=True,
+)
+
+_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
+
+
+class OutlierFilter:
+    """
+    A filter that finds outliers among the positions of a body.
+
+    A position is accepted if it is near the line through the last two accepted ones. The largest
+    deviation is the path that the engine's `acceleration` [m/s2] allows plus `OUTLIER_SIGMAS`
+    standard errors, from the `noise` [m] or from the recent deviations. Other positions are
+    outliers unless the next position confirms them: then a position is accepted if it is near the
+    line from the last accepted position to the next, with an acceleration a few times as large.
+    The last of `MAX_OUTLIERS_IN_A_ROW` outliers is accepted, because the zero of the sensor has
+    moved. A wrong stamp displaces a body by its speed times the error, which counts as noise.
+    """
+
+    def __init__(self, acceleration: float, noise: float) -> None:
+        self._memory = np.zeros(1, _MEMORY)
+        self._memory['acceleration'] = acceleration
+        self._memory['noise'] = noise
+        self._memory['median_deviation'] = MEDIAN_DEVIATION
+
+    def set_stamp_error(self, error: float) -> None:
+        """Set the standard deviation of stamps [s]."""
+        self._memory['stamp_error'] = error
+
+    def judge(
+        self, times: Floats, positions: Floats, end: int, is_outlier: NDArray[np.bool_]
+    ) -> None:
+        """Mark the outliers among the positions before index `end`, with the help of the rest."""
+        _judge(self._memory, times, positions, end, is_outlier)
+
+    def needs_next(self, time: float, position: float) -> bool:
+        """Return whether a position can only be judged together with the next one."""
+        return bool(_needs_next(self._memory, time, position))
+
+
+@_jit
+def _judge(
+    memory: NDArray[np.void],
+    times: Floats,
+    positions: Floats,
+    end: int,
+    is_outlier: NDArray[np.bool_],
+) -> None:
+    """Test positions in order up to an end; skip NaN."""
+    s = memory[0]
+    for n in range(end):
+        is_outlier[n] = False
+        time, position = times[n], positions[n]
+        if math.isnan(position):
+            continue
+        if s.count < 2:
+            s.count += 1
+        else:
+            noise, excess = _distance(
+                s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
+            )
+            limit = OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation
+            is_outlier[n] = excess > limit * noise
+            if is_outlier[n] and n + 1 < times.size and not math.isnan(positions[n + 1]):
+                next_noise, next_excess = _distance(
+                    s, time, position, s.last, times[n + 1], positions[n + 1],
+                    _POSSIBLE_ACCELERATION,
+                )
+                is_outlier[n] = next_excess > limit * next_noise
+            is_larger = excess > s.median_deviation * noise
+            s.median_deviation *= _TRACKING if is_larger else 1.0 / _TRACKING
+            s.median_deviation = max(s.median_deviation, MEDIAN_DEVIATION)
+            if is_outlier[n]:
+                s.in_a_row += 1
+                if s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
+                    s.outlier[0], s.outlier[1] = time, position
+                    continue
+                is_outlier[n] = False
+                s.last[0], s.last[1] = s.outlier[0], s.outlier[1]
+        s.in_a_row = 0
+        s.before[0], s.before[1] = s.last[0], s.last[1]
+        s.last[0], s.last[1] = time, position
+
+
+@_jit
+def _needs_next(memory: NDArray[np.void], time: float, position: float) -> bool:
+    """Return whether a position is off the line through the last two."""
+    s = memory[0]
+    if s.count < 2 or math.isnan(position):
+        return False
+    noise, excess = _distance(
+        s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
+    )
+    limit = OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation
+    return excess > limit * noise  # type: ignore[no-any-return]
+
+
+@_jit
+def _distance(
+    s: Record,
+    time: float,
+    position: float,
+    one: Floats,
+    other_time: float,
+    other_position: float,
+    strength: float,
+) -> tuple[float, float]:
+    """Return the standard error of the distance from a line, and the excess over bending [m]."""
+    speed = (other_position - one[1]) / (other_time - one[0])
+    weight = (time - one[0]) / (other_time - one[0])
+    distance = abs(position - one[1] - weight * (other_position - one[1]))
+    bend = 0.5 * abs((time - one[0]) * (time - other_time)) * strength * s.acceleration
+    noise = math.sqrt(s.noise**2 + (speed * s.stamp_error) ** 2)
+    return noise * math.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2), distance - bend
+
+
+def warm_up() -> None:
+    """Compile the kernels, or load them from the cache on disk."""
+    outlier_filter = OutlierFilter(1.0, 1.0)
+    outlier_filter.judge(np.arange(4.0), np.zeros(4), 4, np.zeros(4, np.bool_))
+    outlier_filter.needs_next(5.0, 0.0)

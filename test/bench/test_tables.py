@@ -1,0 +1,39 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The tables of the bench and the comparison of their ratios."""
+
+from bench import check, race
+
+
+def test_cases_are_compared_with_the_first_and_list_their_error():
+    cases = [
+        race.Case('one', lambda: 1.0),
+        race.Case(
+            'two', lambda: sum(range(1000)), units=2.0, error=lambda result: result - 499500.0
+        ),
+    ]
+    first, second = (result := race.measure(race.Table('sums', 'sum', 'error', cases))).rows
+    assert (first[1], first[4], second[1]) == (None, 1.0, 0.0)
+    assert result.ratios == {'two': second[4]}
+    assert len(result.lines()) == 5
+
+
+def test_ratios_that_change_by_more_than_30_percent_are_listed(tmp_path):
+    path = tmp_path / 'ratios.json'
+    assert str(path) in check.deviations({}, path)[0]
+    check.store({'sums': {'steady': 2.0, 'slow': 2.0, 'gone': 1.0}, 'maps': {'one': 5.0}}, path)
+    check.store({'maps': {'one': 6.0}}, path)
+    assert check.deviations({'maps': {'one': 6.0}}, path) == []
+    lines = check.deviations({'sums': {'steady': 1.6, 'slow': 2.7, 'new': 1.0}}, path)
+    assert [line.partition(':')[0] for line in lines] == ['sums, gone', 'sums, slow']

@@ -1,0 +1,73 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+import pytest
+from soft_throw_ros.commands.design_texts import remarks_of, summary_of
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.design.requests import answer
+
+
+@pytest.mark.parametrize(
+    ('vary', 'changes', 'parts'),
+    [
+        ('thickness', {}, ['16.8 -> 13.4', '5.4 % more', '3.64 -> 3.83', '+-2.1 mm']),
+        ('wave_speed', {}, ['7.8 -> 10.07 m/s', '60.84 -> 101.3 kPa', '3.64 -> 3.97']),
+        ('both', {'thickness_max': 0.02}, ['-> 20 mm (the largest allowed)', '-> 11.62 m/s']),
+        ('thickness', {'thickness_min': 16.8e-3, 'thickness_max': 30e-3}, ['(alpha 3.64)']),
+    ],
+)
+def test_summary_has_changes_and_gain(vary, changes, parts):
+    settings = {
+        **TWIN.defaults(), 'recommendation.vary': vary,
+        **{f'recommendation.{name}': value for name, value in changes.items()},
+    }
+    summary = summary_of(answer(settings), Rig(), settings)
+    assert [part for part in parts if part not in summary] == []
+
+
+def test_remarks_have_the_best_ratios_and_warn_of_large_strain():
+    remarks = remarks_of(recommend(Rig(engine=Engine(damping_ratio=0.0))))
+    assert all(number in remarks for number in ('0.234', '8.242', '4.123'))
+    violent = recommend(Rig(engine=Engine(amplitude=0.1)))
+    assert violent.peak_strain > 1.0
+    assert f'{100.0 * violent.peak_strain:.0f} %' in remarks_of(violent)
+
+
+def test_remarks_warn_of_strong_gravity():
+    rig = Rig(engine=Engine(frequency=18.0))
+    assert f'gravity is {rig.gravity_ratio:.2g} of' in remarks_of(recommend(rig))
+
+
+@pytest.mark.parametrize(
+    ('request_', 'parts'),
+    [
+        ({'target_height': 0.15, 'vary': 'amplitude'},
+         ['the present layer reaches 0.15 m high', 'amplitude 2.453 mm']),
+        ({'target_height': 0.5, 'vary': 'amplitude', 'max_strain': 0.15},
+         ['0.5 m high is not reached', 'which strain 15 % limits']),
+        ({'target_height': 0.5, 'vary': 'amplitude', 'max_amplitude': 2e-3},
+         ['0.5 m high is not reached', 'which amplitude 2 mm limits']),
+        ({'target_speed': 25.0, 'target_height': 0.0, 'vary': 'amplitude'},
+         ['25 m/s is not reached', 'which strain 50 % limits']),
+    ],
+)
+def test_summary_of_an_aim_has_the_height_and_its_limit(request_, parts):
+    settings = {
+        **TWIN.defaults(), 'recommendation.objective': 'aim',
+        **{f'recommendation.{name}': value for name, value in request_.items()},
+    }
+    summary = summary_of(answer(settings), rig_of(settings), settings)
+    assert [part for part in parts if part not in summary] == []

@@ -1,0 +1,86 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The command `free_layers`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from soft_throw_ros.commands import free_layers
+from soft_throw_ros.configuration import files
+
+SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
+COMMAND = (free_layers.main,)
+
+
+def value(found, name):
+    return found['found'][name]['value'], found['found'][name]['error']
+
+
+def ringing(thickness, seed):
+    """Return the track of a free layer's ends as text [mm]."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 0.05, 2e-4)
+    rings = np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
+    noise = rng.normal(size=(2, time.size)) * 1e-5
+    bottom, top = 0.1 + noise[0], 0.1 + thickness + 5e-4 * rings + noise[1]
+    rows = zip(time, 1e3 * bottom, 1e3 * top, strict=True)
+    return '\n'.join(['t;bottom;top', *(f'{t:.4f};{a:.4f};{b:.4f}' for t, a, b in rows)])
+
+
+def test_free_layers_give_the_wave_speed(command, write, tmp_path):
+    thicknesses = (5.6e-3, 16.8e-3, 29.1e-3)
+    args = ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
+    layers = []
+    for thickness in thicknesses:
+        path = write(ringing(thickness, seed=1), f'{thickness}.csv')
+        layers += [thickness, path]
+    args = [*layers, *args]
+    found = command.json(*args, '--with-loss', '--figure', tmp_path / 'a.png')
+    speed, error = value(found, 'layer.wave_speed')
+    assert speed == pytest.approx(7.8, abs=4.0 * error)
+    assert error < 0.03
+    periods = [layer['period']['value'] for layer in found['layers']]
+    assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
+    assert (tmp_path / 'a.png').stat().st_size > 10_000
+    settings = files.read(tmp_path / 'rig.yaml')
+    assert settings['layer.wave_speed'] == pytest.approx(speed, rel=1e-4)
+    assert settings['layer.loss_tangent'] == pytest.approx(
+        value(found, 'layer.loss_tangent')[0], rel=1e-2
+    )
+    rows = [line.split() for line in command.run(*args).splitlines() if ' mm ' in line]
+    assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
+
+
+def test_free_layers_of_two_materials_give_a_warning(command, write):
+    args = []
+    for thickness, truth in ((10e-3, 10e-3), (20e-3, 24e-3)):
+        args += [thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
+    command.run(*args, '--unit', 'mm')
+    assert 'not proportional to the thicknesses' in command.err
+    assert 'do not agree in their loss' in command.err  # thick and thin layers decay alike
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        ((), 'the following arguments are required: M FILE'),
+        (('x', SAMPLE), 'argument M FILE: M must be a number from 0.0005'),
+        ((SAMPLE,), 'argument M FILE: must be pairs'),
+        (('1e-2', SAMPLE, '--thickness-error', '-1'), 'argument --thickness-error: must be'),
+        (('1e-2', SAMPLE), f"{SAMPLE}:4: no column is named 'bottom', got t [s]"),
+    ],
+)
+def test_bad_argument_is_refused_in_one_line(command, args, message):
+    assert command.refused(*args).startswith(message)

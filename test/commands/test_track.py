@@ -1,0 +1,271 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The command `track`, with videos rendered from throws and layers whose truth is known."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from reference.method_of_steps import follow
+import rendering
+from soft_throw_ros.commands import free_layers, identify, track
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+
+av = pytest.importorskip('av', reason='comes with the extra [video]')
+imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
+pytest.importorskip('skimage', reason='comes with the extra [video]')
+COMMAND = (track.main,)
+RIG = Rig(
+    engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
+    layer=Layer(thickness=12e-3, wave_speed=6.9),
+)
+START = 0.0082
+RATE = 4000.0
+PIXEL = 1e-4
+"""Ten pixels per millimetre, as in the pictures of a high-speed camera of 50 mm height. [m]"""
+
+AS_TAKEN = ('--rate', RATE, '--scale', 12e-3, 120)
+PERIOD = 2.0 * 8e-3 / 7.8
+
+
+def write_video(path, pictures):
+    """Write pictures into a video without loss, as a camera's software may."""
+    with av.open(str(path), 'w') as container:
+        stream = container.add_stream('ffv1', rate=25)
+        stream.height, stream.width = pictures[0].shape
+        stream.pix_fmt = 'gray'
+        for picture in [*pictures, None]:
+            frame = None if picture is None else av.VideoFrame.from_ndarray(picture, format='gray')
+            container.mux(stream.encode(frame))
+    return path
+
+
+@pytest.fixture(scope='session')
+def throw_pictures():
+    """Return pictures of a throw; the projectile leaves the pictures at the top."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 0.045, 1.0 / RATE) - START
+    plate = Underdamped.of(RIG.engine).position(time)
+    projectile = follow(RIG, until=time[-1]).projectile_position(time)
+    return [
+        rendering.picture(
+            (330, 44),
+            [
+                (315.3 - low / PIXEL, 21.7),
+                (300.2 - 0.5 * (low + high) / PIXEL, 22.4),
+                (270.1 - high / PIXEL, 22.1),
+            ],
+            rng,
+        )
+        for low, high in zip(plate, projectile, strict=True)
+    ]
+
+
+@pytest.fixture(scope='session')
+def throw_video(throw_pictures, tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp('video') / 'throw.avi', throw_pictures)
+
+
+@pytest.fixture(scope='session')
+def layer_video(tmp_path_factory):
+    """Return pictures of a bright ringing layer with spots at its ends."""
+    rng = np.random.default_rng(5)
+    shape = (110, 40)
+    time = np.arange(0.0, 0.03, 1.0 / RATE)
+    change = 6.0 * np.exp(-50.0 * time) * np.cos(2.0 * np.pi * time / PERIOD)
+    pictures = []
+    for more in change:
+        levels = 40.0 + 150.0 * rendering.band(shape, 95.2, 15.2 - more)
+        for row, column in ((87.4, 12.3), (24.7 - more, 12.1)):
+            levels = levels - 110.0 * rendering.disc(shape, row, column)
+        pictures.append(rendering.exposed(levels, rng))
+    return write_video(tmp_path_factory.mktemp('video') / 'ring.avi', pictures)
+
+
+# The layer is of a known thickness and does not stiffen; one camera has seen both bodies.
+KNOWN = ('--thickness', 12e-3, '--hold', 'layer.stiffening', '--one-camera')
+
+
+@pytest.fixture
+def json_of(capsys):
+    """Run a command on tracks; return the object that it prints."""
+
+    def run(main, *args):
+        assert main([*map(str, args), '--json']) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def assert_is_the_rig(found):
+    truth = {
+        'engine.frequency': (58.0, 2e-3),
+        'engine.damping_ratio': (0.05, 2e-3),
+        'engine.amplitude': (1.8e-3, 2e-3),
+        'layer.wave_speed': (6.9, 3e-2),  # includes the uncertainty of the layer's size
+    }
+    for name, (expected, most) in truth.items():
+        value, error = found['found'][name]['value'], found['found'][name]['error']
+        assert value == pytest.approx(expected, abs=4.0 * error)
+        assert error < most * expected
+    assert found['warnings'] == []
+
+
+def test_video_gives_the_filmed_rig(command, json_of, throw_video, tmp_path):
+    tracks = tmp_path / 'tracks.csv'
+    assert command.run(throw_video, *AS_TAKEN, '--output', tracks) == ''
+    assert command.err == ''
+    lines = tracks.read_text().splitlines()
+    assert lines[0] == '# From throw.avi: 4000 pictures per second, 120 pixels are 0.012 m.'
+    assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
+    assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
+    assert len(lines) == 183
+    found = json_of(identify.main, tracks, *KNOWN)
+    assert_is_the_rig(found)
+    assert {'projectile.scale', 'projectile.delay'}.isdisjoint(found['fit']['names'])
+    assert all(each['rms'] < 0.03 * PIXEL for each in found['fit']['residuals'])
+
+
+def test_folder_of_pictures_gives_the_rig_despite_a_wire(
+    command, json_of, throw_pictures, tmp_path
+):
+    wire = np.abs(np.arange(330) - 110.0) < 3.0  # above where the projectile rests
+    folder, tracks = tmp_path / 'shots', tmp_path / 'tracks.csv'
+    folder.mkdir()
+    (folder / 'notes.txt').write_text('no picture')
+    for number, picture in enumerate(throw_pictures):
+        picture = np.where(wire[:, None], np.uint8(60), picture)  # noqa: PLW2901
+        colours = np.stack([picture] * 3, axis=-1)
+        imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else picture)
+    command.run(folder, *AS_TAKEN, '--output', tracks)
+    said = r'the spot at column 22 row 150 is not seen as a whole in pictures \d+ to \d+;'
+    assert re.search(said, command.err)
+    assert re.search(f'^# {said}', tracks.read_text(), re.MULTILINE)
+    found = json_of(identify.main, tracks, *KNOWN)
+    assert_is_the_rig(found)
+    assert len(found['throws'][0]['gaps']['projectile']) == 1
+
+
+def test_spot_hidden_in_the_first_picture_is_refused(command, throw_pictures, tmp_path):
+    wire = np.abs(np.arange(330) - 150.0) < 6.0  # where the projectile rests
+    covered = [np.where(wire[:, None], np.uint8(60), each) for each in throw_pictures]
+    video = write_video(tmp_path / 'wire.avi', covered)
+    assert 'round spot at column 22 row' in command.refused(video, *AS_TAKEN)
+    tracks = command.run(video, *AS_TAKEN, '--spots', 'plate,none')
+    assert 'round spot at column 22 row' in command.err
+    assert 't [s],plate [m]\n' in tracks
+
+
+def test_overlay_shows_the_tracks(command, throw_video, tmp_path):
+    path = tmp_path / 'seen.mp4'  # a picture is drawn for docs/measured.md
+    command.run(throw_video, *AS_TAKEN, '--overlay', path)
+    frames = list(imageio.imiter(path))
+    assert len(frames) == 180
+    assert frames[0].shape == (660, 88, 3)
+    # rings and paths are coloured, the picture is not
+    shown = frames[20].astype(float)
+    assert ((shown.max(axis=-1) - shown.min(axis=-1)) > 60.0).sum() > 100
+
+
+def test_impossible_rate_is_refused(command, throw_video):
+    for rate, scale, value in (
+        (25, 12e-3, 'the plate swings at 0.4'),  # at which the video is shown
+        (400, 12e-6, 'less than gravity'),
+        (4e5, 12e-3, 'the plate swings at'),
+        (RATE / 2, 12e-3, 'falls with 2.4'),
+        (RATE, 24e-3, 'falls with 19.'),
+    ):
+        message = command.refused(throw_video, '--rate', rate, '--scale', scale, 120)
+        assert value in message
+        assert f'at {rate:g} pictures per second' in message
+
+
+def test_early_loss_of_the_plate_is_not_explained_by_the_rate(command, throw_pictures, tmp_path):
+    dark = [each if number < 60 else each // 9 for number, each in enumerate(throw_pictures)]
+    dark[60:] = [np.clip(each, 0, 12) for each in dark[60:]]
+    message = command.refused(write_video(tmp_path / 'dark.avi', dark), *AS_TAKEN)
+    assert 'of 180 pictures only' in message
+
+
+def test_spots_are_on_the_named_bodies(command, throw_video):
+    printed = command.run(throw_video, *AS_TAKEN, '--spots', 'plate, none, none')
+    assert printed.splitlines()[2] == 't [s],plate [m]'
+    message = command.refused(throw_video, *AS_TAKEN, '--spots', 'plate,projectile')
+    assert message.startswith(
+        f'{throw_video}: 3 round spots are seen, at column 22 row 315, column 22 row 240, '
+    )
+    assert message.endswith('and not 2, plate, projectile')
+
+
+@pytest.mark.parametrize(
+    'how', [('--spots', 'bottom,top'), ('--line', 30, 2, 107)], ids=['spots', 'line']
+)
+def test_free_layer_is_tracked_in_a_video(command, json_of, layer_video, tmp_path, how):
+    tracks = tmp_path / 'ends.csv'
+    command.run(layer_video, *AS_TAKEN, *how, '--output', tracks)
+    (layer,) = json_of(free_layers.main, 8e-3, tracks)['layers']
+    without_loss = PERIOD * np.sqrt(1.0 - (50.0 * PERIOD / (2.0 * np.pi)) ** 2)
+    assert layer['period']['value'] == pytest.approx(
+        without_loss, abs=4.0 * layer['period']['error']
+    )
+    assert layer['period']['error'] < 2e-3 * PERIOD
+
+
+def test_space_time_picture_shows_edges(command, layer_video, tmp_path):
+    pytest.importorskip('matplotlib')
+    path = tmp_path / 'line.png'
+    command.run(layer_video, *AS_TAKEN, '--line', 30, 2, 107, '--space-time', path)
+    picture = imageio.imread(path)[..., :3].astype(float)
+    assert picture.shape[:2] == (720, 1440)
+    # Only the edges are orange: two lines from left to right, and the upper line swings
+    orange = (picture[..., 0] - picture[..., 2]) > 100.0
+    rows = [np.flatnonzero(column) for column in orange[:, 200:1380].T]
+    top = np.array([row[0] for row in rows if row.size])
+    assert top.size > 1150
+    assert np.ptp(top) == pytest.approx(12.0 / 106 * 610, rel=0.25)
+
+
+THROW = ('VIDEO', *AS_TAKEN)
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        (('VIDEO', '--rate', '1'), 'the following arguments are required: --scale'),
+        ((*THROW, '--rate', 'fast'), 'argument --rate: must be finite and positive, got fast'),
+        ((*THROW, '--scale', '1', '0'), 'argument --scale: must be finite and positive, got 0'),
+        ((*THROW, '--line', '1', '2', '3', '--spots', 'plate'), 'argument --spots: is for spots'),
+        ((*THROW, '--space-time', 'a.png'), 'argument --space-time: needs --line'),
+        ((*THROW, '--line', '400', '2', '9'), 'VIDEO: a line from row 2 to row 9 of column 400'),
+        ((*THROW, '--spots', 'ball'), 'VIDEO: a spot is on one of plate, layer, projectile, '),
+        ((*THROW, '--light-spots'), 'VIDEO: the first picture shows no light round spot, but'),
+        (
+            (*THROW, '--overlay', 'a.gif'),
+            'argument --overlay: must end with .png, .pdf, .svg, .mp4',
+        ),
+        (('none.avi', *AS_TAKEN), 'none.avi: No such file or directory'),
+        ((*THROW, '--output', 'no/a.csv'), 'argument --output: no/a.csv: folder no not found'),
+    ],
+)
+def test_video_error_is_one_line(command, throw_video, args, message):
+    args = [throw_video if arg == 'VIDEO' else arg for arg in args]
+    assert command.refused(*args).startswith(message.replace('VIDEO', str(throw_video)))
+
+
+def test_video_is_refused_as_a_file_of_tracks(throw_video, capsys):
+    with pytest.raises(SystemExit):
+        identify.main([str(throw_video)])
+    assert 'soft-throw track' in capsys.readouterr().err

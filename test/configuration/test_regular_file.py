@@ -1,0 +1,77 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Only regular files of bounded size are read."""
+
+import os
+from pathlib import Path
+
+import pytest
+from soft_throw_ros.commands.identify_input import _read_csv
+from soft_throw_ros.configuration import files, motions, ParameterError
+from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
+from soft_throw_ros.identification.fit_description import FitDescription
+from soft_throw_ros.identification.video import read_pictures
+from soft_throw_ros.recording.bag_metadata import read_metadata
+
+READERS = {
+    'library': library,
+    'parameters': files.read,
+    'motion': motions.read,
+    'fit': FitDescription.from_file,
+    'tracks': lambda path: _read_csv(str(path), ('plate',), 'm'),
+    'metadata': read_metadata,
+    'video': lambda path: list(read_pictures(str(path))),
+}
+
+
+@pytest.fixture(params=['fifo', 'link to a fifo', 'link to a device'])
+def irregular(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Make a file that blocks or never ends when read."""
+    path, fifo = tmp_path / 'irregular', tmp_path / 'fifo'
+    if request.param == 'fifo':
+        os.mkfifo(path)
+    elif request.param == 'link to a fifo':
+        os.mkfifo(fifo)
+        path.symlink_to(fifo)
+    else:
+        path.symlink_to('/dev/zero')
+    return path
+
+
+@pytest.mark.parametrize('kind', READERS)
+def test_irregular_files_are_refused_at_once(kind: str, irregular: Path) -> None:
+    path = irregular.rename(irregular.with_suffix('.mp4' if kind == 'video' else '.csv'))
+    with pytest.raises(ValueError, match='is not a regular file') as refused:
+        READERS[kind](path)
+    assert '\n' not in str(refused.value)
+
+
+def test_file_is_read_up_to_its_largest_size(tmp_path: Path) -> None:
+    path = tmp_path / 'file'
+    path.write_bytes(b'12345678')
+    assert read_regular_file(path, max_bytes=8) == b'12345678'
+    for read in (read_regular_file, open_regular_file):
+        with pytest.raises(OSError, match='larger than 7 bytes'):
+            read(path, max_bytes=7)
+    with pytest.raises(OSError, match='larger than 3 bytes'):
+        read_regular_file('/proc/self/status', max_bytes=3)  # its reported size is 0
+
+
+def test_library_of_a_megabyte_is_refused_by_its_size(tmp_path: Path) -> None:
+    path = tmp_path / 'mine.yaml'
+    path.write_text('# long\n' * 200_000)
+    with pytest.raises(ParameterError, match='larger than') as refused:
+        library(path)
+    assert refused.value.names == ('layer.library',)

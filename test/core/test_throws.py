@@ -1,0 +1,187 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Functions that throw by any model, compared with the models themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.models import LayerModel, MODELS
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
+from soft_throw_ros.core.throw import make_stepper, simulate
+from soft_throw_ros.core.throws import (
+    advance_to_release,
+    last_release,
+    rig_with,
+    throw_many,
+)
+
+THICKNESS, SPEED = np.geomspace(5e-3, 0.05, 4)[:, None], np.array([5.0, 8.0, 15.0])
+TIMES = np.arange(0.0, 0.05, 2e-4)
+MOTION = SampledMotion.from_positions(TIMES, Underdamped.of(Engine()).position(TIMES))
+STACK = Stack(sheets=(Layer(thickness=8e-3, loss_tangent=0.1), Layer(wave_speed=20.0)))
+CHANGES = {
+    'frequency': 50.0, 'amplitude': 1e-3, 'damping_ratio': 0.1, 'thickness': 0.01,
+    'wave_speed': 12.0, 'density': 900.0, 'diameter': 0.015, 'loss_tangent': 0.2, 'mass': 3e-3,
+    'gravity': 5.0,
+}
+
+
+@pytest.mark.parametrize(('gravity', 'error'), [(0.0, 1e-12), (0.05, 1e-9), (0.5, 1e-4)])
+def test_first_throws_without_loss_agree_with_the_closed_form(gravity, error):
+    rig = Rig()
+    unit = rig.engine.speed_scale * rig.engine.angular_frequency
+    found = throw_many(
+        rig, {'thickness': THICKNESS, 'wave_speed': SPEED, 'gravity': gravity * unit}
+    )
+    known = first_releases(
+        mass_ratio=rig.mass_ratio * rig.layer.thickness / THICKNESS,
+        speed_ratio=SPEED / (THICKNESS * rig.engine.frequency),
+        damping_ratio=rig.engine.damping_ratio,
+        gravity_ratio=gravity,
+        unresolved='nan',
+    )
+    phase = found.ejection_time * rig.engine.frequency
+    np.testing.assert_allclose(phase, known.ejection_phase, rtol=error)
+    np.testing.assert_allclose(found.energy_transfer, known.energy_transfer, rtol=error)
+
+
+@pytest.mark.parametrize(
+    'rig',
+    [
+        Rig(),
+        Rig(gravity=0.0),
+        Rig(layer=Layer(loss_tangent=0.1)),
+        Rig(layer=Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.1)),
+        Rig(layer=STACK),
+        Rig(engine=Engine(motion=MOTION)),
+    ],
+)
+def test_release_and_loads_agree_with_a_simulated_throw(rig):
+    model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
+    throw = simulate(rig, model=model, max_events=1)
+    found = throw_many(rig, loads=True)
+    known = (
+        throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
+        throw.peak_acceleration, throw.peak_plate_force, throw.energies.plate_work,
+    )
+    assert found == pytest.approx(known, rel=1e-3 if rig.layer.needs_cells else 1e-4)
+    assert throw_many(rig)[:2] == found[:2]
+
+
+def test_throw_does_not_depend_on_others_in_its_batch():
+    """Rigs with loss, with strong gravity and with neither need different methods."""
+    rig = Rig(engine=Engine(damping_ratio=0.0))
+    gravity = np.array([0.0, 0.5, 20.0, 0.0]) * rig.gravity / rig.gravity_ratio
+    loss = np.array([0.0, 0.0, 0.0, 0.2])
+    changes = {'thickness': THICKNESS, 'gravity': gravity, 'loss_tangent': loss}
+    together = throw_many(rig, changes, threads=2).ejection_speed
+    for i, thickness in enumerate(THICKNESS.ravel().tolist()):
+        for j in range(gravity.size):
+            one = {'thickness': thickness, 'gravity': gravity[j], 'loss_tangent': loss[j]}
+            alone = throw_many(rig, one, threads=1)
+            known = pytest.approx(together[i, j], nan_ok=True, rel=1e-13)
+            assert float(alone.ejection_speed) == known
+    assert np.isnan(together).all(axis=0).tolist() == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    'rig', [Rig(), Rig(layer=Layer(loss_tangent=0.1)), Rig(engine=Engine(amplitude=1e-4))],
+    ids=['closed_form', 'cells', 'waves'],
+)
+def test_loads_without_request_are_missing_or_equal(rig):
+    asked, found = throw_many(rig, loads=True), throw_many(rig)
+    for name, expected, value in zip(asked._fields, asked, found, strict=True):
+        assert np.isnan(value) or value == pytest.approx(expected), name
+
+
+def test_layer_with_zero_thickness_throws_nothing():
+    found = throw_many(Rig(), {'thickness': np.array([-1e-3, 0.0, 0.0168])}, loads=True)
+    assert np.isnan(found.energy_transfer).tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    'rig', [Rig(), Rig(layer=STACK), Rig(engine=Engine(motion=MOTION))], ids=str
+)
+def test_changes_agree_with_another_rig(rig):
+    there = rig_with(rig, CHANGES)
+    for name, value in CHANGES.items():
+        part = next(each for each in (there.engine, there.layer, there.projectile, there)
+                    if name in vars(each))
+        assert getattr(part, name) == pytest.approx(value)
+    assert there.layer.is_uniform is rig.layer.is_uniform
+    model = 'cells_elastic'
+    found, known = throw_many(rig, CHANGES, model=model), throw_many(there, model=model)
+    assert found[:3] == pytest.approx(known[:3], rel=1e-9)
+
+
+def test_different_rigs_agree_with_changes_of_one_rig():
+    rigs = [Rig(), Rig(gravity=5.0), Rig(layer=Layer(thickness=0.01, loss_tangent=0.1))]
+    for together, rig in zip(zip(*throw_many(rigs, loads=True), strict=True), rigs, strict=True):
+        assert together == pytest.approx(tuple(throw_many(rig, loads=True)), rel=1e-12)
+
+
+def test_model_without_a_method_for_many_throws_is_refused(monkeypatch):
+    monkeypatch.setitem(MODELS, 'mine', LayerModel(batch=None))
+    with pytest.raises(ValueError, match='model mine has no method'):
+        throw_many(Rig(), model='mine')
+    with pytest.raises(ValueError, match="got 'guess'"):
+        throw_many(Rig(), model='guess')
+
+
+def test_stepper_is_advanced_to_its_first_release_or_an_error():
+    rig = Rig()
+    release = advance_to_release(make_stepper(rig), latest=1.0, step=1e-3)
+    assert release == simulate(rig).first_release
+    assert advance_to_release(make_stepper(rig), latest=5e-3, step=1e-3) is None
+
+
+@pytest.mark.parametrize(
+    'rig', [Rig(), Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3))]
+)
+def test_last_release_agrees_with_a_simulated_throw_after_recontacts(rig):
+    throw, found = simulate(rig), last_release(rig)
+    rest = rig.rest_height
+    assert found == pytest.approx(
+        (
+            throw.last_release.time,
+            throw.last_release.velocity,
+            throw.last_release.position - rest,
+            throw.apex_height - rest,
+        ),
+        rel=1e-4,
+    )
+
+
+def test_last_release_with_loss_uses_cells():
+    rig = Rig(layer=Layer(loss_tangent=0.1))
+    assert last_release(rig) == last_release(rig, model='cells')
+    assert last_release(rig).speed < last_release(replace(rig, layer=Layer())).speed
+
+
+def test_height_above_a_layer_of_constant_loss_is_relative_to_rest():
+    layer = Layer(thickness=0.05, wave_speed=3.0, loss_tangent=0.2, loss='constant')
+    rig = Rig(layer=layer)
+    stepper = make_stepper(rig, model='cells', field_points=2)
+    throw, found = simulate(rig, model='cells'), last_release(rig)
+    assert throw.rest_height == stepper.rest_position
+    assert found.height == throw.apex_height - stepper.rest_position
+    assert found.rise == throw.last_release.position - stepper.rest_position
+
+
+def test_projectile_that_stays_on_the_layer_raises_an_error():
+    with pytest.raises(ThrowUnresolvedError):
+        last_release(Rig(engine=Engine(frequency=1.0, amplitude=1e-3)))

@@ -1,0 +1,108 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The first release of a fitted rig, and its errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference.method_of_steps import follow
+from scipy.optimize import bisect
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.identification.ejection import ejection_of
+from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
+from soft_throw_ros.identification.rig_fit import fit_rig
+
+RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
+
+
+def truth_of(rig):
+    throw = simulate(rig)
+    names = ('ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer')
+    return np.array([getattr(throw, name) for name in names])
+
+
+def pulls_of(ejection, truth):
+    """Return the deviations of the results from the truth, in standard errors."""
+    values, errors = np.transpose([getattr(ejection, name) for name in RESULTS])
+    return (values - truth) / errors
+
+
+def test_errors_of_the_ejection_are_correct(make_throw):
+    truth = truth_of(Rig())
+    pulls = []
+    for seed in range(4):
+        throw = make_throw(Rig(), rate=2000.0, duration=0.06, seed=seed)
+        ejection = ejection_of(fit_rig([throw], Rig(), FitDescription(HELD)))
+        pulls.append(pulls_of(ejection, truth))
+        assert ejection.energy_transfer.error < 0.01
+        assert ejection.alternatives == ()
+    assert np.abs(np.mean(pulls, axis=0)).max() < 1.3
+    assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.8
+
+
+@pytest.fixture
+def fitted(make_throw):
+    """Return the fit of a rig with an error of its wave speed."""
+
+    def fit(rig, *, error):
+        found = fit_rig([make_throw(Rig(), rate=1000.0)], rig, FitDescription(HELD))
+        values = found.fit.values.copy()
+        values[:4] = list(values_of(rig, USUAL).values())
+        covariance = np.diag(np.full(values.size, 1e-20))
+        covariance[3, 3] = error**2
+        changed = replace(found.fit, values=values, covariance=covariance)
+        return replace(found, rig=rig, fit=changed)
+
+    return fit
+
+
+def test_ejection_that_jumps_within_the_errors_is_reported(fitted):
+    # Layers of 16.8 mm are left after 3 t_s if the wave is fast enough, and else before
+    def is_late(wave_speed):
+        rig = Rig(layer=Layer(wave_speed=wave_speed))
+        (release,) = follow(rig, max_events=1).events
+        return release.time > 3.0 * rig.crossing_time
+
+    jump = bisect(lambda wave_speed: is_late(wave_speed) - 0.5, 5.0, 7.8, xtol=1e-6)
+    near = ejection_of(fitted(Rig(layer=Layer(wave_speed=jump)), error=1e-3))
+    far = ejection_of(fitted(Rig(layer=Layer(wave_speed=jump + 0.1)), error=1e-3))
+    assert far.alternatives == ()
+    (other,) = near.alternatives
+    assert other.probability == pytest.approx(0.5, abs=0.1)
+    early, late = sorted([near.time, other.time])
+    assert abs(other.echoes) == 1
+    assert (other.echoes > 0) == (other.time == late)
+    for found, step in ((early, -1e-3), (late, 1e-3)):
+        truth = truth_of(Rig(layer=Layer(wave_speed=jump + step)))[0]
+        assert found.value == pytest.approx(truth, rel=0.02)
+        assert found.error < 0.05 * (late.value - early.value)
+
+
+@pytest.mark.parametrize('loss_tangent', [0.0, 0.03])
+def test_error_of_the_ejection_follows_from_the_error_of_the_wave_speed(fitted, loss_tangent):
+    def at(wave_speed):
+        return Rig(layer=Layer(wave_speed=wave_speed, loss_tangent=loss_tangent))
+
+    ejection = ejection_of(fitted(at(7.8), error=0.01))
+    higher, lower = (ejection_of(fitted(at(7.8 + d), error=1e-9)) for d in (0.01, -0.01))
+    for name in ('time', 'speed', 'energy_transfer'):
+        change = abs(getattr(higher, name).value - getattr(lower, name).value) / 2.0
+        assert getattr(ejection, name).error == pytest.approx(change, rel=0.15)
+    assert ejection.time_budget == {'tracks': pytest.approx(ejection.time.error, rel=0.15)}
+    assert ejection.peak_plate_speed.value == pytest.approx(
+        Underdamped.of(Rig().engine).peak_velocity
+    )

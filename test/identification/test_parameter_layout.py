@@ -1,0 +1,63 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The order of the values of a fit."""
+
+import numpy as np
+from soft_throw_ros.identification.fit_description import FitDescription, HELD
+from soft_throw_ros.identification.parameter_layout import ParameterLayout
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
+
+TRACK = Track(time=np.arange(20.0), position=np.sin(np.arange(20.0)))
+
+
+def layout_of(*names, **options):
+    throws = [ThrowTracks(name=name, plate=TRACK, projectile=TRACK) for name in names]
+    description = FitDescription({**HELD, 'engine.amplitude': 'free per throw'}, **options)
+    return ParameterLayout.of(throws, description)
+
+
+def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
+    layout = layout_of('a', 'b', heights='common')
+    assert layout.names == (
+        'engine.frequency', 'engine.damping_ratio', 'layer.wave_speed',
+        'engine.amplitude[1]', 'engine.amplitude[2]',
+        'start_time[1]', 'plate_offset[1]', 'start_time[2]', 'plate_offset[2]',
+    )
+    assert layout.indices['engine.amplitude'] == {0: 3, 1: 4}
+    assert layout.indices_of('engine.frequency') == [0]
+    assert layout.is_per_throw('engine.amplitude')
+    assert not layout.is_per_throw('engine.frequency')
+    assert 'layer.thickness' not in layout
+
+
+def test_one_throw_needs_no_numbers():
+    assert layout_of('a', heights='absolute').names[-2:] == ('engine.amplitude', 'start_time')
+
+
+def test_throws_with_another_layer_have_their_own_wave_speed():
+    layout = layout_of('a', 'b', 'c', throws={'b': {'layer': 'old'}})
+    speeds = layout.indices['layer.wave_speed']
+    assert speeds[0] == speeds[2] != speeds[1]
+    assert {'layer.wave_speed', 'layer.wave_speed[2]'} <= set(layout.names)
+
+
+def test_ringing_has_two_values_for_each_throw():
+    throw = ThrowTracks(name='a', plate=TRACK)
+    layout = ParameterLayout.of(
+        [throw], FitDescription({**HELD, 'plate.ringing': '+- 0.02 per throw'})
+    )
+    assert [layout.names[index] for index in layout.waves_of(0)] == [
+        'plate.ringing_cosine', 'plate.ringing_sine'
+    ]
+    assert 'layer.wave_speed' not in layout  # nothing is seen of the projectile

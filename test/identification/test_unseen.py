@@ -1,0 +1,109 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Effects that the tracks hardly show, as part of the errors of a fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.identification.fit_description import FitDescription, HELD
+from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.unseen import UnseenEffect
+
+RIG = Rig(
+    engine=Engine(frequency=63.2, damping_ratio=0.064, amplitude=1.2e-3),
+    layer=Layer(thickness=16.8e-3, wave_speed=7.8),
+    projectile=Projectile(mass=1.2e-3),
+)
+
+
+@pytest.fixture
+def tracks(make_throw):
+    return make_throw(RIG, duration=0.04)
+
+
+def test_effect_changes_no_value_and_increases_errors(tracks):
+    plain, stuck = (
+        fit_rig([tracks], RIG, FitDescription({**HELD, 'projectile.sticking': treatment})).fit
+        for treatment in ('held', '+- 5e-4')
+    )
+    assert np.array_equal(plain.values, stuck.values)
+    assert set(stuck.unseen) == {'projectile.sticking'}
+    assert stuck['layer.wave_speed'].error > 1.05 * plain['layer.wave_speed'].error
+    assert stuck.seen_covariance == pytest.approx(plain.covariance, rel=1e-9)
+    budget = stuck.budget('layer.wave_speed')
+    assert budget['noise'] == pytest.approx(plain['layer.wave_speed'].error, rel=1e-3)
+    total = np.hypot(budget['noise'], budget['projectile.sticking'])
+    assert total == pytest.approx(stuck['layer.wave_speed'].error, rel=1e-3)
+
+
+def test_rounding_increases_errors_beyond_the_scatter(make_throw):
+    tracks = make_throw(RIG, duration=0.04, noise=5e-6)
+
+    def rounded(track):
+        return replace(track, position=5e-5 * np.rint(track.position / 5e-5))
+
+    smooth, rough = (
+        fit_rig([each], RIG, FitDescription(HELD)).fit
+        for each in (tracks, tracks.apply(rounded))
+    )
+    assert 'rounding' not in smooth.unseen
+    assert rough['plate_offset'].error > 5e-6  # all samples at rest have the same error
+    assert abs(rough['plate_offset'].value) < 3.0 * rough['plate_offset'].error
+
+
+def test_size_of_an_effect_agrees_with_its_posterior():
+    zeros = np.zeros((2, 0))
+    effect = UnseenEffect('x', zeros, np.zeros(2), np.zeros(2))
+    seen = np.array([0.0, 99.0])
+    assert effect.sizes(seen, np.zeros(2)) == pytest.approx([1.0, 0.1])
+    assert effect.sizes(seen, 100.0 * np.array([0.0, 2.0])) == pytest.approx(
+        [1.0, 2.0], rel=0.01
+    )
+
+
+def test_indistinguishable_effects_share_their_size():
+    zeros = np.zeros((4, 0))
+    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), are_pairs=True)
+    assert effect.sizes(np.zeros(4), np.zeros(4)) == pytest.approx(np.full(4, 0.5**0.5))
+    # A pair that the residuals show leaves nothing to the other
+    sizes = effect.sizes(np.full(4, 99.0), np.array([100.0, 0.0, 0.0, 0.0]))
+    assert sizes == pytest.approx([1.0, 0.1, 0.0, 0.0], abs=0.01)
+
+
+@pytest.mark.parametrize('treatment', ['free', '1e-4', '+- 1 %', '+- 1e-4 per throw'])
+def test_effect_is_not_fitted(treatment):
+    with pytest.raises(ValueError, match=r'projectile\.sticking cannot be fitted'):
+        FitDescription({'projectile.sticking': treatment})
+
+
+def test_effect_of_some_throws_only_is_refused():
+    with pytest.raises(ValueError, match=r'plate\.mode .*held'):
+        FitDescription(throws={'a': {'plate.mode': 'held'}})
+
+
+def test_effect_of_the_stress_law_excludes_a_change_of_wave_speed(tracks):
+    description = FitDescription({**HELD, 'layer.stiffening': '+- 0.4'})
+    found = fit_rig([tracks], RIG, description)
+    (effect,) = found.effects
+    assert effect.name == 'layer.stress_strain_law'
+    model, values = found._model, found.fit.values
+    faster = values.copy()
+    faster[model.layout.indices_of('layer.wave_speed')] *= 1.0 + 1e-4
+    slope = model.predict(faster) - model.predict(values)
+    (column,) = effect.heights
+    cosine = column @ slope / np.linalg.norm(column) / np.linalg.norm(slope)
+    assert abs(cosine) < 0.1
+    assert 1e-6 < np.abs(column).max() < 1e-3

@@ -1,0 +1,223 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The node `viewer` as a process, with Rerun viewers that start, end and hang."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+import contextlib
+import os
+from pathlib import Path
+import signal
+import sys
+from test.nodes.conftest import PROCESS_TIMEOUT
+from typing import Any
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.node import Node
+from soft_throw_ros.configuration import ParameterError
+from soft_throw_ros.configuration.interface import find_topic, VIEWER_TOPICS
+from soft_throw_ros.nodes.conversions import msg_to_values
+from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.nodes.viewer import Viewer
+from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.rerun_viewer import free_port, NoGraphicsError, url_of
+from soft_throw_ros.recording.rerun_viewer import Viewer as RerunViewer
+from twin_messages import TwinMessages
+
+pytest.importorskip('rerun')
+
+from test.recording.recordings import Recording  # noqa: E402, I100
+
+from rerun.experimental import ViewerClient  # noqa: E402
+from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
+
+pytestmark = pytest.mark.timeout(180)
+
+ACKNOWLEDGED = Duration(seconds=PROCESS_TIMEOUT)
+"""Longest wait until the viewer has acknowledged all messages."""
+
+
+@pytest.fixture(scope='module')
+def messages() -> list[Message]:
+    """Messages of two throws and the start of a third."""
+    return TwinMessages(throw__period=0.2).go(500).messages
+
+
+class Twin:
+    """A node that publishes recorded messages to a viewer in another process."""
+
+    def __init__(self, ros: Any, messages: Sequence[Message]) -> None:
+        self._ros = ros
+        self._messages = messages
+        self._publishers: dict[str, Any] = {}
+        node = ros.node(Node, 'twin_of_the_test')
+        for message in messages:
+            name, kind = message.channel.topic, message.channel.type
+            known = find_topic(name, kind)
+            if known is None or name in self._publishers or not is_drawn(name, kind):
+                continue
+            profile = qos_profile(known.topic)
+            profile.depth = len(messages)
+            self._publishers[name] = node.create_publisher(load_type(kind), name, profile)
+
+    def publish(self, begin: float = 0.0, end: float = 1.0) -> None:
+        """Publish a part of the messages, and wait until the viewer has received them."""
+        publishers = self._publishers.values()
+        self._ros.spin_until(
+            lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers),
+            'the subscriptions',
+        )
+        first, last = (round(part * len(self._messages)) for part in (begin, end))
+        for message in self._messages[first:last]:
+            if message.channel.topic in self._publishers:
+                self._publishers[message.channel.topic].publish(message.data)
+        assert all(publisher.wait_for_all_acked(ACKNOWLEDGED) for publisher in publishers)
+
+
+@pytest.fixture
+def twin(ros: Any, messages: list[Message]) -> Twin:
+    return Twin(ros, messages)
+
+
+@pytest.fixture
+def show(start: Any) -> Callable[..., Any]:
+    """Start the node without a screen, and wait until it is ready."""
+
+    def show(**parameters: object) -> Any:
+        rules = [f'{name}:={value}' for name, value in parameters.items()]
+        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
+        hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
+        environment = {name: value for name, value in os.environ.items() if name not in hidden}
+        process = start(*command, *(w for rule in rules for w in ('-p', rule)), env=environment)
+        process.wait_for('ready')
+        return process
+
+    return show
+
+
+@contextlib.contextmanager
+def viewer_at(port: int, *options: str) -> Iterator[RerunViewer]:
+    """Start a viewer without a window; skip the test on a machine without graphics."""
+    with RerunViewer(port, '--headless', *options) as viewer:
+        try:
+            viewer.client()
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
+        yield viewer
+
+
+def entities(viewer: RerunViewer) -> set[str]:
+    client = ViewerClient.connect(url_of(viewer.port))
+    if not client.get_state().recordings:
+        return set()
+    return {entity.entity_path for entity in client.get_recording_schema().entities}
+
+
+def test_reconnected_viewer_gets_the_present_state(ros, show, twin) -> None:
+    port = free_port()
+    node = show(port=port)
+    node.wait_for('no viewer')
+    twin.publish(end=0.5)
+    with viewer_at(port) as viewer:
+        node.wait_for('connected')
+        ros.spin_until(lambda: '/twin/phase' in entities(viewer), 'the phase')
+    node.wait_for('has gone')
+    twin.publish(begin=0.5)
+    with viewer_at(port) as viewer:
+        node.wait_until(lambda lines: sum('connected' in line for line in lines) == 2)
+        # published once, at the very beginning, or while there was no viewer
+        kept = {'/twin/recommendation', '/twin/throw_result'}
+        ros.spin_until(lambda: kept <= entities(viewer), 'earlier messages')
+        client = ViewerClient.connect(url_of(port))
+        ros.spin_until(lambda: len(client.get_state().views) == 11, 'the layout')
+        assert node.end(signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize('is_stopped', [True, False])
+def test_stopped_or_missing_viewer_does_not_delay_the_end(
+    ros, show, twin, is_stopped
+) -> None:
+    """A stopped viewer accepts no data, so Rerun would wait for ever."""
+    with contextlib.ExitStack() as stack:
+        port = free_port()
+        viewer = stack.enter_context(viewer_at(port)) if is_stopped else None
+        node = show(port=port)
+        node.wait_for('connected' if viewer else 'no viewer at')
+        twin.publish(end=0.5)
+        if viewer:
+            ros.spin_until(lambda: '/twin/position' in entities(viewer), 'the positions')
+            os.killpg(viewer.pid, signal.SIGSTOP)
+        twin.publish(begin=0.5)
+        assert node.end(signal.SIGTERM) == 0
+        assert not any('Traceback' in line for line in node.lines), node.lines
+
+
+def test_messages_are_served_to_viewers_on_this_machine(ros, show, twin) -> None:
+    port = free_port()
+    node = show(sink='serve', port=port)
+    node.wait_for(url_of(port))
+    twin.publish()
+    listening = Path('/proc/net/tcp').read_text(encoding='ascii')
+    assert f' 0100007F:{port:04X} ' in listening
+    assert f' 00000000:{port:04X} ' not in listening + Path('/proc/net/tcp6').read_text()
+    with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
+        ros.spin_until(lambda: '/twin/throw_result' in entities(viewer), 'the result')
+    assert node.end(signal.SIGINT) == 0
+
+
+def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_path) -> None:
+    path = tmp_path / 'live.rrd'
+    node = show(sink='file', file=path)
+    heard: list[Any] = []
+    topic = VIEWER_TOPICS.diagnostics
+    listener = ros.node(Node, 'listener')
+    listener.create_subscription(load_type(topic.type), topic.name, heard.append, 100)
+    twin.publish()
+    heard.clear()  # reports from before the messages
+
+    def has_reported() -> bool:
+        statuses = [item for each in heard for item in each.status if item.name[:7] == '/viewer']
+        return bool(statuses) and msg_to_values(statuses[-1]) == {
+            'dropped': 0, 'lost': 0, 'damaged': 0
+        }
+
+    ros.spin_until(has_reported, 'the diagnostics')
+    assert node.end(signal.SIGINT) == 0
+    assert Recording(path).rows['/twin/position'] == 500
+
+
+@pytest.mark.parametrize(
+    ('rules', 'words'),
+    [
+        (['sink:=file'], 'file is empty'),
+        (['sink:=file', 'file:=/nowhere/a.rrd'], '/nowhere'),
+        (['sink:=printer'], "'printer'"),
+    ],
+)
+def test_sink_that_cannot_be_opened_is_refused_in_one_line(ros, rules, words) -> None:
+    ros_args = tuple(word for rule in rules for word in ('-p', rule))
+    with pytest.raises(ParameterError, match=words) as raised:
+        ros.node(Viewer, ros_args=ros_args, arguments=('--ros-args', *ros_args))
+    assert '\n' not in str(raised.value)
+
+
+def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, 'rerun', None)
+    for name in [name for name in sys.modules if name.startswith('soft_throw_ros.recording.')]:
+        if name.rpartition('.')[2] in ('live_display', 'rerun_view', 'rerun_canvas'):
+            monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(ParameterError, match=r'soft_throw_ros\[rerun\]'):
+        ros.node(Viewer)

@@ -1,0 +1,59 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Live display of messages, also while Rerun blocks the drawing thread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from test.recording.conftest import plain, TIMEOUT
+import threading
+import time
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rerun')
+
+from soft_throw_ros.recording import live_display  # noqa: E402, I100
+from soft_throw_ros.recording.live_display import LiveDisplay  # noqa: E402
+from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
+from soft_throw_ros.recording.rerun_viewer import free_port, url_of  # noqa: E402
+
+
+def test_messages_beyond_the_limit_are_dropped_and_counted_while_rerun_hangs(monkeypatch) -> None:
+    is_drawing, goes_on = threading.Event(), threading.Event()
+
+    def hang(*_: Any) -> None:
+        is_drawing.set()
+        goes_on.wait(TIMEOUT)
+
+    monkeypatch.setattr(Scene, 'show', hang)
+    monkeypatch.setattr(live_display, 'MAX_WAITING', 10)
+    lines: list[str] = []
+    port = free_port()
+    display = LiveDisplay('serve', port, Path(), lines.append)
+    assert is_drawing.wait(TIMEOUT)
+    display.put(plain(number) for number in range(30))
+    assert display.dropped == 20
+    begin = time.monotonic()
+    display.close()
+    assert time.monotonic() - begin < 10.0
+    goes_on.set()
+    assert url_of(port) in lines[0]
+
+
+def test_port_in_use_is_refused(monkeypatch) -> None:
+    monkeypatch.setattr(live_display.output, 'listens', lambda _port: True)
+    with pytest.raises(ValueError, match='port 9876 of 127'):
+        LiveDisplay('serve', 9876, Path(), print)

@@ -1,0 +1,119 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The viewer of Rerun as a process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+from test.recording.conftest import wait_until
+import time
+
+import pytest
+from soft_throw_ros.recording import rerun_viewer
+from soft_throw_ros.recording.rerun_viewer import (
+    connect,
+    find_viewer,
+    free_port,
+    is_open,
+    listens,
+    NoGraphicsError,
+    Viewer,
+    ViewerError,
+)
+
+pytest.importorskip('rerun')
+
+
+@pytest.fixture
+def headless() -> Iterator[Viewer]:
+    with Viewer(free_port(), '--headless') as process:
+        yield process
+
+
+def test_viewer_collects_no_telemetry(tmp_path, monkeypatch) -> None:
+    """Rerun would collect its telemetry in a folder before sending it."""
+    monkeypatch.setenv('XDG_DATA_HOME', str(tmp_path))
+    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path / 'settings'))
+    with Viewer(free_port(), '--headless'):
+        time.sleep(1.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_viewer_listens_on_this_machine_only_and_its_connections_end_with_it(headless) -> None:
+    port = f':{headless.port:04X} 00000000'
+    assert f' 0100007F{port}' in Path('/proc/net/tcp').read_text(encoding='ascii')  # 127.0.0.1
+    assert f' 00000000{port}' not in Path('/proc/net/tcp').read_text(encoding='ascii')
+    assert f'0000{port}' not in Path('/proc/net/tcp6').read_text(encoding='ascii')
+    connection = connect(headless.port)
+    assert connection is not None
+    assert is_open(connection)
+    headless.check()
+    os.kill(headless.pid, signal.SIGKILL)
+    wait_until(lambda: not is_open(connection))
+    assert not listens(headless.port)
+    connection.close()
+    with pytest.raises(ViewerError, match='has ended'):
+        headless.check()
+
+
+@pytest.mark.parametrize('stays', [False, True])
+def test_viewer_ends_with_its_killed_parent_unless_detached(stays) -> None:
+    if stays:
+        with Viewer(free_port(), '--headless') as viewer:
+            try:
+                viewer.client()
+            except NoGraphicsError as error:  # then no viewer stays
+                pytest.skip(str(error))
+    port = free_port()
+    code = (
+        'import os, signal; from soft_throw_ros.recording.rerun_viewer import Viewer; '
+        f"viewer = Viewer({port}, '--headless', stays={stays}); "
+        'print(viewer.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)'
+    )
+    done = subprocess.run([sys.executable, '-c', code], stdout=subprocess.PIPE, check=False)
+    try:
+        if stays:
+            time.sleep(0.5)
+            assert listens(port)
+        else:
+            wait_until(lambda: not listens(port))
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(int(done.stdout), signal.SIGKILL)
+
+
+def test_viewer_without_graphics_names_packages_to_install(monkeypatch) -> None:
+    for name in ('VK_DRIVER_FILES', 'VK_ICD_FILENAMES'):
+        monkeypatch.setenv(name, '/nowhere')
+    with (
+        Viewer(free_port(), '--headless') as process,
+        pytest.raises(NoGraphicsError, match='mesa-vulkan-drivers'),
+    ):
+        process.client()
+
+
+def test_missing_or_failing_program_is_reported(monkeypatch) -> None:
+    with pytest.raises(ViewerError, match=r'has ended: .*--no-such-option'):
+        Viewer(free_port(), '--no-such-option')
+    monkeypatch.setattr(rerun_viewer.util, 'find_spec', lambda _name: None)
+    monkeypatch.setattr(sys, 'executable', '/nowhere/python')
+    monkeypatch.setenv('PATH', '/nowhere')
+    with pytest.raises(ViewerError, match=r'soft_throw_ros\[rerun\]'):
+        find_viewer()

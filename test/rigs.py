@@ -1,0 +1,63 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Measured throws, simulated by the model of travelling waves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+import numpy as np
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
+"""Readings of the sensors at height 0. [m]"""
+
+
+def measured_throw(
+    rig: Rig,
+    *,
+    begin_ns: int,
+    onset: float = 0.05,
+    duration: float = 0.12,
+    rate: float = 5000.0,
+    noise: float = 0.0,
+    jitter: float = 0.0,
+    seed: int = 0,
+) -> list[Sample]:
+    """Return the samples of a throw that starts at `onset` [s]; `jitter` is in intervals."""
+    random = np.random.default_rng(seed)
+    count = round(duration * rate)
+    since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
+    stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
+    model = WaveStepper(rig)
+    rows = np.zeros((count, 2))
+    for row, stamp in zip(rows, stamps.tolist(), strict=True):
+        model.advance_to(max((stamp - begin_ns) / SECOND - onset, 0.0))
+        row[:] = model.state[[PLATE_POSITION, PROJECTILE_POSITION]]
+    rows += [PLATE_ZERO, PROJECTILE_ZERO]
+    rows += noise * random.standard_normal(rows.shape)
+    return [
+        Sample(stamp, plate, math.nan, projectile)
+        for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
+    ]
+
+
+def aged(rig: Rig, factor: float) -> Rig:
+    """Return a rig with the wave speed of its layer multiplied by a factor."""
+    return replace(rig, layer=replace(rig.layer, wave_speed=factor * rig.layer.wave_speed))

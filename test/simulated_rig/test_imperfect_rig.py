@@ -1,0 +1,136 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Throws of imperfect rigs, compared with independently known results."""
+
+import math
+
+import numpy as np
+import pytest
+from reference.method_of_steps import follow
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections, throw
+
+UNTIL = 0.05
+
+
+def test_perfect_rig_throws_as_by_the_method_of_steps():
+    for thickness in (6e-3, 16.8e-3):
+        rig = Rig(layer=Layer(thickness=thickness))
+        exact, found = follow(rig, until=UNTIL), throw(rig, until=UNTIL)
+        time = np.linspace(0.0, UNTIL, 200)
+        assert found.projectile(time) == pytest.approx(exact.projectile_position(time), abs=1e-7)
+        assert found.changes[0].time == pytest.approx(exact.events[0].time, abs=2e-8)
+        assert found.changes[0].velocity == pytest.approx(exact.events[0].velocity, abs=1e-5)
+
+
+def test_error_falls_with_the_square_of_the_cells():
+    rig = Rig(layer=Layer(loss_tangent=0.1))
+    exact = simulate(rig, model='cells', cells=1024, until=UNTIL).trajectory([0.04])
+    errors = [
+        abs(float(throw(rig, until=UNTIL, cells=cells).projectile(0.04)) - exact[3][0])
+        for cells in (32, 64, 128)
+    ]
+    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx([2.0, 2.0], abs=0.2)
+
+
+def test_layer_that_catches_up_is_in_contact():
+    layer = Layer(thickness=6e-3, wave_speed=11.0)
+    rig = Rig(
+        engine=Engine(frequency=47.0, amplitude=1e-3),
+        layer=layer,
+        projectile=Projectile(mass=0.15 * layer.mass),
+    )
+    exact, found = follow(rig, until=0.02).events, throw(rig, until=0.02).changes
+    assert [event.kind for event in exact] == ['release', 'landing', 'release']
+    assert [change.is_release for change in found] == [True, False, True]
+    assert [change.time for change in found] == pytest.approx(
+        [event.time for event in exact], abs=2e-6
+    )
+    assert found[2].velocity == pytest.approx(exact[2].velocity, abs=1e-3)
+
+
+def test_layer_that_stiffens_sags_less_by_the_root_of_its_quadratic():
+    rig = Rig(gravity=300.0)
+    linear = rig.static_sag / rig.layer.thickness
+    for stiffening in (-1.0, 2.0):
+        found = throw(rig, Imperfections(stiffening=stiffening), until=0.001)
+        strain = 1.0 - float(found.projectile(0.0)) / rig.layer.thickness
+        assert strain * (1.0 + stiffening * strain) == pytest.approx(linear)
+
+
+def test_stiffening_does_not_affect_a_small_throw():
+    """For a strain of 1e-4 the change is 1e-4, too."""
+    rig = Rig(engine=Engine(amplitude=2e-6), gravity=0.0)
+    linear, stiff = throw(rig, until=0.01), throw(rig, Imperfections(stiffening=1.0), until=0.01)
+    assert stiff.changes[0].velocity == pytest.approx(linear.changes[0].velocity, rel=3e-4)
+
+
+def test_sticking_delays_the_release_by_its_time():
+    late, soon = throw(Rig(), Imperfections(sticking=2e-4), until=0.02), throw(Rig(), until=0.02)
+    assert late.changes[0].time - soon.changes[0].time == pytest.approx(2e-4, abs=1e-9)
+    assert late.changes[0].velocity < soon.changes[0].velocity
+
+
+def test_plate_rings_before_and_has_a_second_mode():
+    rig = Rig(layer=Layer(thickness=4e-3))
+    found = throw(rig, Imperfections(ringing=0.01, second_mode=0.02), until=0.02, start=-0.02)
+    time = np.linspace(-0.02, 0.0, 200)
+    before = found.plate(time) / rig.engine.amplitude
+    assert np.abs(before).max() == pytest.approx(0.01, rel=0.1)
+    assert found.projectile(time) - found.projectile(-0.02) == pytest.approx(
+        rig.engine.amplitude * (before - before[0]), abs=4e-6
+    )
+    later = np.linspace(0.0, 0.02, 400)
+    extra = found.plate(later) - throw(
+        rig, Imperfections(ringing=0.01), until=0.01, start=-0.02
+    ).plate(later)
+    assert np.abs(extra).max() == pytest.approx(0.02 * rig.engine.amplitude, rel=0.1)
+
+
+def test_deviations_are_differences_of_two_throws_until_the_landing():
+    imperfections = Imperfections(stiffening=1.0, ringing=0.005)
+    rig = Rig(layer=Layer(thickness=8e-3))
+    deviations = Deviations(rig, imperfections)
+    pure = throw(rig, until=0.1)
+    spoilt = throw(rig, imperfections, until=0.1, start=deviations.start)
+    for since in (-0.02, 0.003, 0.0501):
+        plate, projectile = deviations.at(since)
+        assert plate == pytest.approx(spoilt.plate(since) - pure.plate(since), abs=1e-8)
+        assert projectile == pytest.approx(
+            spoilt.projectile(since) - pure.projectile(since), abs=3e-6
+        )
+    assert deviations.at(-1.0) == deviations.at(5.0) == (0.0, 0.0)
+    assert math.hypot(*deviations.at(0.003)) > 1e-6
+
+
+@pytest.mark.parametrize('law', [{'stiffening': 1.0}, {'cubic_stiffening': 7.0}])
+def test_stress_strain_law_changes_rest_and_throw(law):
+    time = np.linspace(-4e-3, 0.0, 9)
+    plain, other = (
+        throw(Rig(), each, start=-5e-3, until=0.02, cells=64)
+        for each in (Imperfections(), Imperfections(**law))
+    )
+    assert np.ptp(other.projectile(time)) < 1e-9
+    assert abs(other.changes[0].time - plain.changes[0].time) > 1e-5
+
+
+def test_plate_rings_with_its_own_damping():
+    rig = Rig()
+    ringing = Imperfections(ringing=0.01, ringing_damping_ratio=0.0)
+    found = throw(rig, ringing, until=0.1, start=-0.02, cells=64)
+    time = np.linspace(0.08, 0.1, 400)
+    rest = found.plate(time) - Underdamped.of(rig.engine).position(time)
+    assert np.abs(rest).max() == pytest.approx(0.01 * rig.engine.amplitude, rel=0.01)

@@ -1,0 +1,114 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The engine's motion fitted to the samples of a throw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.engine_fit import AMPLITUDE, EngineEstimate, EngineFit, START
+from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+BEGIN = 1_700_000_000 * SECOND
+START_TIME = 2.3e-4  # start of the plate's motion, relative to the origin of the fit [s]
+NOISE = 5e-6  # [m]
+
+
+def measure(
+    plate: Underdamped, count: int, *, rate: float, seed: int, jitter: float = 0.0
+) -> Rows:
+    """Measure a plate from 2 ms before its start, with stamps that are wrong."""
+    random = np.random.default_rng(seed)
+    times = -2e-3 + np.arange(count) / rate
+    heights = 0.3 + plate.position(times - START_TIME) + NOISE * random.standard_normal(count)
+    stamps = BEGIN + np.rint((times + jitter * random.standard_normal(count)) * SECOND)
+    return SampleBuffer(
+        [Sample(int(stamp), height) for stamp, height in zip(stamps, heights, strict=True)]
+    ).rows
+
+
+def start_fit(measurement, plate: Underdamped, *, stamp_scatter: float = 0.0) -> EngineFit:
+    return EngineFit(
+        replace(measurement, plate=plate),
+        origin_ns=BEGIN,
+        rest=0.3,
+        rest_error=1e-6,
+        noise=NOISE,
+        stamp_scatter=stamp_scatter,
+    )
+
+
+def deviations(estimate: EngineEstimate, amplitude: float) -> np.ndarray:
+    """Return the deviations of amplitude and start in standard errors."""
+    known = [AMPLITUDE, START]
+    errors = np.sqrt(estimate.covariance.diagonal()[known])
+    return (estimate.unknowns[known] - [amplitude, START_TIME]) / errors
+
+
+@pytest.mark.parametrize('frequency', [5.0, 63.2])
+def test_older_samples_stay_in_the_fit_of_a_long_throw(measurement, frequency) -> None:
+    plate = Underdamped(frequency=frequency, amplitude=2e-3, damping_ratio=0.064)
+    off = []
+    for seed in range(8):
+        rows = measure(replace(plate, amplitude=1.9e-3), 4000, rate=4000.0 * frequency, seed=seed)
+        fit, errors = start_fit(measurement, plate), []
+        for first in range(0, len(rows), 37):
+            estimate = fit.update(rows[first: first + 37])
+            if estimate is not None:
+                errors.append(np.sqrt(estimate.covariance[START, START]))
+        assert not fit.has_failed
+        assert fit.left_out == 0
+        # more samples than are kept make it better still
+        assert errors[-1] < 0.7 * errors[len(errors) // 4]
+        off.append(deviations(estimate, -0.05))
+    assert np.abs(off).max() < 4.0
+    assert np.square(off).mean() < 2.0
+
+
+@pytest.mark.parametrize('jitter', [2e-5, 5e-5])
+def test_stamp_jitter_is_found_by_residuals_that_grow_with_the_speed(
+    measurement, jitter
+) -> None:
+    found, off = [], []
+    for seed in range(20):
+        rows = measure(measurement.plate, 25, rate=2500.0, seed=seed, jitter=jitter)
+        fit = start_fit(measurement, measurement.plate, stamp_scatter=jitter)
+        estimate = fit.update(rows)
+        assert estimate is not None
+        found.append(estimate.stamp_error)
+        off.append(deviations(estimate, 0.0))
+    assert jitter < np.median(found) < 1.6 * jitter  # rather too large
+    assert np.abs(off).max() < 3.5
+
+
+def test_uneven_rate_is_not_taken_for_stamp_jitter(measurement) -> None:
+    found = []
+    for seed in range(20):
+        rows = measure(measurement.plate, 25, rate=2500.0, seed=seed)
+        fit = start_fit(measurement, measurement.plate, stamp_scatter=5e-5)
+        estimate = fit.update(rows)
+        assert estimate is not None
+        found.append(estimate.stamp_error)
+    assert sum(error > 0.0 for error in found) <= 2
+
+
+def test_wrong_engine_is_not_taken_for_stamp_jitter(measurement) -> None:
+    other = replace(measurement.plate, frequency=58.0)
+    fit = start_fit(measurement, measurement.plate, stamp_scatter=1e-5)
+    assert fit.update(measure(other, 60, rate=5000.0, seed=3)) is None
+    assert fit.has_failed

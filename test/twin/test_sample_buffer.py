@@ -1,0 +1,66 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Samples of a rig in the order of their stamps."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+import math
+
+import numpy as np
+import pytest
+from soft_throw_ros.twin.sample_buffer import Sample, SampleBuffer, seconds_since, to_samples
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+BEGIN = 1_700_000_000 * SECOND
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_buffer_agrees_with_a_sorted_list(seed) -> None:
+    random = np.random.default_rng(seed)
+    buffer, expected, newest = SampleBuffer(), [], BEGIN
+    for _ in range(2000):
+        newest += int(random.integers(1, 1000))
+        late = int(random.integers(0, 5000)) if random.uniform() < 0.2 else 0
+        sample = Sample(newest - late, float(random.uniform()), math.inf, 0.5)
+        if sample.stamp_ns in {other.stamp_ns for other in expected[-50:]}:
+            continue
+        buffer.insert(sample)
+        insort(expected, sample)
+        if random.uniform() < 0.05:
+            oldest = newest - int(random.integers(100_000, 300_000))
+            buffer.drop_before(oldest)
+            del expected[: bisect_left(expected, (oldest,))]
+        if random.uniform() < 0.05 and len(expected) > 20:
+            first = len(expected) - 15
+            marks = random.uniform(size=10) < 0.3
+            buffer.remove(first, marks)
+            kept = [each for each, mark in zip(expected[first:], marks, strict=False) if not mark]
+            expected[first:] = kept + expected[first + 10:]
+        assert len(buffer) == len(expected)
+    assert to_samples(buffer.rows) == expected
+    begin, end = expected[10].stamp_ns, expected[-10].stamp_ns
+    assert to_samples(buffer.between(begin, end)) == expected[10:-10]
+    assert to_samples(buffer.between(begin + 1)) == expected[11:]
+    assert len(buffer.between(-math.inf, math.inf)) == len(expected)
+
+
+def test_buffer_memory_does_not_grow_with_past_samples() -> None:
+    buffer = SampleBuffer([Sample(BEGIN + k, 0.1 * k) for k in range(50)])
+    for k in range(50, 20_000):
+        buffer.insert(Sample(BEGIN + k, 0.1 * k))
+        buffer.drop_before(BEGIN + k - 99)
+    assert len(buffer) == 100
+    assert buffer.rows.base.nbytes < 100_000
+    assert seconds_since(BEGIN, buffer.rows)[0] == 19_900 / SECOND

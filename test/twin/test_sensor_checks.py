@@ -1,0 +1,77 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Reports on the sensors of a measured plate."""
+
+import math
+
+import numpy as np
+import pytest
+from soft_throw_ros.twin.plate_estimator import PlateEstimator
+from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+
+@pytest.fixture
+def estimate(measurement):
+    """Return an estimator of a plate at rest."""
+
+    def estimate(*, rate=5000.0, noise=1e-6):
+        random = np.random.default_rng(3)
+        samples = [
+            Sample(round(index * SECOND / rate), noise * random.standard_normal())
+            for index in range(100)
+        ]
+        return PlateEstimator(measurement, samples=samples)
+
+    return estimate
+
+
+def test_good_sensor_is_not_reported(estimate, measurement) -> None:
+    checks = SensorChecks()
+    checks.observe(measurement.plate.amplitude, measurement.plate.peak_velocity, was_at_rest=True)
+    checks.observe(0.0, 0.0, was_at_rest=False)
+    assert checks.diagnose(estimate(), 2e-3, is_armed=False) == ()
+    assert checks.diagnose(estimate(), 2e-3, is_armed=True) == ()
+
+
+def test_noise_and_rate_are_reported_once_per_throw(estimate, measurement) -> None:
+    checks, noisy = SensorChecks(), estimate(rate=500.0, noise=4.0 * measurement.position_noise)
+    rate, noise = checks.diagnose(noisy, 2e-3, is_armed=False)
+    assert '500 Hz' in rate
+    assert 'measured.position_noise' in noise
+    assert checks.diagnose(noisy, 2e-3, is_armed=False) == ()
+    checks.begin(measurement)
+    again = estimate(rate=499.0, noise=4.0 * measurement.position_noise)
+    assert len(checks.diagnose(again, 2e-3, is_armed=False)) == 2
+
+
+def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> None:
+    checks = SensorChecks()
+    assert checks.has_rate(estimate(), math.inf)
+    assert not checks.has_rate(estimate(), 1e-4)
+    (report,) = checks.diagnose(estimate(), 1e-4, is_armed=True)
+    assert 'crossing' in report
+
+
+def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(
+    estimate, measurement
+) -> None:
+    checks, plate = SensorChecks(), measurement.plate
+    checks.observe(0.0, 0.0, was_at_rest=False)
+    checks.observe(200.0 * plate.amplitude, -0.9 * plate.peak_velocity, was_at_rest=True)
+    checks.begin(measurement)
+    units, direction = checks.diagnose(estimate(), 2e-3, is_armed=True)
+    assert 'divide them by 1000' in units
+    assert 'change their sign' in direction

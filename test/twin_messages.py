@@ -1,0 +1,195 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Messages of a simulated twin without a node, whose ticks are never late."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+import sys
+from typing import Any
+import warnings
+
+from rcl_interfaces.msg import Log
+from rclpy.serialization import serialize_message
+from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.configuration.interface import (
+    ALL_TWIN_TOPICS,
+    FRAME,
+    JOINTS,
+    LAYER_JOINTS,
+    throw_numbers,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.nodes.conversions import (
+    status_to_msg,
+    statuses_to_msg,
+    throw_result_to_msg,
+    time_to_msg,
+)
+from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
+from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.twin.results import Outputs, Phase
+from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.tick_schedule import TickSchedule
+from std_msgs.msg import Float64, String
+
+with warnings.catch_warnings():
+    warnings.simplefilter('ignore', DeprecationWarning)
+    import lark  # noqa: F401  imported later by rclpy, with a deprecation warning
+
+BEGIN = 1_700_000_000_000_000_000
+
+PHASES = tuple(Phase)
+
+_LATE = 40_000
+"""Time from the deadline to the published state, and to each later message. [ns]"""
+
+
+class TwinMessages:
+    """
+    A session, and the messages of its outputs so far.
+
+    Parameters
+    ----------
+    node : str
+        Full name of the twin.
+    **request
+        Settings that differ from the defaults; `__` in a name stands for a dot.
+
+    """
+
+    def __init__(self, node: str = '/twin', **request: Any) -> None:
+        self.node = node
+        self.messages: list[Message] = []
+        self._counts: Counter[str] = Counter()  # number of messages by topic
+        self.outputs: list[Outputs] = []
+        self.channels = {
+            topic.relative_name: self._channel(topic.at(node).name, topic.type)
+            for topic in ALL_TWIN_TOPICS
+        }
+        self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
+        self._encode_state = JointStateEncoder(FRAME, JOINTS).encode
+        self._encode_prediction = JointStateEncoder(FRAME, JOINTS[1:]).encode
+        self._encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
+        self._encode_phase = JointStateEncoder(
+            FRAME, TWIN_TOPICS.phase_change.joints, series=1
+        ).encode
+        self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
+        self.now = BEGIN
+        settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
+        self._settings = settings
+        self.session = Session(settings, on_entry=self._on_entry)
+        self.pace = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
+        self.session.set_tick_schedule(self.pace)
+        self._advise(settings)
+
+    def go(self, steps: int) -> TwinMessages:
+        """Advance a number of steps."""
+        for _ in range(steps):
+            self.now = self.pace.deadline(self.session.step)
+            outputs = self.session.advance()
+            self.outputs.append(outputs)
+            self._publish(outputs)
+            if self.session.rate != self.pace.rate:
+                self.pace.change_rate(step=self.session.step - 1, rate=self.session.rate)
+                self.session.set_tick_schedule(self.pace)
+        return self
+
+    def go_until(self, is_enough: Callable[[Outputs], bool], limit: int = 100_000) -> TwinMessages:
+        """Advance until the outputs of a step meet a condition."""
+        for _ in range(limit):
+            self.go(1)
+            if is_enough(self.outputs[-1]):
+                return self
+        raise AssertionError(f'it has not come in {limit} steps')
+
+    def measure(self, samples: Sequence[Sample]) -> TwinMessages:
+        """Advance during a measured throw, whose samples arrive without delay."""
+        waiting = list(samples)
+        while waiting:
+            self.now = self.pace.deadline(self.session.step)
+            count = sum(sample.stamp_ns <= self.now for sample in waiting)
+            for sample in waiting[:count]:
+                data = self._encode_positions(sample.stamp_ns, (sample.plate, sample.projectile))
+                self._send('measured_joint_states', data, 0)
+            self.session.measure(waiting[:count])
+            del waiting[:count]
+            self.go(1)
+        return self
+
+    def diagnose(self, node: str, task: str, message: str, values: dict[str, Any]) -> None:
+        """Publish the status of a task on /diagnostics."""
+        array = statuses_to_msg(self.now, [status_to_msg(node, task, message, values)])
+        self._send('/diagnostics', serialize_message(array), 9)
+
+    def change(self, **request: Any) -> None:
+        """Change settings."""
+        self.session.change(_named(request))
+        self._advise(self.session.wanted)
+
+    def _channel(self, name: str, kind: str) -> Channel:
+        schema = find_schema(kind, [sys.prefix])
+        return Channel(
+            topic=name,
+            type=kind,
+            schema=schema.text,
+            type_hash=schema.type_hash,
+        )
+
+    def _publish(self, outputs: Outputs) -> None:
+        self._send('joint_states', self._encode_state(self.now, outputs.state), 1)
+        if outputs.layer is not None:
+            self._send('layer/joint_states', self._encode_layer(self.now, outputs.layer), 2)
+        if outputs.prediction is not None:
+            stamp, *values = outputs.prediction[:4]
+            self._send('predicted_joint_states', self._encode_prediction(stamp, values), 2)
+        if outputs.residual is not None:
+            stamp, *values = outputs.residual
+            self._send('residual', self._encode_positions(stamp, values), 2)
+        for phase, stamp_ns in outputs.phases:
+            data = self._encode_phase(stamp_ns, (float(PHASES.index(phase)),))
+            self._send('phase_change', data, 4)
+            self._send('phase', serialize_message(String(data=phase.value)), 4)
+        if outputs.throw_field is not None:
+            self._send('throw_field', encode_array(('t', 'y'), outputs.throw_field.strain), 5)
+        for result in outputs.results:
+            beside = other_models_values(result.rig, self._settings)
+            status = throw_result_to_msg(result, self.node, beside)
+            self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
+            values = {**result.values(), **beside} if result.is_valid else {}
+            for topic, number in throw_numbers(result.stage, values):
+                self._send(topic.relative_name, serialize_message(Float64(data=number)), 8)
+            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.describe())
+            self._send('rosout', serialize_message(line), 7)
+
+    def _advise(self, settings: Any) -> None:
+        status = recommend_for(TwinConfig.from_settings(settings)).to_status(self.node)
+        self._send('recommendation', serialize_message(statuses_to_msg(self.now, [status])), 8)
+
+    def _on_entry(self, line: str) -> None:
+        self._send('journal', serialize_message(String(data=line)), 3)
+
+    def _send(self, name: str, data: bytes, order: int) -> None:
+        time, channel = self.now + order * _LATE, self.channels[name]
+        self._counts[name] += 1
+        self.messages.append(Message(channel, data, time, time, self._counts[name]))
+
+
+def _named(request: dict[str, Any]) -> dict[str, Any]:
+    return {name.replace('__', '.'): value for name, value in request.items()}
