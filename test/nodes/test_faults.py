@@ -28,6 +28,7 @@ import time
 import numpy as np
 import pytest
 from soft_throw_ros.commands import recover
+from stopping import stop
 from systems import missing, System
 
 pytestmark = [pytest.mark.once, pytest.mark.timeout(180)]
@@ -66,7 +67,7 @@ def test_stopped_processes_resume_with_correct_counts(system, stops, late, is_lo
     for name, seconds in stops.items():
         stopped = system.pids(name)
         for pid in stopped:
-            os.kill(pid, signal.SIGSTOP)
+            stop(pid)
         if is_lossy:
             system.wait_for_heard(round(1000 * seconds))
         else:

@@ -26,11 +26,16 @@ import pytest
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.help_texts import HELP
 from soft_throw_ros.nodes.twin import main
+from stopping import stop
 
 pytestmark = pytest.mark.timeout(300)
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+
+
+def kill(pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)
 
 
 def assert_ends_well(process: Any, number: int) -> None:
@@ -201,8 +206,8 @@ def test_twin_outlives_a_subscriber_that_is_stopped_and_killed(start, listen_to)
     listener = listen_to()
     listener.listen(TWIN_TOPICS.diagnostics)
     subscriber.wait_for('heard')
-    for number in (signal.SIGSTOP, signal.SIGKILL):
-        subscriber.process.send_signal(number)
+    for end in (stop, kill):
+        end(subscriber.process.pid)
         reports = len(listener.heard[TWIN_TOPICS.diagnostics.name])
         listener.hear(TWIN_TOPICS.diagnostics, reports + 2)  # the twin continues for seconds
     assert_ends_well(twin, TERM)

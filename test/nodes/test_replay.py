@@ -35,6 +35,7 @@ from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from stopping import stop
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -251,7 +252,7 @@ def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
     by_signal = start(*COMMAND, str(texts), '--loop', '--clock')
     observer = ros.node(Node, 'observer')
     ros.spin_until(lambda: observer.count_publishers('/clock') > 0, 'the player')
-    subscriber.process.send_signal(signal.SIGSTOP)
+    stop(subscriber.process.pid)
     try:
         assert by_itself.wait() == 0
         assert by_signal.end(signal.SIGINT) == 0  # while messages pile up
