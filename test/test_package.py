@@ -260,6 +260,7 @@ def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize('colcon_prefix', [()], ids=['copies'], indirect=True)
 def test_colcon_twin_throws_until_it_is_interrupted(colcon_prefix, tmp_path):

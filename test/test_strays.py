@@ -20,6 +20,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 TESTS = """
 from pathlib import Path
 import subprocess, threading
@@ -45,6 +47,7 @@ def test_of_processes(tmp_path):
 TIMEOUT = 60.0  # [s]
 
 
+@pytest.mark.slow
 def test_killed_tests_leave_no_processes(tmp_path) -> None:
     (tmp_path / 'test_it.py').write_text(TESTS)
     options = ('-c', '/dev/null', '-o', f'pythonpath={Path(__file__).parent}', '--rootdir')

@@ -264,6 +264,7 @@ def test_measured_rig_is_the_default_among_several(command, tmp_path):
     assert value(found, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     # No noise and few samples per period: the flight is the smoothest phase
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)

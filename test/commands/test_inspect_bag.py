@@ -98,6 +98,7 @@ def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:
         assert picture.size == (800, 600)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('how', ['SIGINT', 'SIGHUP', 'SIGKILL'])
 def test_killed_screenshot_leaves_no_viewer_behind(bag, tmp_path, how) -> None:
     command = [sys.executable, '-c', INSPECT, bag, '--screenshot', tmp_path / 'scene.png']

@@ -171,6 +171,7 @@ def test_bad_number_of_workers_is_quoted(capsys, count):
     assert f'a whole number of 1 or more, got {count!r}' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_map_is_complete_and_equal_after_a_dask_worker_is_killed(tmp_path):
     # A separate process, because a cluster leaves threads and warnings behind; it starts in 10 s
     # all these processes.

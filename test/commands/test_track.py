@@ -180,6 +180,7 @@ def test_overlay_shows_the_tracks(command, throw_video, tmp_path):
     assert ((shown.max(axis=-1) - shown.min(axis=-1)) > 60.0).sum() > 100
 
 
+@pytest.mark.slow
 def test_impossible_rate_is_refused(command, throw_video):
     for rate, scale, value in (
         (25, 12e-3, 'the plate swings at 0.4'),  # at which the video is shown

@@ -17,6 +17,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 HASH = """
 import hashlib
 import numpy as np
@@ -40,6 +42,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_compiled_and_cached_kernels_agree_bit_by_bit(tmp_path) -> None:
     hashes = [
         subprocess.run(

@@ -107,6 +107,7 @@ def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize(
     ('seed', 'loss_tangent', 'size'), [(0, 0.0, 90), (1, 0.0, 90), (3, 0.15, 20)]
@@ -122,6 +123,7 @@ def test_recommendation_is_as_good_as_brute_force(kind, seed, loss_tangent, size
     assert best.peak_acceleration <= request['limits'].max_acceleration * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('gravity_ratio', 'damping_ratio', 'mass'),
     [(0.35, 0.064, 1.2e-3), (0.57, 0.3, 4.5e-4), (1.404, 0.064, 3.96e-3), (2.663, 0.064, 6.88e-4)],

@@ -146,6 +146,7 @@ def test_heights_from_a_common_zero_determine_the_thickness(make_throw, heights,
     assert ('plate_offset' in found.fit) is (heights == 'common')
 
 
+@pytest.mark.slow
 def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     # A thin light layer: L_s / c_s^2 is known to a percent, neither of the two is
     rig = Rig(
@@ -242,6 +243,7 @@ HARD = Rig(
 """A rig whose layer amplifies a second mode that the plate alone hardly shows."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rig', [Rig(), HARD], ids=['usual', 'hardly to be seen'])
 def test_second_mode_of_a_plate_is_within_the_errors(see, rig):
     mode = Mode(310.0, 0.02, sine=0.01)
@@ -293,6 +295,7 @@ def test_sticking_is_within_the_error_of_the_ejection_time(see):
     assert abs(held.time.value - release.time) > 5.0 * held.time.error  # it does matter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('phase', [0.5, 3.5])
 def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
     # So thin a layer that the projectile does not leave it before the throw
@@ -346,6 +349,7 @@ def test_layer_that_is_linear_stays_so(make_throw):
     assert found.layers[0].name == 'without loss'
 
 
+@pytest.mark.slow
 def test_throws_of_two_masses_determine_thickness_and_wave_speed(make_throw):
     light, heavy = (Rig(projectile=Projectile(mass=mass)) for mass in (0.7e-3, 2.4e-3))
     throws = [

@@ -64,6 +64,7 @@ def listen(
     return received
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_calibration_finds_the_rig_improves_its_throw_and_stops(
     start, ros

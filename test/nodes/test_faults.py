@@ -31,7 +31,7 @@ from soft_throw_ros.commands import recover
 from stopping import stop
 from systems import missing, System
 
-pytestmark = [pytest.mark.once, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.slow, pytest.mark.once, pytest.mark.timeout(180)]
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from systems import missing, System
 
 SECOND = 1_000_000_000
 
-pytestmark = [pytest.mark.once, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.slow, pytest.mark.once, pytest.mark.timeout(240)]
 
 
 @pytest.fixture

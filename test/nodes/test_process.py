@@ -200,6 +200,7 @@ rclpy.spin(node)
 """
 
 
+@pytest.mark.slow
 def test_twin_outlives_a_subscriber_that_is_stopped_and_killed(start, listen_to) -> None:
     twin = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'throw.period:=0.1')
     subscriber = start(sys.executable, '-c', SUBSCRIBER)

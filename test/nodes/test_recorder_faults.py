@@ -209,6 +209,7 @@ def test_loss_and_joining_late_are_distinguished(start, record, tmp_path, joins_
     assert lost == publisher.count - late - received > 0
 
 
+@pytest.mark.slow
 def test_publisher_that_is_killed_and_comes_back_is_recorded_on(start, record, tmp_path) -> None:
     first = Publisher(start, 'reliable')
     recorder = record(first)
@@ -222,6 +223,7 @@ def test_publisher_that_is_killed_and_comes_back_is_recorded_on(start, record, t
     assert count(tmp_path / 'bag') == 210
 
 
+@pytest.mark.slow
 def test_publisher_that_is_stopped_for_a_while_is_recorded_on(start, record, tmp_path) -> None:
     publisher = Publisher(start, 'reliable')
     recorder = record(publisher)
@@ -237,6 +239,7 @@ def test_publisher_that_is_stopped_for_a_while_is_recorded_on(start, record, tmp
     assert count(tmp_path / 'bag') == 210
 
 
+@pytest.mark.slow
 def test_recorder_that_is_killed_while_it_is_stopped_leaves_what_it_had_flushed(
     start, record, tmp_path
 ) -> None:

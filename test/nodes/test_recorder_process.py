@@ -98,6 +98,7 @@ def end(recorder: Any, number: int, code: int = 0) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', range(2))
 def test_recorder_that_is_killed_loses_at_most_the_last_second(
     record, ros, talk, tmp_path, number
@@ -154,6 +155,7 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     assert states == list(range(states[0], states[0] + len(states)))
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_deleted_folder_is_reported_and_not_counted_as_recorded(
     record, ros, talk, tmp_path

@@ -244,6 +244,7 @@ rclpy.spin(node)
 """
 
 
+@pytest.mark.slow
 def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
     subscriber = start(sys.executable, '-c', SUBSCRIBER)
     subscriber.wait_for('ready')
@@ -262,6 +263,7 @@ def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
         assert not any('Traceback' in line or 'rror' in line for line in replay.lines)
 
 
+@pytest.mark.slow
 def test_recorded_and_replayed_twin_agree_with_the_journal(
     start, ros, tmp_path, capsys
 ) -> None:

@@ -146,6 +146,7 @@ def test_reconnected_viewer_gets_the_present_state(ros, show, twin) -> None:
         assert node.end(signal.SIGINT) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('is_stopped', [True, False])
 def test_stopped_or_missing_viewer_does_not_delay_the_end(
     ros, show, twin, is_stopped

@@ -41,6 +41,7 @@ def warm_up(tmp_path):
     return start
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
     first, _ = warm_up('measured').communicate()
