@@ -30,7 +30,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from draw import DRAWINGS, main, path_of  # noqa: E402, I100
+from animation import END, STEP  # noqa: E402, I100
+from draw import ANIMATION, DRAWINGS, main, path_of  # noqa: E402
 import fits  # noqa: E402
 from models import SERIES, THICKNESSES  # noqa: E402
 import style  # noqa: E402
@@ -75,6 +76,17 @@ def test_figure_in_docs_is_current_and_small(name):
     assert stored.shape == drawing.shape
     # Text and edges may differ slightly between versions of matplotlib
     assert np.abs(stored - drawing).mean() < 0.01
+
+
+def test_animation_in_docs_shows_the_whole_throw_and_is_small():
+    pictures = pytest.importorskip('PIL.Image')
+    path = path_of(ANIMATION, DOCS)
+    assert path.stat().st_size < 2_000_000
+    with pictures.open(path) as animation:
+        assert animation.n_frames == 1 + round(END / STEP)
+        assert animation.info['loop'] == 0
+        animation.seek(animation.n_frames - 1)
+        assert animation.info['duration'] >= 1000  # the last picture stays [ms]
 
 
 def test_unknown_figure_is_refused_by_name(capsys):

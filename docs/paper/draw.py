@@ -24,6 +24,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from animation import save_animation
 import fits
 import limits
 import maps
@@ -37,6 +38,9 @@ DOCS = Path(__file__).resolve().parents[1]
 
 PAGE = 'page'
 """Name that selects the tables of `paper.md`."""
+
+ANIMATION = 'animation'
+"""Name that selects the animated picture of the README."""
 
 DRAWINGS: Mapping[str, Callable[[], Figure]] = {
     'throw': throws.draw_throw,
@@ -61,12 +65,14 @@ def path_of(name: str, folder: Path) -> Path:
     """Return the path of a figure, or of the page, below a folder such as docs."""
     if name == PAGE:
         return folder / 'paper.md'
+    if name == ANIMATION:
+        return folder / 'throw.gif'
     return folder / f'{name}.png' if name == 'throw' else folder / 'paper' / f'{name}.png'
 
 
 def main(args: list[str] | None = None) -> int:
     """Draw the selected figures, by default all; return 0."""
-    names = [*DRAWINGS, PAGE]
+    names = [*DRAWINGS, ANIMATION, PAGE]
     parser = argparse.ArgumentParser(description='Draw the figures and tables of docs/paper.md.')
     parser.add_argument('names', metavar='NAME', nargs='*',
                         help=f'one of {", ".join(names)} (default all)')
@@ -80,6 +86,8 @@ def main(args: list[str] | None = None) -> int:
         if name == PAGE:
             page = path_of(PAGE, DOCS).read_text(encoding='utf-8')
             path.write_text(update_page(page), encoding='utf-8')
+        elif name == ANIMATION:
+            save_animation(path)
         else:
             with style.settings():
                 style.save(DRAWINGS[name](), path)

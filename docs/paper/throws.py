@@ -104,7 +104,7 @@ def draw_states() -> Figure:
     rows = np.searchsorted(time, [moment for moment, _ in moments])
     limit = 100.0 * np.abs(strain[rows]).max()
     for axes, (moment, name), row in zip(panels, moments, rows, strict=True):
-        image = _draw_state(axes, throw, moment, heights[row], strain[row], limit)
+        image = draw_state(axes, throw, moment, heights[row], strain[row], limit)
         axes.set_title(f'{name}\n$t$ = {MILLI * moment:.1f} ms', fontsize='small', loc='center')
         axes.set(xlim=(-15.5, 15.5), ylim=(-1.5, 37.5), xticks=[], aspect='equal')
         axes.spines[['bottom', 'left']].set_visible(False)
@@ -119,7 +119,7 @@ def draw_states() -> Figure:
     return figure
 
 
-def _draw_state(
+def draw_state(
     axes: Axes, throw: Throw, moment: float, heights: Floats, strain: Floats, limit: float
 ) -> QuadMesh:
     """Draw plate, layer and both projectiles at a moment; the limit of colours is in percent."""
