@@ -168,8 +168,6 @@ RECORD = np.dtype(
         ('cells', 'i8'),  # number of cells of the layer
         ('first_node', 'i8'),  # lowest node of the layer
         ('contact_link', 'i8'),
-        ('is_lossy', '?'),
-        ('is_viscous', '?'),
         ('is_massless', '?'),
         ('is_curved', '?'),  # a sheet is neo-Hookean
         ('has_maxwell', '?'),
@@ -193,7 +191,7 @@ RECORD = np.dtype(
         ('known', 'i8'),  # highest node whose motion is given
         ('first', 'i8'),  # first and last of the nodes that are coupled
         ('end', 'i8'),
-        ('middle', 'i8'),  # node at which the elimination from both ends meets
+        ('middle', 'i8'),  # node at which the eliminations from both ends meet
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
         ('last_stiff', 'i8'),
         # the plate
@@ -227,15 +225,9 @@ RECORD = np.dtype(
         ('edge_strains', 'f8', (2,)),  # [-]
         ('acceleration', 'f8'),  # [m/s2]
         ('plate_force', 'f8'),  # [N]
-        ('first_work', 'f8'),  # [J]
-        # energy
         ('power', 'f8'),  # of the plate [W]
-        ('heating', 'f8'),  # [W]
-        ('maxwell_heating', 'f8'),  # [W]
-        ('work_before', 'f8'),  # a step ago [J]
-        ('heat_before', 'f8'),
+        ('work_before', 'f8'),  # of the plate, a step ago [J]
         ('work', 'f8'),  # of the plate [J]
-        ('heat', 'f8'),  # with the energy of springs if a sheet is neo-Hookean [J]
         # at `time`
         ('surface', 'f8'),  # height of the top against rest [m]
         ('state', 'f8', (7,)),
@@ -311,7 +303,7 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         nodes[ROW.impulse_factor + case, j] = 0.5 * step
         if not is_coupled:
             nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
-    middle = (first + end) // 2
+    middle = first + 2 * ((end - first) // 4)
     system = s.systems[case]
     system[0], system[1], system[2], system[3] = known, first, end, middle
     if first <= end:
@@ -342,64 +334,47 @@ def _eliminate(nodes, case, first, merge, end, rigid):
 
 
 @inlined
-def _go_up(nodes, x, factor, j, a, here, next_):
-    """Substitute two nodes upwards, without a longer dependency chain than for one node."""
-    one = np.uintp(1)
-    s, t = nodes[factor, j - one], nodes[factor, j]
-    nodes[x, j], nodes[x, j + one] = here + s * a, next_ + t * here + t * s * a
-    return nodes[x, j + one]
-
-
-@inlined
-def _go_down(nodes, x, factor, j, a, here, next_):
-    """Substitute two nodes downwards."""
-    one = np.uintp(1)
-    s, t = nodes[factor, j], nodes[factor, j - one]
-    nodes[x, j], nodes[x, j - one] = here + s * a, next_ + t * here + t * s * a
-    return nodes[x, j - one]
+def _two_terms(a, factor, here, next_factor, next_):
+    """Return two terms of a recurrence, without a longer dependency chain than for one."""
+    return here + factor * a, next_ + next_factor * here + next_factor * factor * a
 
 
 @inlined
 def _substitute(nodes, x, case, first, middle, end):
     """
-    Solve for row x, from both ends to the middle and back, side by side.
+    Solve for row x, from both ends to the middle and back, side by side and two nodes at a time.
 
     Each direction is a chain of operations that wait for each other. Thomas's algorithm, a single
     chain, makes steps with loss take twice the time.
     """
+    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
     # Unsigned, since numba asks of any other index whether it counts from the end
     one, two = np.uintp(1), np.uintp(2)
-    first, middle = np.uintp(first), np.uintp(middle)
-    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
-    length = middle - first
-    top = middle + length  # of chains of one length
-    if end > int(top):
-        nodes[x, top] += nodes[factor, top] * nodes[x, top + one]
-    odd = length & one  # the outermost node of each chain, if it is one too many
+    middle, length = np.uintp(middle), np.uintp(middle - first)
+    low, high = middle - length, middle + length  # of chains of one length, which is even
     a, b = 0.0, 0.0
-    if odd:
-        a, b = nodes[x, first], nodes[x, top]
-    for i in range(odd, length, two):
-        j, k = first + i, top - i
-        a = _go_up(nodes, x, factor, j, a, nodes[x, j], nodes[x, j + one])
-        b = _go_down(nodes, x, factor, k, b, nodes[x, k], nodes[x, k - one])
+    for k in range(end, int(high), -1):
+        b = nodes[x, k] = nodes[x, k] + nodes[factor, k] * b
+    for i in range(np.uintp(0), length, two):
+        j, k = low + i, high - i
+        s, t = nodes[factor, j - one], nodes[factor, j]
+        nodes[x, j], a = _two_terms(a, s, nodes[x, j], t, nodes[x, j + one])
+        nodes[x, j + one] = a
+        s, t = nodes[factor, k], nodes[factor, k - one]
+        nodes[x, k], b = _two_terms(b, s, nodes[x, k], t, nodes[x, k - one])
+        nodes[x, k - one] = b
     a = nodes[x, middle] + nodes[factor, middle - one] * a + nodes[factor, middle] * b
-    a *= nodes[pivot, middle]
-    b = nodes[x, middle] = a
+    a = b = nodes[x, middle] = nodes[pivot, middle] * a
     for i in range(one, length, two):
         j, k = middle - i, middle + i
         y, z = nodes[pivot, j] * nodes[x, j], nodes[pivot, j - one] * nodes[x, j - one]
-        a = _go_down(nodes, x, factor, j, a, y, z)
+        nodes[x, j], a = _two_terms(a, nodes[factor, j], y, nodes[factor, j - one], z)
+        nodes[x, j - one] = a
         y, z = nodes[pivot, k] * nodes[x, k], nodes[pivot, k + one] * nodes[x, k + one]
-        b = _go_up(nodes, x, factor, k, b, y, z)
-    if odd:
-        nodes[x, first] = nodes[pivot, first] * nodes[x, first] + nodes[factor, first] * a
-        b = nodes[pivot, top] * nodes[x, top] + nodes[factor, top - one] * b
-        nodes[x, top] = b
-    if end > int(top):
-        nodes[x, top + one] = (
-            nodes[pivot, top + one] * nodes[x, top + one] + nodes[factor, top] * nodes[x, top]
-        )
+        nodes[x, k], b = _two_terms(b, nodes[factor, k - one], y, nodes[factor, k], z)
+        nodes[x, k + one] = b
+    for k in range(int(high) + 1, end + 1):
+        b = nodes[x, k] = nodes[pivot, k] * nodes[x, k] + nodes[factor, k - 1] * b
 
 
 @inlined
@@ -443,12 +418,10 @@ def _prepare_links(s, nodes, omega):
     """Complete links that are cut, and constants of their materials."""
     for j in range(nodes.shape[1] - 1):
         s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
-        s.is_viscous = s.is_viscous or nodes[ROW.viscosity, j] > 0.0
         nodes[ROW.linear_stiffness, j] = nodes[ROW.stiffness, j]
         nodes[ROW.rest_length, j] = nodes[ROW.min_length, j] = 1.0  # divisors of linear links
         for element in range(3):
             s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
-    s.is_lossy = s.is_viscous or s.is_curved or s.has_maxwell
     for element in range(3):
         s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
         half = 0.5 * s.step * s.maxwell_rates[element]
@@ -462,7 +435,7 @@ def _prepare_contact(s, nodes):
     last, link = nodes.shape[1] - 1, s.contact_link
     s.is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
     s.relaxation_rate = math.inf
-    if s.is_massless and s.is_viscous:
+    if s.is_massless and nodes[ROW.viscosity, 0] > 0.0:
         s.relaxation_rate = nodes[ROW.stiffness, 0] / nodes[ROW.viscosity, 0]
     # A dashpot that takes half of the momentum of a free end in half a step ends its alternation
     if link > 0:
@@ -541,7 +514,7 @@ def prepare(core: Any, nodes: Any, bodies: Any, omega: float) -> None:
 
 @inlined
 def _elastic_tension(s, nodes):
-    """Compute the elastic tension of all links, and the heating of Maxwell elements."""
+    """Compute the elastic tension of all links."""
     now = s.index & 1
     if s.is_curved:
         _neo_hookean_tension(s, nodes)
@@ -550,7 +523,7 @@ def _elastic_tension(s, nodes):
             stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
             nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
     if s.has_maxwell:
-        s.maxwell_heating = _update_maxwell(s, nodes)
+        _update_maxwell(s, nodes)
 
 
 @reduction
@@ -568,8 +541,8 @@ def _neo_hookean_tension(s, nodes):
 
 @reduction
 def _update_maxwell(s, nodes):
-    """Add the tension of the Maxwell elements, by the trapezoidal rule; return their heating."""
-    now, heat_0, heat_1, heat_2 = s.index & 1, 0.0, 0.0, 0.0
+    """Add the tension of the Maxwell elements, by the trapezoidal rule."""
+    now = s.index & 1
     decay_0, decay_1, decay_2 = s.maxwell_decay[0], s.maxwell_decay[1], s.maxwell_decay[2]
     gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
     row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
@@ -581,14 +554,9 @@ def _update_maxwell(s, nodes):
         second = decay_1 * nodes[row + 1, j] + gain_1 * change
         third = decay_2 * nodes[row + 2, j] + gain_2 * change
         nodes[row, j], nodes[row + 1, j], nodes[row + 2, j] = first, second, third
-        pull_0 = nodes[stiffness, j] * first
-        pull_1, pull_2 = nodes[stiffness + 1, j] * second, nodes[stiffness + 2, j] * third
-        nodes[ROW.tension + now, j] += pull_0 + pull_1 + pull_2
-        heat_0 += pull_0 * first
-        heat_1 += pull_1 * second
-        heat_2 += pull_2 * third
-    rates = s.maxwell_rates
-    return rates[0] * heat_0 + rates[1] * heat_1 + rates[2] * heat_2
+        tension = nodes[stiffness, j] * first
+        tension += nodes[stiffness + 1, j] * second + nodes[stiffness + 2, j] * third
+        nodes[ROW.tension + now, j] += tension
 
 
 @inlined
@@ -651,7 +619,7 @@ def _creep(s, nodes, now, stretch):
     stretch = (stretch - free) * math.exp(-s.relaxation_rate * s.step)
     nodes[ROW.displacement, 1] = nodes[ROW.displacement, 0] + free + stretch
     nodes[ROW.velocity, 1] = (nodes[ROW.displacement, 1] - s.below_before) / s.step
-    rate = s.relaxation_rate * stretch if s.is_lossy else 0.0
+    rate = s.relaxation_rate * stretch if s.relaxation_rate < math.inf else 0.0
     nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
 
 
@@ -753,8 +721,6 @@ def _handle_landing(s, nodes, events):
         for k in range(s.collision_nodes[0], j + 1):
             u[k] -= (1.0 - part_above) * overlap
             v[k] -= (1.0 - part_above) * approach
-    else:
-        s.work += s.collision_masses[1] * approach * v[0]
     for k in range(j + 1, s.collision_nodes[1] + 1):
         u[k] += part_above * overlap
         v[k] += part_above * approach
@@ -780,7 +746,7 @@ def _march(s, nodes, path, events, goal):
         s.index += 1
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
-        s.work_before, s.heat_before = s.work, s.heat
+        s.work_before = s.work
         if s.plate_kind == DAMPED:
             _apply_plate_motion(s, nodes, path)
         else:
@@ -802,43 +768,14 @@ def _march(s, nodes, path, events, goal):
             if not leaves:
                 break
             _handle_release(s, nodes, events)  # and compute the step again, in flight
-        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
-        s.work += 0.5 * step * (s.power + power)
-        s.power = power
-        if s.is_lossy:
-            heating = s.maxwell_heating
-            if s.is_curved:
-                heating = _stress_power(nodes, s.index & 1, joint)
-            if s.is_viscous:
-                heating += _heating(nodes, s.index & 1)
-            s.heat += 0.5 * step * (s.heating + heating)
-            s.heating = heating
         if s.events == 0:
             _compare_loads(s, nodes)
-        elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
-            part = s.event_time / step - (s.index - 1)
-            s.first_work = s.work_before + part * (s.work - s.work_before)
-
-
-@reduction
-def _stress_power(nodes, now, joint):
-    """Compute the power of all tensions in cells but the viscous ones."""
-    total = 0.0
-    for j in range(nodes.shape[1] - 1):
-        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-        total += nodes[ROW.tension + now, j] * rate
-    rate = nodes[ROW.mean_velocity + now, joint + 1] - nodes[ROW.mean_velocity + now, joint]
-    return total - nodes[ROW.tension + now, joint] * rate  # the weight, in flight
-
-
-@reduction
-def _heating(nodes, now):
-    """Compute the power that viscosity turns to heat in the layer."""
-    total = 0.0
-    for j in range(nodes.shape[1] - 1):
-        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-        total += nodes[ROW.viscosity + 1, j] * rate * rate
-    return total
+        elif s.events > 1 or s.event_time == math.inf:
+            continue
+        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
+        duration = min(s.index * step, s.event_time) - (s.index - 1) * step
+        s.work += duration * (s.power + 0.5 * duration / step * (power - s.power))
+        s.power = power
 
 
 @part
@@ -913,10 +850,10 @@ def _advance(core, nodes, path, events, time):
     s.fraction = 1.0
     if goal > 0:
         s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
-    s.work = s.work_before + s.fraction * (s.work - s.work_before)
-    s.heat = s.heat_before + s.fraction * (s.heat - s.heat_before)
     on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
     if time < s.event_time:  # the event is still to come
+        until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
+        s.work = s.work_before + s.fraction / until * (s.work - s.work_before)
         if s.event_time < math.inf:
             s.contact = not s.contact
             s.events -= 1
@@ -939,16 +876,7 @@ def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
     now, part = s.index & 1, s.fraction if s.index > 0 else 1.0
     before = 1 - now
-    back, bend = (part - 1.0) * s.step, (part - 1.0) * s.step * part / 3.0
-    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
-    for j in range(nodes.shape[1]):  # as `_motion`
-        u, v = nodes[ROW.displacement, j], nodes[ROW.velocity, j]
-        first = v - nodes[ROW.mean_velocity + before, j]
-        second = nodes[ROW.mean_velocity + now, j] - v
-        turn = first * (2.0 - part) + second * (1.0 + part)
-        nodes[ROW.position, j] = u + back * v + bend * turn
-        nodes[ROW.speed, j] = v + from_old * first + from_new * second
-    for j in range(s.contact_link, s.contact_link + 2):
+    for j in range(nodes.shape[1]):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, part)
     nodes[ROW.position, 0], nodes[ROW.speed, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
     case = 1 if s.contact else 0
@@ -995,15 +923,14 @@ def _elastic_energy(ratio, least):
 
 
 @kernel
-def energies(core: Any, nodes: Any) -> tuple[float, float]:
-    """Add up kinetic and potential energy against rest, and the energy of all springs."""
+def stored_energy(core: Any, nodes: Any) -> float:
+    """Add up kinetic and potential energy against rest."""
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[ROW.position], nodes[ROW.speed]
     weight = s.carried_mass * s.gravity
-    moving = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
-    moving += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
-    total = 0.0
+    total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
+    total += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
     rest = 1.0 - s.fraction if s.index > 0 else 0.0
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
@@ -1020,8 +947,8 @@ def energies(core: Any, nodes: Any) -> tuple[float, float]:
             change = nodes[ROW.previous_stretch, j] - stretch
             memory -= change - rest * s.step * s.maxwell_rates[element] * memory
             total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * memory**2
-        moving += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
-    return moving, total
+        total += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
+    return total  # type: ignore[no-any-return]
 
 
 @kernel

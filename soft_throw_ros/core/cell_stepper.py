@@ -36,7 +36,6 @@ from soft_throw_ros.core.cell_grid import (
 )
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
-    energies,
     FORCE_NOISE,
     PLACE,
     prepare,
@@ -46,6 +45,7 @@ from soft_throw_ros.core.cell_kernels import (
     reset,
     ROW,
     ROWS,
+    stored_energy,
 )
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion
@@ -341,7 +341,7 @@ def _throw_all(
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
                 if ratios[6] > 0.0:
                     strain *= omega / ratios[6]
-                work = grid['first_work'] / (ratios[0] * omega**2)
+                work = grid['work'] / (ratios[0] * omega**2)
                 results[n] = (
                     grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
                     strain / omega, grid['acceleration'] / omega**2,
@@ -364,8 +364,7 @@ class CellStepper(Stepper):
     A throw by cells; the layer may be a stack, and have loss.
 
     An event carries the velocity of the common centre of mass of projectile and a glued layer, and
-    `state` that of the projectile's lower face. `stored_energy` and `heat` add up to `work_so_far`
-    to second order, and to first after landings.
+    `state` that of the projectile's lower face. `stored_energy` is that of now, at any time.
 
     Parameters
     ----------
@@ -480,21 +479,13 @@ class CellStepper(Stepper):
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
 
     @property
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now [J]."""
+    def plate_work(self) -> float:
+        """Work of the plate up to the first release, or up to now before the release [J]."""
         return float(self._core[1]['work'])
-
-    @property
-    def heat(self) -> float:
-        """Heat of internal loss until now [J]."""
-        heat, core = float(self._core[1]['heat']), self._core
-        if core[1]['is_curved']:  # the tensions have done that much work on the springs, too
-            heat = max(0.0, heat - energies(core, self._nodes)[1])
-        return heat
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""
-        return float(sum(energies(self._core, self._nodes)))
+        return float(stored_energy(self._core, self._nodes))
 
 
 def warm_up() -> None:

@@ -212,7 +212,6 @@ class Stepper(ABC):
         self._events = np.zeros((MAX_EVENTS, 4))
         self._scratch = np.zeros((4, field_points))
         self._readable = np.empty(0)  # the array that was checked last
-        self._work_unit = 1.0  # of the records' works [J]
 
     def _make_records(
         self,
@@ -453,25 +452,13 @@ class Stepper(ABC):
         """Largest loads up to the first release, or up to now before the release."""
 
     @property
+    @abstractmethod
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or up to now before the release [J]."""
-        if not self.event_count:
-            return self.work_so_far
-        return float(self._work_unit * self._core['first_work'][1])
-
-    @property
-    @abstractmethod
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now [J]."""
-
-    @property
-    def heat(self) -> float:
-        """Heat of internal loss so far [J]."""
-        return 0.0
 
     @abstractmethod
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, at the present time [J]."""
+        """Return the energy of layer and projectile against rest, up to the first release [J]."""
 
 
 @part

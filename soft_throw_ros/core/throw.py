@@ -58,7 +58,11 @@ class ThrowUnfinishedError(RuntimeError):
 
 
 class Energies(NamedTuple):
-    """Work of the plate, energy stored in layer and projectile, and heat [J]."""
+    """
+    Work of the plate, energy stored in layer and projectile, and heat [J].
+
+    The heat is the difference, 0 for a layer that is linear and lossless.
+    """
 
     plate_work: float
     stored: float
@@ -406,8 +410,15 @@ def simulate(
         events=events,
         end_time=end_time,
         loads=stepper.loads,
-        energies=Energies(stepper.plate_work, stepper.stored_energy(), stepper.heat),
+        energies=_energies(stepper),
     )
+
+
+def _energies(stepper: Stepper) -> Energies:
+    """Return the energies of a throw at its first release."""
+    layer, work, stored = stepper.rig.layer, stepper.plate_work, stepper.stored_energy()
+    is_lossless = layer.loss_tangent == 0.0 and layer.stress_strain_law == 'linear'
+    return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
 def _run(

@@ -46,7 +46,6 @@ from soft_throw_ros.core.wave_kernels import (
     prepare_underdamped,
     read_layer_compiled,
     RECORD,
-    stored_energy,
     update_loads,
 )
 
@@ -244,15 +243,15 @@ class WaveStepper(Stepper):
         )
 
     @property
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now, by the trapezoidal rule [J]."""
+    def plate_work(self) -> float:
+        """Work of the plate up to the first release, or up to now before the release [J]."""
         now = self._core[1]
-        part = (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit * (now['work'] + part))
+        work = now['work'] + (now['offset'] - 0.5) * now['power']
+        return float(self._work_unit * (now['first_work'] if self.event_count else work))
 
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, to second order [J]."""
-        return float(stored_energy(self._core, self._waves, self._jumps))
+        """Return the work of the plate, since the layer is lossless [J]."""
+        return self.plate_work
 
 
 def first_throws(
