@@ -103,9 +103,6 @@ _SHOCK = 1.0
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
 
-_USUAL_NODES = 66
-"""Nodes of the default grid; its march is compiled without checks for overlapping arrays. [-]"""
-
 _static_stretch = part(static_stretch)
 
 
@@ -500,10 +497,25 @@ def _prepare_rest(s, nodes):
 
 
 @kernel
-def prepare(core: Any, nodes: Any, bodies: Any, omega: float) -> None:
-    """Complete the third record from step, cells, masses and gravity, and cut the bodies."""
+def prepare(
+    core: Any, nodes: Any, bodies: Any, step: float, mass: float, gravity: float, omega: float,
+    peak_force: float, is_elastic: bool, is_on_projectile: bool,
+) -> None:
+    """Complete the third record, which has the plate's motion already, and cut the bodies."""
     s = core[2]
-    s.rate = 2.0 / s.step
+    s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
+    s.release_threshold = -FORCE_NOISE * peak_force
+    sheets = bodies.size - (1 if is_elastic else 0)
+    for n in range(sheets):
+        s.cells += int(bodies[n].count)
+    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, s.cells)
+    s.face_node_mass = 0.5 * mass / bodies[sheets].count if is_elastic else mass
+    for end in range(2):
+        edge = s.first_node + (s.cells - 1 if end == 1 else 0)
+        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
+        if bodies[sheets - 1 if end == 1 else 0].count > 1:
+            s.edge_cells[end, 1] = edge + (1 - 2 * end)
+            s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     cut(s, nodes, bodies)
@@ -837,10 +849,7 @@ def _advance(core, nodes, path, events, time):
         goal -= 1
     if goal * step > grid.horizon:
         return BEYOND_HORIZON
-    if nodes.shape[1] == _USUAL_NODES:  # a constant, so that no loop checks for overlap
-        _march(grid, nodes, path, events, goal)
-    else:
-        _march(grid, nodes, path, events, goal)
+    _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
         return TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
@@ -975,28 +984,15 @@ def reset(core: Any, nodes: Any) -> None:
 
 @kernel
 def prepare_ratios(
-    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, cells: int,
-    projectile_cells: int, is_on_projectile: bool,
+    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, is_elastic: bool,
+    is_on_projectile: bool,
 ) -> None:
-    """Make a record at rest in units of layer mass, crossing time and amplitude."""
+    """Prepare the third record in units of layer mass, crossing time and amplitude."""
     mu, kappa, zeta, gravity = ratios
     omega = 2.0 * math.pi / kappa
-    s = core[2]
-    s.step, s.cells = step, cells
-    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, cells)
-    s.mass = mu
-    s.face_node_mass = 0.5 * mu / projectile_cells if projectile_cells > 0 else mu
-    s.gravity = gravity * omega * omega
-    s.release_threshold = -FORCE_NOISE * omega
-    write_underdamped(s, path, omega, omega, zeta, s.step)
-    top_sheet = bodies.size - (2 if projectile_cells > 0 else 1)
-    for end in range(2):
-        edge = s.first_node + (cells - 1 if end == 1 else 0)
-        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
-        if bodies[top_sheet if end == 1 else 0].count > 1:
-            s.edge_cells[end, 1] = edge + (1 - 2 * end)
-            s.edge_weights[end] = -0.5
-    prepare(core, nodes, bodies, omega)
+    write_underdamped(core[2], path, omega, omega, zeta, step)
+    weight = gravity * omega * omega
+    prepare(core, nodes, bodies, step, mu, weight, omega, omega, is_elastic, is_on_projectile)
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

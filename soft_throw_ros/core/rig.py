@@ -487,21 +487,15 @@ class Rig:
             If the layer is a stack, is not linear, or has internal loss.
 
         """
-        if not self.layer.is_uniform:
-            raise ValueError(
-                'the travelling-wave model needs a layer of one material, got '
-                f'{self.layer!r}; finite differences take a stack'
-            )
-        if self.layer.stress_strain_law != 'linear':
-            raise ValueError(
-                'layer.stress_strain_law must be linear for the travelling-wave model, '
-                f'got {self.layer.stress_strain_law}; finite differences take it'
-            )
-        if self.layer.loss_tangent > 0.0:
-            raise ValueError(
-                'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
-                f'got {self.layer.loss_tangent:g}; finite differences take it'
-            )
+        layer, need = self.layer, ''
+        if not layer.is_uniform:
+            need = f'a layer of one material, got {layer!r}'
+        elif layer.stress_strain_law != 'linear':
+            need = f'layer.stress_strain_law linear, got {layer.stress_strain_law}'
+        elif layer.loss_tangent > 0.0:
+            need = f'layer.loss_tangent 0, got {layer.loss_tangent:g}'
+        if need:
+            raise ValueError(f'the model travelling_wave needs {need}; the model cells takes it')
 
 
 def model_for(rig: Rig, model: str) -> str:

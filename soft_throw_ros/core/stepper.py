@@ -27,7 +27,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
+from soft_throw_ros.core.batch import describe_ratios, MAX_PERIODS, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import part, Record
 from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
@@ -147,13 +147,13 @@ class FirstThrows(NamedTuple):
 
     @classmethod
     def collect(
-        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str, waited: str
+        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str
     ) -> FirstThrows:
         """Take rows of all but the energy transfer, NaN for throws that end in no release."""
         failed = np.flatnonzero(np.isnan(found[0]))
         if failed.size and unresolved == 'raise':
             case = describe_ratios(ratios[:, failed[0]])
-            raise ThrowUnresolvedError(f'no release within {waited} for {case}')
+            raise ThrowUnresolvedError(f'no release within {MAX_PERIODS:g} periods for {case}')
         transfer = (found[1] / peak_velocity_ratios(ratios[2])) ** 2
         rows = (*found[:2], transfer, *found[2:])
         return cls(*(np.reshape(row, shape)[()] for row in rows))

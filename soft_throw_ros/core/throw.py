@@ -134,7 +134,7 @@ def make_stepper(
     model_of(model)
     if model == 'travelling_wave':
         if cells is not None:
-            raise ValueError(f'cells are for finite differences only, got {cells!r}')
+            raise ValueError(f'cells are for models with cells only, got {cells!r}')
         return WaveStepper(rig, motion, field_points=field_points)
     return CellStepper(rig, motion, model=model, cells=cells, field_points=field_points)
 
@@ -171,31 +171,6 @@ class Throw:
     def peak_strain(self) -> float:
         """Largest strain magnitude in the layer [-]."""
         return self.loads.strain
-
-    @property
-    def peak_plate_strain(self) -> float:
-        """Largest strain magnitude at the plate [-]."""
-        return self.loads.plate_strain
-
-    @property
-    def peak_contact_strain(self) -> float:
-        """Largest strain magnitude at the projectile [-]."""
-        return self.loads.contact_strain
-
-    @property
-    def peak_acceleration(self) -> float:
-        """Largest magnitude of the projectile's acceleration [m/s2]."""
-        return self.loads.acceleration
-
-    @property
-    def peak_plate_force(self) -> float:
-        """Largest magnitude of the layer's force on the plate [N]."""
-        return self.loads.plate_force
-
-    @property
-    def heat(self) -> float:
-        """Energy that internal loss has taken [J]."""
-        return self.energies.heat
 
     @property
     def ejections(self) -> tuple[Event, ...]:

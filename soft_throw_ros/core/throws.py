@@ -344,7 +344,7 @@ def _throw_with_waves(
 def _throw_with_cells(
     rig: Rig, part: Mapping[str, Floats], model: LayerModel, cells: int | None, threads: int | None
 ) -> Floats:
-    """Compute the rows of `FirstThrows` by finite differences."""
+    """Compute the rows of `FirstThrows` by cells."""
     ratios = dict(part)
     if not model.has_elastic_projectile:
         del ratios['crossing_ratio']
