@@ -60,6 +60,7 @@ from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
+from soft_throw_ros.core.cell_grid import PLACE
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import (
@@ -124,34 +125,30 @@ class Row(NamedTuple):
     stiffness: int = 11  # of a linear link [N/m]
     third_modulus: int = 12  # third of E S, of a neo-Hookean link [N]
     min_stretch: int = 13  # smallest stretch ratio with the neo-Hookean law [-]
-    linear_stiffness: int = 14  # tension over stretch, of any link [N/m]
-    constant_tension: int = 15  # constant tension of any link [N]
-    inverse_square_factor: int = 16  # tension times length^2 [N m2]
-    rest_length: int = 17  # of a neo-Hookean link, 1 for others [m]
-    min_length: int = 18  # length at min_stretch, 1 for linear links [m]
-    shock_viscosity: int = 19  # artificial, over a square of a velocity [N s2/m2]
-    maxwell_stiffness: int = 20  # of the Maxwell elements [N/m]
-    viscosity: int = 23  # of a link, in flight and in contact [N s/m]
-    coupling: int = 25  # share of a link in the matrix of masses, in flight and in contact [kg]
-    elimination_factor: int = 27  # of a link: momentum that a neighbour gets [-]
-    inverse_pivot: int = 29  # velocity over momentum of an eliminated node [1/kg]
-    momentum_factor: int = 31  # mass of a node if it is coupled, otherwise 1 [kg]
-    impulse_factor: int = 33  # half a step, over the mass if it is not coupled [s]
-    inverse_length: int = 35  # of a cell of the layer, 0 for other links [1/m]
-    rest_height: int = 36  # of a node of the layer [m]
-    static_load: int = 37  # weight that a cell of the layer carries at rest [N]
-    static_strain: int = 38  # compression of a cell at rest [-]
-    peak_strain: int = 39  # largest magnitude of the strain of a cell [-]
-    implicit_stiffness: int = 40  # of a cell that is too fast for the step [kg]
-    position: int = 41  # displacement at the time asked for [m]
-    speed: int = 42  # velocity at the time asked for [m/s]
-    force: int = 43  # force through a cell at the time asked for, positive in compression [N]
+    constant_tension: int = 14  # of a neo-Hookean link [N]
+    shock_viscosity: int = 15  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 16  # of the Maxwell elements [N/m]
+    viscosity: int = 19  # of a link, in flight and in contact [N s/m]
+    coupling: int = 21  # share of a link in the matrix of masses, in flight and in contact [kg]
+    elimination_factor: int = 23  # of a link: momentum that a neighbour gets [-]
+    inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
+    momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
+    impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
+    inverse_length: int = 31  # of a cell of the layer, 0 for other links [1/m]
+    rest_height: int = 32  # of a node of the layer [m]
+    static_load: int = 33  # weight that a cell of the layer carries at rest [N]
+    static_strain: int = 34  # compression of a cell at rest [-]
+    peak_strain: int = 35  # largest magnitude of the strain of a cell [-]
+    implicit_stiffness: int = 36  # of a cell that is too fast for the step [kg]
+    position: int = 37  # displacement at the time asked for [m]
+    speed: int = 38  # velocity at the time asked for [m/s]
+    force: int = 39  # force through a cell at the time asked for, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-ROWS = 44
+ROWS = 40
 """Number of rows."""
 
 # A stepper has three records: the state at a step of the grid, the state at the requested time,
@@ -232,9 +229,6 @@ RECORD = np.dtype(
     align=True,
 )
 """State of a throw by cells."""
-
-PLACE = np.dtype([('cell', 'i8'), ('beside', 'i8'), ('weight', 'f8'), ('part', 'f8')])
-"""From where to read the layer at a height, see `cell_grid.Grid.places`."""
 
 
 @part
@@ -412,11 +406,9 @@ def _choose_system(s):
 
 @part
 def _prepare_links(s, nodes, omega):
-    """Complete links that are cut, and constants of their materials."""
+    """Find out which materials there are, and prepare the Maxwell elements."""
     for j in range(nodes.shape[1] - 1):
         s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
-        nodes[ROW.linear_stiffness, j] = nodes[ROW.stiffness, j]
-        nodes[ROW.rest_length, j] = nodes[ROW.min_length, j] = 1.0  # divisors of linear links
         for element in range(3):
             s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
     for element in range(3):
@@ -458,11 +450,11 @@ def _prepare_contact(s, nodes):
 
 
 @inlined
-def _inverse_square(length, shortest):
-    """Compute one over the square of a length, and below the shortest along the tangent."""
-    inverse = 1.0 / max(length, shortest)
-    ratio = length * inverse
-    return inverse * inverse * (3.0 - (ratio + ratio))
+def _neo_hookean_stress(ratio, least):
+    """Compute the stress of a stretch ratio over E / 3, and below the least along the tangent."""
+    inverse = 1.0 / max(ratio, least)
+    share = ratio * inverse
+    return ratio - inverse * inverse * (3.0 - (share + share))
 
 
 @part
@@ -477,14 +469,10 @@ def _prepare_rest(s, nodes):
         nodes[ROW.static_load, j] = carried
         inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
         if modulus > 0.0:
-            nodes[ROW.static_strain, j] = 1.0 - _static_stretch(carried / modulus)
+            ratio = _static_stretch(carried / modulus)
+            nodes[ROW.static_strain, j] = 1.0 - ratio
+            nodes[ROW.constant_tension, j] = -modulus * _neo_hookean_stress(ratio, 0.0)
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
-            nodes[ROW.linear_stiffness, j] = modulus * inverse
-            nodes[ROW.inverse_square_factor, j] = modulus / (inverse * inverse)
-            nodes[ROW.rest_length, j] = (1.0 - nodes[ROW.static_strain, j]) / inverse
-            nodes[ROW.min_length, j] = nodes[ROW.min_stretch, j] / inverse
-            square = _inverse_square(nodes[ROW.rest_length, j], 0.0)
-            nodes[ROW.constant_tension, j] = nodes[ROW.inverse_square_factor, j] * square
         else:
             nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
     for j in range(s.first_node, top):
@@ -544,11 +532,12 @@ def _neo_hookean_tension(s, nodes):
     now, fastest = s.index & 1, -s.fastest_shock
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
-        square = _inverse_square(nodes[ROW.rest_length, j] + stretch, nodes[ROW.min_length, j])
-        pull = nodes[ROW.constant_tension, j] - nodes[ROW.inverse_square_factor, j] * square
+        ratio = 1.0 - nodes[ROW.static_strain, j] + nodes[ROW.inverse_length, j] * stretch
+        stress = _neo_hookean_stress(ratio, nodes[ROW.min_stretch, j])
+        pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
         closing = min(nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j], 0.0)
         shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
-        nodes[ROW.tension + now, j] = nodes[ROW.linear_stiffness, j] * stretch + pull - shock
+        nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
 
 
 @reduction
@@ -949,8 +938,7 @@ def stored_energy(core: Any, nodes: Any) -> float:
             elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], least)
             elastic -= _elastic_energy(start, least)
             total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
-            constant = nodes[ROW.constant_tension, j] - nodes[ROW.third_modulus, j] * start
-            total += constant * stretch
+            total += nodes[ROW.constant_tension, j] * stretch
         for element in range(3):  # which go on by their last rate
             memory = nodes[ROW.maxwell_stretch + element, j]
             change = nodes[ROW.previous_stretch, j] - stretch

@@ -36,7 +36,6 @@ from soft_throw_ros.core.cell_grid import (
 )
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
-    PLACE,
     prepare,
     prepare_ratios,
     read_layer_compiled,
@@ -401,7 +400,7 @@ class CellStepper(Stepper):
         self.cells = int(grid.counts.sum())
         self.step = grid.step
         self._nodes = np.zeros((ROWS, self.cells + grid.projectile_cells + 2))
-        self._places = np.array(grid.places(field_points), PLACE)
+        self._places = grid.places(field_points)
         for name in ('cell', 'beside'):
             self._places[name] += model == 'cells_glued'
         self._make_records(RECORD, motion, grid.step)

@@ -29,8 +29,7 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.rig import Engine
+from soft_throw_ros.core.rig import check_fields, Engine
 
 if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a motion is sampled
     from scipy.interpolate import PPoly
@@ -80,12 +79,7 @@ class Underdamped:
     damping_ratio: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, check in (
-            ('frequency', checks.require_positive),
-            ('amplitude', checks.require_positive),
-            ('damping_ratio', checks.require_in_unit_interval),
-        ):
-            object.__setattr__(self, name, check(name, getattr(self, name)))
+        check_fields(self, damping_ratio='in_unit_interval')
 
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
